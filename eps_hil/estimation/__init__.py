@@ -1,0 +1,1 @@
+"""From aligned signals to a rack force: alignment, friction compensation, observer."""

@@ -1,0 +1,1 @@
+"""What the rig obeys: pure functions and frozen values, no I/O."""

@@ -1,0 +1,1 @@
+"""Recordings of any format, read into canonical signals."""

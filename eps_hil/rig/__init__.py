@@ -1,0 +1,1 @@
+"""A simulated rig and ECU that speak CAN."""

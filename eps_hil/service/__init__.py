@@ -1,0 +1,1 @@
+"""The asynchronous 1 kHz service."""

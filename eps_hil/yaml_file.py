@@ -1,0 +1,96 @@
+"""YAML file -> validated value. Every error names file, line, field and what was expected."""
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+from eps_hil.errors import InputError
+
+T = TypeVar("T")
+
+_MAX_SHOWN = 3
+
+
+def read(path: str | Path) -> Any:
+    """Parse one YAML file into plain values; :class:`InputError` if missing or broken."""
+    text = _text(Path(path))
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "not readable"
+        raise InputError(path, place, f"not valid YAML: {problem}", "mend the syntax") from None
+
+
+def load(path: str | Path, kind: type[T], *, section: str = "") -> T:
+    """Read ``path`` (or its top-level ``section``) and validate it as ``kind``.
+
+    ``kind`` is anything pydantic can validate: a (frozen) dataclass, a model, a typed dict.
+    """
+    content = read(path)
+    if section:
+        if not isinstance(content, dict) or section not in content:
+            raise InputError(path, section, "section is missing", f"add a '{section}:' block")
+        content = content[section]
+    return validate(path, content, kind, section=section)
+
+
+def validate(path: str | Path, content: Any, kind: type[T], *, section: str = "") -> T:
+    """Validate parsed content as ``kind``; the file is named in errors, with the line."""
+    try:
+        return TypeAdapter(kind).validate_python(content)
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+        prefix = (section,) if section else ()
+        first = _place(Path(path), prefix + problems[0]["loc"])
+        shown = "; ".join(
+            f"{_dotted(prefix + p['loc'])}: {_said(p)}" for p in problems[:_MAX_SHOWN]
+        )
+        more = f" (and {len(problems) - _MAX_SHOWN} more)" if len(problems) > _MAX_SHOWN else ""
+        raise InputError(path, first, shown + more, "correct the field") from None
+
+
+def _said(problem: Any) -> str:
+    message = str(problem["msg"])
+    if problem["type"] in {"missing", "unexpected_keyword_argument", "extra_forbidden"}:
+        return {"missing": "is missing"}.get(problem["type"], "is not a known field")
+    return f"{message} (found {problem['input']!r})"
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(path, "", "no such file", "check the path") from None
+    except IsADirectoryError:
+        raise InputError(path, "", "is a folder, a YAML file was expected") from None
+    except UnicodeDecodeError:
+        raise InputError(path, "", "is not UTF-8 text, a YAML file was expected") from None
+    except OSError as error:
+        raise InputError(path, "", f"cannot be read: {error.strerror}") from None
+
+
+def _dotted(loc: tuple[int | str, ...]) -> str:
+    return ".".join(str(part) for part in loc) or "top level"
+
+
+def _place(path: Path, loc: tuple[int | str, ...]) -> str:
+    """The line of the deepest node of ``loc`` that exists."""
+    node = yaml.compose(_text(path), Loader=yaml.SafeLoader)
+    line = node.start_mark.line + 1 if node else 1
+    for part in loc:
+        child = None
+        if isinstance(node, yaml.MappingNode):
+            child = next((v for k, v in node.value if k.value == str(part)), None)
+            key = next((k for k, v in node.value if k.value == str(part)), None)
+            line = key.start_mark.line + 1 if key else line
+        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int):
+            child = node.value[part] if part < len(node.value) else None
+            line = child.start_mark.line + 1 if child else line
+        if child is None:
+            break
+        node = child
+    return f"line {line}"
