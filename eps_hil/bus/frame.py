@@ -1,0 +1,32 @@
+"""One CAN frame as a value: what every port hands out and takes, whatever hardware is behind it.
+
+Times are integer nanoseconds, because a float of seconds since the epoch resolves only some
+200 ns and two runs of one log would no longer agree bit for bit (DESIGN.md, decision 2).
+"""
+
+from dataclasses import dataclass
+
+STANDARD_ID_MAX = 0x7FF
+EXTENDED_ID_MAX = 0x1FFF_FFFF
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A CAN frame with the stamp of the best clock that saw it.
+
+    ``t_ns``: integer ns since the epoch (0 on a frame that is yet to be sent); ``can_id``: 11 or
+    29 bits without flags (for an error frame: the error class bits of linux/can/error.h);
+    ``data``: up to 8 bytes, up to 64 with ``fd``; ``error``: a report of the controller, not
+    traffic; ``own``: sent by this very port; ``remote``: a remote request (no data); ``brs``:
+    CAN FD with the data phase at the higher bit rate.
+    """
+
+    t_ns: int
+    can_id: int
+    data: bytes
+    extended: bool = False
+    fd: bool = False
+    error: bool = False
+    own: bool = False
+    remote: bool = False
+    brs: bool = False
