@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from eps_hil.compiled import njit
 from eps_hil.physics.chain_parameters import ChainParameters, rotor_inertia_kg_m2
 from eps_hil.physics.friction import (
     FrictionLaw,
@@ -235,7 +235,7 @@ def _column_law(p: ChainParameters) -> FrictionLaw:
     )
 
 
-@njit(cache=True)
+@njit
 def _solve(matrix: Floats, vector: Floats) -> None:
     """Solve in place by elimination; the matrix is symmetric and positive, so without pivots."""
     n = vector.size
@@ -253,7 +253,7 @@ def _solve(matrix: Floats, vector: Floats) -> None:
         vector[k] = total / matrix[k, k]
 
 
-@njit(cache=True)
+@njit
 def _motor_step(chain: Chain, state: ChainState, command_nm: float) -> float:
     """Dead time T_t, then lag τ_em; returns the mean shaft torque of the step."""
     limited = min(max(command_nm, -chain.torque_limit), chain.torque_limit)
@@ -266,10 +266,10 @@ def _motor_step(chain: Chain, state: ChainState, command_nm: float) -> float:
     before = state.motor[0]
     after = delayed + (before - delayed) * chain.lag_keep
     state.motor[0], state.motor[1] = after, delayed
-    return 0.5 * (before + after)
+    return float(0.5 * (before + after))
 
 
-@njit(cache=True)
+@njit
 def _load_externals(
     chain: Chain, state: ChainState, motor_nm: float, row: Floats, row_rate: Floats
 ) -> None:
@@ -300,17 +300,15 @@ def _load_externals(
         ext[3, rack] += k * (angle[rack] - math.copysign(limit, angle[rack]))
 
 
-@njit(cache=True)
+@njit
 def _load_force_n(chain: Chain, angle: float, speed: float, row: Floats, rate: Floats) -> float:
     """Force of the rig on the tie rods, N: profile and spring-damper of its linear motor."""
-    return (
-        row[LOAD_FORCE]
-        + row[LOAD_STIFFNESS] * (angle / chain.rack_to_rotor - row[LOAD_POSITION])
-        + row[LOAD_DAMPING] * (speed / chain.rack_to_rotor - rate[LOAD_POSITION])
-    )
+    spring = row[LOAD_STIFFNESS] * (angle / chain.rack_to_rotor - row[LOAD_POSITION])
+    damper = row[LOAD_DAMPING] * (speed / chain.rack_to_rotor - rate[LOAD_POSITION])
+    return float(row[LOAD_FORCE] + spring + damper)
 
 
-@njit(cache=True)
+@njit
 def _drive_friction(
     chain: Chain, bristle: float, speed: float, load_n: float
 ) -> tuple[float, float, float]:
@@ -324,7 +322,7 @@ def _drive_friction(
     return torque, slope, after
 
 
-@njit(cache=True)
+@njit
 def _column_friction(chain: Chain, bristle: float, speed: float) -> tuple[float, float, float]:
     """The same for the steering column, at the steering wheel."""
     law, dt = chain.column, chain.step_s
@@ -336,7 +334,7 @@ def _column_friction(chain: Chain, bristle: float, speed: float) -> tuple[float,
     return torque, slope, after
 
 
-@njit(cache=True)
+@njit
 def _middle_speed(chain: Chain, state: ChainState, row: Floats, rate: Floats) -> None:
     """Solve the midpoint equation for the speeds; friction by three Newton-like passes."""
     n, half = chain.inertia.size, 0.5 * chain.step_s
@@ -369,7 +367,7 @@ def _middle_speed(chain: Chain, state: ChainState, row: Floats, rate: Floats) ->
             middle[i] = vector[i]
 
 
-@njit(cache=True)
+@njit
 def _commit(chain: Chain, state: ChainState, motor_nm: float, row: Floats, rate: Floats) -> None:
     """Move the state to the end of the step and book the work that was done."""
     n, dt = chain.inertia.size, chain.step_s
@@ -409,7 +407,7 @@ def _commit(chain: Chain, state: ChainState, motor_nm: float, row: Floats, rate:
         state.speed_rad_s[i] = 2.0 * middle[i] - state.speed_rad_s[i]
 
 
-@njit(cache=True)
+@njit
 def advance(
     chain: Chain,
     state: ChainState,
@@ -436,7 +434,7 @@ def advance(
         _commit(chain, state, motor_nm, row, rate)
 
 
-@njit(cache=True)
+@njit
 def read_out(chain: Chain, state: ChainState, row: Floats, rate: Floats) -> Reading:
     """What is physically true at this instant, under the input row of the instant."""
     angle, speed = state.angle_rad, state.speed_rad_s
@@ -470,7 +468,7 @@ def read_out(chain: Chain, state: ChainState, row: Floats, rate: Floats) -> Read
     )
 
 
-@njit(cache=True)
+@njit
 def _rigid_sensor_nm(
     chain: Chain, state: ChainState, row: Floats, rate: Floats, load_n: float, friction: float
 ) -> float:
@@ -491,4 +489,4 @@ def _rigid_sensor_nm(
         deep = state.angle_rad[0] / i_apa - push
         stop = chain.stop_stiffness * deep + chain.stop_damping * state.speed_rad_s[0] / i_apa
         torque -= stop / i_apa
-    return hand - chain.steering_wheel_inertia * torque / chain.inertia[0] / side
+    return float(hand - chain.steering_wheel_inertia * torque / chain.inertia[0] / side)
