@@ -1,0 +1,102 @@
+"""Files as people give them: what can be wrong with one before its format matters."""
+
+import contextlib
+import errno
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from eps_hil.errors import EpsHilError, InputError
+
+
+def check_readable(path: Path) -> None:
+    """Refuse a missing, unreadable or empty file and a folder, each with its remedy."""
+    with refused_by_system(path):
+        if path.is_dir():
+            raise InputError(path, "", "is a folder, a recording was expected", "name the file")
+        with path.open("rb") as file:
+            if not file.read(1):
+                raise InputError(path, "", "is empty (0 bytes)", "record it again")
+
+
+def read_bytes(path: Path) -> bytes:
+    """The whole file; :class:`InputError` if it cannot be had."""
+    check_readable(path)
+    with refused_by_system(path):
+        return path.read_bytes()
+
+
+@contextlib.contextmanager
+def refused_by_system(path: Path) -> Iterator[None]:
+    """Turn what the operating system says about reading ``path`` into one line."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise InputError(path, "", "no such file", "check the path") from None
+    except PermissionError:
+        raise InputError(path, "", "may not be read", "check its permissions") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(path, "", f"cannot be read: {reason}", "check the path") from None
+
+
+@contextlib.contextmanager
+def needs_extra(path: Path, extra: str) -> Iterator[None]:
+    """Around the import of an optional library: says which extra brings it."""
+    try:
+        yield
+    except ImportError:
+        problem = f"{path.suffix.lower()} files need the '{extra}' extra"
+        raise InputError(path, "", problem, f'pip install "eps_hil[{extra}]"') from None
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary file beside ``path`` that takes its place when the block ends without error.
+
+    So a reader never meets half a file, and an old file survives a full disk.
+    Raises :class:`InputError` for a folder that is not there or not writable, and
+    :class:`EpsHilError` for a disk that is full or fails.
+    """
+    path = path.resolve()  # through a link to the file it names
+    if path.is_dir():
+        raise InputError(path, "", "is a folder, a file name was expected", "name the file")
+    temporary = _temporary(path)
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise _not_written(path, error) from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _temporary(path: Path) -> Path:
+    try:
+        handle, name = tempfile.mkstemp(
+            suffix=path.suffix, prefix=f".{path.stem}.", dir=path.parent
+        )
+        os.fchmod(handle, 0o666 & ~_umask())
+        os.close(handle)
+    except (FileNotFoundError, NotADirectoryError):
+        problem = f"folder {path.parent} does not exist"
+        raise InputError(path, "", problem, "create it first") from None
+    except PermissionError:
+        problem = f"folder {path.parent} may not be written"
+        raise InputError(path, "", problem, "choose another folder") from None
+    except OSError as error:
+        raise _not_written(path, error) from None
+    return Path(name)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _not_written(path: Path, error: OSError) -> EpsHilError:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return EpsHilError(f"{path}: the disk is full; free some space, nothing was written")
+    return EpsHilError(f"{path}: cannot be written: {error.strerror or error}")

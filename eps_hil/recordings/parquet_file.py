@@ -1,0 +1,93 @@
+"""Parquet <-> table columns, through pyarrow (the ``parquet`` extra)."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.errors import InputError
+from eps_hil.recordings.files import check_readable, needs_extra
+from eps_hil.recordings.table import (
+    TIME_NS,
+    Floats,
+    Stamps,
+    Table,
+    stamps_from_seconds,
+    usable_columns,
+)
+from eps_hil.signals import TIME
+
+
+def read_parquet(path: Path, *, ignore_unknown: bool = False) -> Table:
+    """Read one Parquet file; a null is an empty cell, a NaN a bad value."""
+    with needs_extra(path, "parquet"):
+        import pyarrow
+        import pyarrow.parquet
+    check_readable(path)
+    try:
+        file = pyarrow.parquet.ParquetFile(path, memory_map=False)
+        names = file.schema_arrow.names
+        columns, notes = usable_columns(path, names, "schema", ignore_unknown=ignore_unknown)
+        content = file.read(columns=list(columns))
+    except InputError:
+        raise
+    except (pyarrow.ArrowException, OSError, ValueError, MemoryError) as error:
+        problem = f"is not readable as Parquet: {str(error).splitlines()[0] if str(error) else ''}"
+        raise InputError(path, "", problem, "record or export it again") from None
+    if not content.num_rows:
+        raise InputError(path, "", "has no rows", "a recording needs rows")
+    signals = {
+        name: _floats(path, name, content.column(name))
+        for name in columns
+        if name not in (TIME, TIME_NS)
+    }
+    return Table(_stamps(path, content), signals, _row, notes)
+
+
+def write_parquet(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Write equally long columns; NaN becomes null."""
+    with needs_extra(path, "parquet"):
+        import pyarrow
+        import pyarrow.parquet
+    arrays = {
+        name: pyarrow.array(column, from_pandas=True)  # from_pandas: NaN is null
+        for name, column in columns.items()
+    }
+    pyarrow.parquet.write_table(pyarrow.table(arrays), path)
+
+
+def _row(row: int) -> str:
+    return f"row {row + 1}"
+
+
+def _floats(path: Path, name: str, column: Any) -> Floats:
+    import pyarrow
+
+    kind = column.type
+    if pyarrow.types.is_boolean(kind):
+        column = column.cast(pyarrow.int8())
+    elif not (
+        pyarrow.types.is_integer(kind)
+        or pyarrow.types.is_floating(kind)
+        or pyarrow.types.is_decimal(kind)
+    ):
+        place = f"column {name}"
+        raise InputError(path, place, f"holds {kind}, not numbers", "export it as numbers")
+    valid = column.is_valid().to_numpy()
+    plain = column.cast(pyarrow.float64(), safe=False)
+    values: Floats = plain.to_numpy().astype(np.float64)  # a copy of our own; null is NaN here
+    values[valid & ~np.isfinite(values)] = np.inf
+    return values
+
+
+def _stamps(path: Path, content: Any) -> Stamps:
+    import pyarrow
+
+    name = TIME_NS if TIME_NS in content.column_names else TIME
+    column = content.column(name)
+    if name == TIME_NS and pyarrow.types.is_integer(column.type) and not column.null_count:
+        return np.asarray(column.to_numpy(), dtype=np.int64)
+    seconds = _floats(path, name, column) * (1e-9 if name == TIME_NS else 1.0)
+    return stamps_from_seconds(path, seconds, _row, column=f"column {name}")

@@ -1,0 +1,99 @@
+"""Columns -> CSV, Parquet or MF4: whole or not at all, and never a NaN that looks like a number."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.errors import InputError
+from eps_hil.recordings.files import replacing
+from eps_hil.recordings.table import TIME_NS, VALID, Stamps, seconds_to_ns
+from eps_hil.signals import TIME
+
+TABLE_SUFFIXES = (".csv", ".parquet", ".mf4")
+_ROWS = 50_000
+_NS = 1_000_000_000
+
+Columns = Mapping[str, npt.NDArray[Any]]
+
+
+def check_writable_suffix(path: Path) -> None:
+    """Refuse an output name whose suffix is no table format (before long work is done)."""
+    if path.suffix.lower() not in TABLE_SUFFIXES:
+        known = ", ".join(TABLE_SUFFIXES)
+        problem = f"suffix '{path.suffix}' is no table format"
+        raise InputError(path, "", problem, f"name it with one of {known}")
+
+
+def write_table(path: str | Path, columns: Columns, *, t_ns: Stamps | None = None) -> None:
+    """Write equally long columns; the format is the suffix (.csv, .parquet, .mf4).
+
+    ``columns``: arrays of shape (n,), canonical names, ``time_s`` among them unless ``t_ns``
+    (int64 ns) gives the time exactly. Floats round-trip bit for bit; ``valid``, booleans and
+    integers are written as integers; NaN is written as an empty cell (MF4: no sample). Where
+    floats of seconds cannot hold ``t_ns``, Parquet also gets an int64 column ``time_ns``.
+    Raises :class:`InputError` for a wrong suffix or folder, :class:`EpsHilError` for a full disk.
+    """
+    path = Path(path)
+    check_writable_suffix(path)
+    plain = {name: _plain(name, np.asarray(column)) for name, column in columns.items()}
+    if t_ns is None:
+        t_ns = seconds_to_ns(np.asarray(plain[TIME], dtype=np.float64))
+    else:
+        plain = {TIME: t_ns / _NS, **plain}
+    if {len(column) for column in plain.values()} != {len(t_ns)}:
+        raise ValueError("columns differ in length")
+    with replacing(path) as temporary:
+        if path.suffix.lower() == ".csv":
+            _write_csv(temporary, plain, t_ns)
+        elif path.suffix.lower() == ".parquet":
+            from eps_hil.recordings.parquet_file import write_parquet
+
+            exact = np.array_equal(seconds_to_ns(plain[TIME]), t_ns)
+            write_parquet(temporary, plain if exact else {TIME_NS: t_ns, **plain})
+        else:
+            from eps_hil.recordings.mf4_file import write_mf4
+
+            write_mf4(temporary, t_ns, {k: v for k, v in plain.items() if k != TIME})
+
+
+def _plain(name: str, column: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    if column.dtype.kind == "b" or (name == VALID and not np.isnan(column).any()):
+        return column.astype(np.int8)
+    return column if column.dtype.kind in "iu" else column.astype(np.float64)
+
+
+def _write_csv(path: Path, columns: Columns, t_ns: Stamps) -> None:
+    exact = np.array_equal(seconds_to_ns(columns[TIME]), t_ns)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(",".join(columns) + "\n")
+        for start in range(0, len(t_ns), _ROWS):
+            part = slice(start, start + _ROWS)
+            texts = [
+                _seconds(t_ns[part]) if name == TIME and not exact else _texts(column[part])
+                for name, column in columns.items()
+            ]
+            _write_rows(file, texts)
+
+
+def _write_rows(file: TextIO, texts: list[Iterable[str]]) -> None:
+    file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+
+
+def _texts(column: npt.NDArray[Any]) -> Iterable[str]:
+    texts = map(repr, column.tolist())
+    if column.dtype.kind == "f" and np.isnan(column).any():
+        return ("" if text == "nan" else text for text in texts)
+    return texts
+
+
+def _seconds(t_ns: Stamps) -> Iterable[str]:
+    for stamp in t_ns.tolist():
+        whole, rest = divmod(stamp, _NS)
+        if whole < 0 and rest:
+            whole, rest = whole + 1, _NS - rest
+            yield f"-{abs(whole)}.{rest:09d}"
+        else:
+            yield f"{whole}.{rest:09d}"
