@@ -1,7 +1,8 @@
 """What the service, the rig and the recorder know of a CAN bus: the ``Port``.
 
-``socketcan`` is served by the project's own socket (``bus/socketcan.py``), every other interface
-by python-can (``bus/python_can.py``). Both count what they received, sent, dropped and lost.
+``socketcan`` and ``udp_multicast`` are served by the project's own sockets (``bus/socketcan.py``,
+``bus/udp_multicast.py``), every other interface by python-can (``bus/python_can.py``). All count
+what they received, sent, dropped and lost.
 """
 
 import asyncio
@@ -100,6 +101,12 @@ def open_port(
         from eps_hil.bus.socketcan import open_socketcan
 
         return open_socketcan(
+            channel, fd=fd, receive_ids=receive_ids, send_ids=send_ids, options=chosen
+        )
+    if interface == "udp_multicast":
+        from eps_hil.bus.udp_multicast import open_udp_multicast
+
+        return open_udp_multicast(
             channel, fd=fd, receive_ids=receive_ids, send_ids=send_ids, options=chosen
         )
     from eps_hil.bus.python_can import PythonCanPort
