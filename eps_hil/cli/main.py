@@ -50,19 +50,28 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         status = app(args=words, prog_name="eps-hil", standalone_mode=False)
         return status if isinstance(status, int) else 0
-    except click.exceptions.Exit as stop:
-        return stop.exit_code
-    except click.ClickException as error:
-        return _say(f"{error.format_message()}; see eps-hil --help", 2, debug)
-    except (click.Abort, KeyboardInterrupt):
-        return _say("interrupted", 130, debug)
-    except EpsHilError as error:
-        return _say(str(error), error.exit_status, debug)
-    except BrokenPipeError:
-        return 0
-    except Exception as error:  # the last line of defence: a person sees one line, not a stack
-        what = f"{type(error).__name__}: {error}"
-        return _say(f"internal error, please report it with --debug: {what}", 1, debug)
+    except BaseException as error:  # the last line of defence: one line, never a stack
+        return _explain(error, debug)
+
+
+def _explain(error: BaseException, debug: bool) -> int:
+    match error:
+        case click.exceptions.Exit():
+            return error.exit_code
+        case BrokenPipeError():
+            return 0
+        case click.Abort() | KeyboardInterrupt():
+            message, status = "interrupted", 130
+        case click.ClickException():
+            message, status = f"{error.format_message()}; see eps-hil --help", 2
+        case EpsHilError():
+            message, status = str(error), error.exit_status
+        case SystemExit():
+            raise error
+        case _:
+            message = f"internal error, please report it with --debug: {type(error).__name__}: "
+            message, status = message + str(error), 1
+    return _say(message, status, debug)
 
 
 def _say(message: str, status: int, debug: bool) -> int:

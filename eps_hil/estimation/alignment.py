@@ -1,0 +1,91 @@
+"""Signals of any rate and delay, read off at one physical instant (DESIGN decision 2).
+
+Every signal has a ring of stamped samples. A value at instant τ is read at stamp τ + delay by
+linear interpolation between its neighbours, so a delay may be any fraction of a sample. All in
+integer nanoseconds, so that a clock of seconds since 1970 loses nothing.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.estimation.validity import Reason
+
+RING = 512
+"""Samples kept of each signal: half a second at 1 kHz."""
+
+_BAD, _GAP = int(Reason.BAD_SAMPLE), int(Reason.GAP)
+
+Stamps = npt.NDArray[np.int64]
+Values = npt.NDArray[np.float64]
+
+
+@njit
+def push_sample(stamps: Stamps, values: Values, count: Stamps, i: int, t: int, v: float) -> bool:
+    """Append to ring ``i``; False (and nothing stored) for a stamp that does not go forward."""
+    n = count[i]
+    if n > 0 and t <= stamps[i, (n - 1) % RING]:
+        return False
+    stamps[i, n % RING] = t
+    values[i, n % RING] = v
+    count[i] = n + 1
+    return True
+
+
+@njit
+def read_at(
+    stamps: Stamps, values: Values, count: Stamps, i: int, t: int, stale: int, lost: int
+) -> tuple[float, int]:
+    """Value of ring ``i`` at stamp ``t``, and reason bits (``lost`` is the bit for 'not there').
+
+    Beyond the newest sample the value is held until it is ``stale`` ns old; two neighbours
+    further apart than ``stale`` are a gap.
+    """
+    n = count[i]
+    if n == 0:
+        return 0.0, lost
+    newest = stamps[i, (n - 1) % RING]
+    if t >= newest:
+        value = values[i, (n - 1) % RING]
+        if t - newest > stale:
+            return value, lost
+        return value, (0 if np.isfinite(value) else _BAD)
+    oldest = max(0, n - RING)
+    k = n - 2
+    while k >= oldest and stamps[i, k % RING] > t:
+        k -= 1
+    if k < oldest:
+        return values[i, oldest % RING], lost
+    t0, t1 = stamps[i, k % RING], stamps[i, (k + 1) % RING]
+    v0, v1 = values[i, k % RING], values[i, (k + 1) % RING]
+    value = v0 if t == t0 else v0 + (v1 - v0) * ((t - t0) / (t1 - t0))
+    if not np.isfinite(value):
+        return value, _BAD
+    return value, (_GAP if t1 - t0 > stale else 0)
+
+
+@njit
+def slope(
+    stamps: Stamps, values: Values, count: Stamps, i: int, window: int
+) -> tuple[bool, int, float]:
+    """Straight line through the last ``window`` ns of ring ``i``: (is there one, stamp, slope).
+
+    The stamp is the mean of the samples' stamps, where a straight line's slope is that of any
+    parabola: so the speed derived from an angle is late in arriving but not in what it says.
+    """
+    n = count[i]
+    newest = stamps[i, (n - 1) % RING]
+    k, total = n - 1, 0.0
+    while k >= max(0, n - RING) and newest - stamps[i, k % RING] <= window:
+        total += stamps[i, k % RING] - newest
+        k -= 1
+    points = n - 1 - k
+    if points < 2:
+        return False, 0, 0.0
+    mean = total / points
+    st, sv = 0.0, 0.0
+    for j in range(k + 1, n):
+        dt = stamps[i, j % RING] - newest - mean
+        st += dt * dt
+        sv += dt * values[i, j % RING]
+    return True, newest + int(round(mean)), sv / st * 1e9

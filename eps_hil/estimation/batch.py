@@ -1,0 +1,67 @@
+"""A whole recording through the stream estimator, in one compiled run."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.stream import SIGNALS, StreamEstimator, Trace
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+
+def sample_periods_s(series: Mapping[str, Series]) -> dict[str, float]:
+    """Median sample period of each signal that the estimator knows."""
+    return {
+        name: float(np.median(np.diff(series[name].t_ns))) * 1e-9
+        for name in SIGNALS
+        if name in series and len(series[name].t_ns) > 1
+    }
+
+
+def sync_signal(series: Mapping[str, Series]) -> str:
+    """The signal whose samples clock the estimator: the speed, else the angle."""
+    return "motor_speed_rad_s" if "motor_speed_rad_s" in series else "motor_angle_rad"
+
+
+def events(
+    series: Mapping[str, Series],
+) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """All samples in the order of their stamps, with a sync (−1) after each sync sample.
+
+    Returns (place in SIGNALS or −1, stamp in ns, value), each of shape (n,).
+    """
+    sync = series[sync_signal(series)].t_ns
+    parts = [(i, series[name]) for i, name in enumerate(SIGNALS) if name in series]
+    kind = np.concatenate(
+        [np.full(len(s.t_ns), i, np.int8) for i, s in parts] + [np.full(len(sync), -1, np.int8)]
+    )
+    t_ns = np.concatenate([s.t_ns for _, s in parts] + [sync])
+    value = np.concatenate([s.value for _, s in parts] + [np.zeros(len(sync))])
+    order = np.argsort(t_ns, kind="stable")
+    return kind[order], t_ns[order], value[order]
+
+
+def estimate(
+    series: Mapping[str, Series],
+    model: Model,
+    settings: EstimatorSettings | None = None,
+    periods_s: Mapping[str, float] | None = None,
+) -> Trace:
+    """Rack force (N) and friction torque (Nm, at the rotor) for the signals of one recording.
+
+    The result speaks of physical instants; instants before the first sample are left out.
+    ``ValueError`` if motor torque, or both speed and angle, are missing.
+    """
+    periods = dict(periods_s) if periods_s is not None else sample_periods_s(series)
+    stream = StreamEstimator(model, settings or EstimatorSettings(), periods)
+    trace = stream.run(*events(series))
+    first = min(int(s.t_ns[0]) for name, s in series.items() if name in SIGNALS)
+    keep = trace.t_ns >= first - 1_000_000_000
+    return Trace(
+        trace.t_ns[keep],
+        trace.rack_force_n[keep],
+        trace.friction_torque_nm[keep],
+        trace.reason[keep],
+    )

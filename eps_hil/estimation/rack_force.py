@@ -1,0 +1,175 @@
+"""The rack-force estimator (PAPER fig. 8): friction compensation and disturbance observer.
+
+One compiled step; the class, the live stream and the batch run all call the same machine code,
+so their results agree bit for bit. No I/O, no clock. Torques and speeds are at the rotor, the
+rack force at the rack (signs: CONTRACT 1).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.estimation.compensation import friction_step
+from eps_hil.estimation.observer import observer_step
+from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.setup import (
+    ACCELERATION,
+    ANGLE,
+    BRISTLE,
+    DRIVE,
+    DRIVE_BEFORE,
+    DRIVE_NOISE,
+    FORCE,
+    HEAD,
+    LINE,
+    LINE_LENGTH,
+    LP1,
+    LP2,
+    NOISE,
+    OMEGA,
+    OUT_FORCE,
+    OUT_FRICTION,
+    PATH,
+    PHI,
+    RUNNING,
+    SETTLE,
+    SLOPE,
+    SPEED,
+    SPEED_BEFORE,
+    STEP_S,
+    TORQUE,
+    Constants,
+    Inputs,
+    constants,
+    new_state,
+)
+from eps_hil.estimation.validity import Reason
+from eps_hil.physics.friction import FrictionLaw, friction_law, static_level_nm
+from eps_hil.physics.model import Model
+
+_SETTLING = int(Reason.SETTLING)
+_DIVERGED = int(Reason.DIVERGED)
+_IMPOSSIBLE_N = 1e6
+
+
+class Output(NamedTuple):
+    """What one step gives: both figures speak of ``lag_s`` before the inputs' instant."""
+
+    rack_force_n: float
+    friction_torque_nm: float
+    reason: Reason
+
+
+@njit
+def start(c: Constants, law: FrictionLaw, s: npt.NDArray[np.float64], u: Inputs) -> None:
+    """Begin, or begin again after a gap, from the inputs of one instant."""
+    torque = u.motor_torque_nm + c.sensor_to_rotor * u.torque_sensor_nm
+    s[PHI], s[OMEGA] = u.motor_angle_rad, u.motor_speed_rad_s
+    s[SPEED] = s[SPEED_BEFORE] = u.motor_speed_rad_s
+    s[ANGLE] = u.motor_angle_rad
+    s[DRIVE] = s[DRIVE_BEFORE] = torque
+    s[ACCELERATION] = s[SLOPE] = s[PATH] = 0.0
+    if s[RUNNING] < 0.0:
+        s[NOISE], s[DRIVE_NOISE] = c.first_noise, c.first_drive_noise
+    if s[RUNNING] < 0.0:  # never ran: a rotor at rest balances its torque with the rack
+        if abs(u.motor_speed_rad_s) > c.limiter_speed:
+            load = c.ratio * torque
+            level = static_level_nm(u.motor_speed_rad_s, load, law)
+            s[BRISTLE] = math.copysign(level / law.sigma0_nm_per_rad, u.motor_speed_rad_s)
+        s[FORCE] = c.ratio * torque
+        if c.compensate:
+            s[FORCE] -= c.ratio * law.sigma0_nm_per_rad * s[BRISTLE]
+        if c.known_force:
+            s[FORCE] -= u.rack_force_n
+        s[LP1] = s[LP2] = s[FORCE]
+    compensated = torque
+    if c.compensate:
+        compensated -= law.sigma0_nm_per_rad * s[BRISTLE]
+    if c.known_force:
+        compensated -= u.rack_force_n / c.ratio
+    s[TORQUE] = compensated
+    s[RUNNING], s[SETTLE] = 1.0, c.settle_steps
+
+
+@njit
+def estimator_step(
+    c: Constants, law: FrictionLaw, s: npt.NDArray[np.float64], u: Inputs, reason: int
+) -> int:
+    """One millisecond: updates the state vector ``s`` (shape (80,)); returns the reason bits.
+
+    ``reason`` says what is wrong with the inputs; anything but 0 holds the last estimate.
+    """
+    if reason != 0:
+        s[RUNNING] = min(s[RUNNING], 0.0)
+        return reason
+    if s[RUNNING] <= 0.0:
+        start(c, law, s, u)
+    friction = friction_step(c, law, s, u)
+    torque = u.motor_torque_nm + c.sensor_to_rotor * u.torque_sensor_nm
+    if c.compensate:
+        torque -= friction
+    if c.known_force:
+        torque -= u.rack_force_n / c.ratio
+    observer_step(c, s, torque, u)
+    s[LP1] += c.low_pass * (s[FORCE] - s[LP1])
+    s[LP2] += c.low_pass * (s[LP1] - s[LP2])
+    if not abs(s[LP2]) < _IMPOSSIBLE_N or not abs(s[BRISTLE]) < _IMPOSSIBLE_N:
+        s[:] = 0.0
+        s[RUNNING] = -1.0
+        return _DIVERGED
+    _publish(c, s, friction)
+    if s[SETTLE] > 0.0:
+        s[SETTLE] -= 1.0
+        return _SETTLING
+    return 0
+
+
+@njit
+def _publish(c: Constants, s: npt.NDArray[np.float64], friction: float) -> None:
+    """Outputs of one instant: the friction waits for as long as the force was filtered."""
+    if c.known_force:
+        s[OUT_FORCE], s[OUT_FRICTION] = 0.0, s[LP2] / c.ratio
+        return
+    head = int(s[HEAD])
+    s[LINE + head] = friction
+    steps = min(c.output_lag_s / STEP_S, LINE_LENGTH - 2.0)
+    whole = int(steps)
+    newer = s[LINE + (head - whole) % LINE_LENGTH]
+    older = s[LINE + (head - whole - 1) % LINE_LENGTH]
+    s[OUT_FORCE] = s[LP2]
+    s[OUT_FRICTION] = newer + (steps - whole) * (older - newer)
+    s[HEAD] = (head + 1) % LINE_LENGTH
+
+
+@dataclass(slots=True)
+class RackForceEstimator:
+    """The estimator for inputs that are aligned already: one :meth:`step` a millisecond."""
+
+    constants: Constants
+    law: FrictionLaw
+    state: npt.NDArray[np.float64]
+
+    def __init__(self, model: Model, settings: EstimatorSettings | None = None) -> None:
+        self.constants = constants(model, settings or EstimatorSettings())
+        self.law = friction_law(model.friction)
+        self.state = new_state()
+
+    @property
+    def lag_s(self) -> float:
+        """How far before its inputs' instant the output speaks (exact for slow forces)."""
+        return self.constants.output_lag_s
+
+    def step(self, inputs: Inputs, reason: Reason = Reason.FINE) -> Output:
+        """Take the inputs of the next millisecond; hold the last estimate if they are bad."""
+        if reason == Reason.FINE and not all(map(math.isfinite, inputs)):
+            reason = Reason.BAD_SAMPLE
+        bits = estimator_step(self.constants, self.law, self.state, inputs, int(reason))
+        return Output(self.state[OUT_FORCE], self.state[OUT_FRICTION], Reason(bits))
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.state[:] = new_state()

@@ -1,0 +1,64 @@
+"""How the estimator is set up: blocks on or off, thresholds, noise, filters. All have defaults."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field, with_config
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+@with_config(ConfigDict(extra="forbid"))
+@dataclass(frozen=True, slots=True)
+class EstimatorSettings:
+    """Settings of the rack-force estimator (PAPER fig. 8); torques and speeds at the rotor.
+
+    The observer's bandwidth follows from the noise figures: ``force_walk_n_per_sqrt_s`` is how
+    fast the rack force may wander, ``speed_noise_rad_s`` how noisy one speed sample is; a larger
+    ratio is a faster and noisier estimate.
+    """
+
+    friction_compensation: bool = True
+    """Subtract the friction model's torque (2Q-fa); off shows 'w/o FC' of figs 10 to 12."""
+    dead_zone: bool = True
+    """Below ``dead_zone_rad_s`` speed is taken as sensor noise (one of the two 'extensions')."""
+    limiter: bool = True
+    """Eq. 4a at standstill (the other extension)."""
+    low_pass: bool = True
+    """The output filter of fig. 8."""
+    quantity: Literal["rack_force", "friction"] = "rack_force"
+    """What the observer is asked for; 'friction' needs the rack force as an input (fig. 9)."""
+    position: Literal["integrated", "measured"] = "integrated"
+    """Whether the observer also corrects on a measured rotor angle (y of eq. 5 to 9)."""
+
+    dead_zone_rad_s: NotNegative = 0.1
+    """Least half width of the dead zone."""
+    dead_zone_sigma: NotNegative = 4.5
+    """Half width in standard deviations of the observed speed, from the noise that is there."""
+    noise_memory_s: Positive = 1.0
+    """Over how long the speed signal's noise is averaged (from its second differences)."""
+    creep_low_pass_hz: Positive = 10.0
+    """Filter of the measured angle whose creep bends the resting bristle."""
+    path_memory_s: Positive = 0.2
+    """How much of the path inside the dead zone counts once the rotor leaves it (no angle)."""
+
+    limiter_speed_rad_s: NotNegative = 1.0
+    """SP_A of eq. 4a."""
+    limiter_acceleration_rad_s2: NotNegative = 150.0
+    """SP_B of eq. 4a."""
+    acceleration_low_pass_hz: Positive = 20.0
+    """Filter of the differentiated speed that SP_B is compared with."""
+
+    force_walk_n_per_sqrt_s: Positive = 100.0
+    speed_noise_rad_s: Positive = 0.3
+    angle_noise_rad: Positive = 2e-3
+    torque_noise_nm: Positive = 5e-3
+    output_low_pass_hz: Positive = 40.0
+
+    speed_window_s: Positive = 0.02
+    """Window of the straight line that gives a speed where only the angle is measured."""
+    settle_s: NotNegative = 0.1
+    """How long inputs must be good before the estimate is called valid again."""
+    stale_after_s: Positive = 0.02
+    """An input older than this (and than 3 of its periods) is lost."""

@@ -1,0 +1,129 @@
+"""The numbers that compiled estimator code works with: constants, inputs, places in its state."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.estimation import observer_design
+from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.physics.model import Model
+
+STEP_S = 1e-3
+STEP_NS = 1_000_000
+
+# Places in the state vector. Everything that the estimator remembers is here.
+PHI, OMEGA, FORCE, BRISTLE, SPEED, ANGLE, ACCELERATION, TORQUE = range(8)
+SLOPE, LP1, LP2, RUNNING, SETTLE, OUT_FORCE, OUT_FRICTION, HEAD = range(8, 16)
+SPEED_BEFORE, NOISE, PATH, DRIVE, DRIVE_BEFORE, DRIVE_NOISE = range(16, 22)
+LINE = 22
+LINE_LENGTH = 64
+STATES = LINE + LINE_LENGTH
+
+
+class Constants(NamedTuple):
+    """All numbers of one set-up, worked out once from model and settings."""
+
+    inverse_inertia: float
+    ratio: float
+    sensor_to_rotor: float
+    l_phi_phi: float
+    l_phi_omega: float
+    l_omega_phi: float
+    l_omega_omega: float
+    l_force_phi: float
+    l_force_omega: float
+    observer_lag_s: float
+    output_lag_s: float
+    low_pass: float
+    acceleration_low_pass: float
+    slope_low_pass: float
+    dead_zone: float
+    dead_zone_sigma: float
+    speed_noise_gain: float
+    torque_noise_gain: float
+    noise_memory: float
+    first_noise: float
+    first_drive_noise: float
+    angle_low_pass: float
+    path_forgetting: float
+    use_dead_zone: bool
+    angle_seen: bool
+    limiter_speed: float
+    limiter_acceleration: float
+    settle_steps: float
+    compensate: bool
+    limit: bool
+    angle_measured: bool
+    known_force: bool
+
+
+class Inputs(NamedTuple):
+    """What one step is given, aligned to one physical instant.
+
+    ``rack_force_n`` is used only where the observer is turned around to give the friction.
+    ``motor_angle_rad`` is used only with ``position: measured``.
+    """
+
+    motor_torque_nm: float
+    torque_sensor_nm: float
+    motor_speed_rad_s: float
+    motor_angle_rad: float = 0.0
+    rack_force_n: float = 0.0
+
+
+def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = False) -> Constants:
+    """Observer gain, filters and thresholds for a model (reads nothing, remembers nothing)."""
+    measured = settings.position == "measured"
+    obs = observer_design.design(model, settings, angle=measured, speed=True, dt=STEP_S)
+    pole = math.exp(-2 * math.pi * settings.output_low_pass_hz * STEP_S)
+    low_pass = 1.0 - pole if settings.low_pass else 1.0
+    filter_lag = 2 * STEP_S * pole / (1.0 - pole) if settings.low_pass else 0.0
+    gain = obs.gain
+    return Constants(
+        inverse_inertia=1.0 / model.inertia_kg_m2,
+        ratio=model.rack_to_rotor_ratio_rad_per_m,
+        sensor_to_rotor=model.sensor_to_rotor,
+        l_phi_phi=float(gain[0, 0]),
+        l_phi_omega=float(gain[0, 1]),
+        l_omega_phi=float(gain[1, 0]),
+        l_omega_omega=float(gain[1, 1]),
+        l_force_phi=float(gain[2, 0]),
+        l_force_omega=float(gain[2, 1]),
+        observer_lag_s=obs.lag_s,
+        output_lag_s=obs.lag_s + filter_lag,
+        low_pass=low_pass,
+        acceleration_low_pass=_smoothing(settings.acceleration_low_pass_hz),
+        slope_low_pass=_smoothing(settings.output_low_pass_hz),
+        dead_zone=settings.dead_zone_rad_s,
+        dead_zone_sigma=settings.dead_zone_sigma,
+        speed_noise_gain=obs.speed_noise_gain,
+        torque_noise_gain=obs.torque_noise_gain,
+        noise_memory=STEP_S / settings.noise_memory_s,
+        first_noise=settings.speed_noise_rad_s**2,
+        first_drive_noise=settings.torque_noise_nm**2,
+        angle_low_pass=_smoothing(settings.creep_low_pass_hz),
+        path_forgetting=STEP_S / settings.path_memory_s,
+        use_dead_zone=settings.dead_zone,
+        angle_seen=angle_seen,
+        limiter_speed=settings.limiter_speed_rad_s,
+        limiter_acceleration=settings.limiter_acceleration_rad_s2,
+        settle_steps=round(settings.settle_s / STEP_S),
+        compensate=settings.friction_compensation and settings.quantity == "rack_force",
+        limit=settings.limiter,
+        angle_measured=measured,
+        known_force=settings.quantity == "friction",
+    )
+
+
+def _smoothing(frequency_hz: float) -> float:
+    """Weight of the newest sample in a first-order low-pass at the step rate."""
+    return 1.0 - math.exp(-2 * math.pi * frequency_hz * STEP_S)
+
+
+def new_state() -> npt.NDArray[np.float64]:
+    """The state vector before the first step, shape (STATES,)."""
+    state = np.zeros(STATES)
+    state[RUNNING] = -1.0
+    return state
