@@ -1,0 +1,157 @@
+"""The mapping file (CONTRACT 5): which DBC signal is which canonical signal."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, ConfigDict, Field, with_config
+
+from eps_hil import yaml_file
+from eps_hil.bus.database import nearest
+from eps_hil.bus.protection import E2E_P01, PROFILES
+from eps_hil.errors import InputError
+from eps_hil.signals import CANONICAL
+
+_STRICT = ConfigDict(extra="forbid")
+_SPEED, _ANGLE, _TORQUE = "motor_speed_rad_s", "motor_angle_rad", "motor_torque_nm"
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _canonical(name: str) -> str:
+    if name not in CANONICAL:
+        raise ValueError(f"unknown canonical signal; {nearest(name, CANONICAL)}")
+    return name
+
+
+def _not_zero(value: float) -> float:
+    if value == 0.0:
+        raise ValueError("must not be zero")
+    return value
+
+
+def _profile(name: str) -> str:
+    if name not in PROFILES:
+        raise ValueError(f"unknown CRC profile; {nearest(name, PROFILES)}")
+    return name
+
+
+NotZero = Annotated[Finite, AfterValidator(_not_zero)]
+CanonicalName = Annotated[str, AfterValidator(_canonical)]
+CrcProfile = Annotated[str, AfterValidator(_profile)]
+
+
+@with_config(_STRICT)
+@dataclass(frozen=True, slots=True)
+class SignalSource:
+    """Where one canonical signal comes from.
+
+    Either ``message`` and ``signal`` of the DBC: canonical = DBC value * ``scale`` + ``offset``
+    (with ``torque_constant_nm_per_a`` that result is a current in A, and the torque is the
+    constant times it). Or ``derive_from`` another canonical signal by a straight line over
+    ``window_s``: then no message carries it and the estimator derives it.
+    """
+
+    message: str | None = None
+    signal: str | None = None
+    scale: NotZero = 1.0
+    offset: Finite = 0.0
+    torque_constant_nm_per_a: NotZero | None = None
+    derive_from: CanonicalName | None = None
+    window_s: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] | None = None
+
+    def __post_init__(self) -> None:
+        if self.derive_from is not None:
+            if self.message is not None or self.signal is not None:
+                raise ValueError("give either message and signal, or derive_from, not both")
+        elif self.message is None or self.signal is None:
+            raise ValueError("needs both message and signal (or derive_from)")
+        elif self.window_s is not None:
+            raise ValueError("window_s belongs to derive_from")
+
+    @property
+    def derived(self) -> bool:
+        """Whether the estimator derives it, so that no frame carries it."""
+        return self.derive_from is not None
+
+
+@with_config(_STRICT)
+@dataclass(frozen=True, slots=True)
+class MessageRules:
+    """How one message is checked and timed.
+
+    ``counter``, ``crc``: names of its signals; ``crc_profile``: see :data:`PROFILES`;
+    ``crc_data_id``: default for profile 1 is the CAN id, for a plain CRC none;
+    ``counter_modulo``: where the counter does not use its full width (profile 1 proper: 15);
+    ``clock``: ``counter`` takes sample instants from the counter, ``stamp`` from the receive
+    stamp; ``extended``: 29-bit (true) or 11-bit id where a log disagrees with the DBC.
+    """
+
+    counter: str | None = None
+    counter_modulo: Annotated[int, Field(ge=2)] | None = None
+    crc: str | None = None
+    crc_profile: CrcProfile = E2E_P01
+    crc_data_id: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None
+    clock: Literal["counter", "stamp"] = "stamp"
+    extended: bool | None = None
+
+    def __post_init__(self) -> None:
+        if self.clock == "counter" and self.counter is None:
+            raise ValueError("'clock: counter' needs the name of the counter signal")
+
+
+@with_config(_STRICT)
+@dataclass(frozen=True, slots=True)
+class SignalMapping:
+    """A whole mapping file.
+
+    ``sync``: the message on which the estimator steps (default: the one that carries the motor
+    speed, else the motor angle, else None); ``strict``: how the DBC is read.
+    """
+
+    signals: Annotated[Mapping[CanonicalName, SignalSource], Field(min_length=1)]
+    sync: str | None = None
+    messages: Mapping[str, MessageRules] = field(default_factory=dict)
+    strict: bool = True
+
+    def __post_init__(self) -> None:
+        for name, source in self.signals.items():
+            if source.torque_constant_nm_per_a is not None and name != _TORQUE:
+                raise ValueError(f"{name}: torque_constant_nm_per_a belongs to {_TORQUE}")
+            if source.derive_from is None:
+                continue
+            if (name, source.derive_from) != (_SPEED, _ANGLE):
+                raise ValueError(f"{name}: only {_SPEED} can be derived, and from {_ANGLE}")
+            angle = self.signals.get(_ANGLE)
+            if angle is None or angle.derived:
+                raise ValueError(f"{name}: is derived from {_ANGLE}, which is not mapped")
+
+    @property
+    def sync_message(self) -> str | None:
+        """Name of the message on which the estimator steps."""
+        if self.sync is not None:
+            return self.sync
+        for name in (_SPEED, _ANGLE):
+            source = self.signals.get(name)
+            if source is not None and source.message is not None:
+                return source.message
+        return None
+
+    def rules(self, message: str) -> MessageRules:
+        """The rules of a message; a message without an entry has neither counter nor CRC."""
+        return self.messages.get(message, _NO_RULES)
+
+
+_NO_RULES = MessageRules()
+
+
+def load_mapping(path: str | Path) -> SignalMapping:
+    """Read a mapping file; :class:`InputError` in one line with the line of the mistake."""
+    content = yaml_file.read(path)
+    if not isinstance(content, dict) or "signals" not in content:
+        raise InputError(
+            path, "signals", "section is missing",
+            "add 'signals:' with lines like 'motor_speed_rad_s: {message: M, signal: S}'",
+        )  # fmt: skip
+    return yaml_file.validate(path, content, SignalMapping)

@@ -1,0 +1,79 @@
+"""Counter and CRC of a message: which frames to trust, and how many are missing.
+
+The default profile computes the CRC of AUTOSAR E2E profile 1 in its both-bytes data-id mode
+(CRC-8 SAE J1850, start value 0, no final XOR; PRS E2E Protocol, 6.3), whose vector 0xCC the tests
+hold. Counter and CRC may sit anywhere in the frame and the counter may have any width, because
+the databases of cars do as they like; that is why this is a few lines over fastcrc rather than
+an E2E library, which fixes the header's layout.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from fastcrc import crc8
+
+E2E_P01 = "e2e_p01"
+PROFILES = (E2E_P01, *sorted(crc8.algorithms_available))
+"""``e2e_p01``, or the name of any plain CRC-8 of fastcrc (``sae_j1850``, ``autosar``, ...)."""
+
+_INVERT = 0xFF  # J1850 starts from and ends with 0xFF, profile 1 does neither: undone here
+
+
+@dataclass(frozen=True, slots=True)
+class CrcRule:
+    """Where a message keeps its CRC byte and how the byte is computed.
+
+    ``data_id`` (16 bits, low byte first) goes into the CRC before the payload; None: it does not.
+    """
+
+    byte: int
+    compute: Callable[[bytes], int]
+
+    @classmethod
+    def make(cls, byte: int, profile: str = E2E_P01, data_id: int | None = None) -> "CrcRule":
+        """Rule of a ``profile`` of :data:`PROFILES`; profile 1 needs a ``data_id``."""
+        prefix = b"" if data_id is None else bytes((data_id & 0xFF, data_id >> 8 & 0xFF))
+        if profile == E2E_P01:
+            start = int(crc8.sae_j1850(prefix, _INVERT))
+
+            def e2e_p01(payload: bytes) -> int:
+                return int(crc8.sae_j1850(payload, start)) ^ _INVERT
+
+            return cls(byte, e2e_p01)
+        algorithm: Callable[[bytes], int] = getattr(crc8, profile)
+        return cls(byte, lambda payload: algorithm(prefix + payload))
+
+    def expected(self, data: bytes) -> int:
+        """The CRC that ``data`` should carry: over everything but the CRC byte itself."""
+        return self.compute(data[: self.byte] + data[self.byte + 1 :])
+
+    def good(self, data: bytes) -> bool:
+        """Whether ``data`` carries the CRC that it should."""
+        return self.expected(data) == data[self.byte]
+
+
+def crc_byte(signal: Any) -> int | None:
+    """Index of the byte that a cantools signal fills exactly; None if it is no whole byte."""
+    first = 0 if signal.byte_order == "little_endian" else 7
+    whole = signal.length == 8 and signal.start % 8 == first
+    return int(signal.start) // 8 if whole else None
+
+
+class CounterCheck:
+    """Counts the frames missing between two that arrived, by their message counter."""
+
+    __slots__ = ("_last", "modulo")
+
+    def __init__(self, modulo: int) -> None:
+        self.modulo = modulo
+        self._last: int | None = None
+
+    def advance(self, counter: int) -> int:
+        """Cycles since the last frame: 1 in sequence, 0 repeated, n + 1 with n frames lost.
+
+        1 for the first frame. A loss of ``modulo`` frames or more at a stretch shows as the
+        remainder only; :class:`~eps_hil.bus.sample_clock.SampleClock` sees those by their time.
+        """
+        last, self._last = self._last, counter
+        return 1 if last is None else (counter - last) % self.modulo

@@ -1,0 +1,88 @@
+"""One DBC signal between its raw number and a value, with what makes a value no value."""
+
+import math
+import re
+from typing import Any
+
+_NO_VALUE = re.compile(
+    r"sna|signal\W?not\W?available|not\W?available|n/?a|invalid|not\W?valid|undefined|error|fault",
+    re.IGNORECASE,
+)
+_HALF_QUANTUM = 0.5001
+
+
+def no_value_raws(signal: Any) -> frozenset[int]:
+    """Raw numbers that the value table labels as 'signal not available', 'invalid' or alike."""
+    labels = {raw: str(label).replace("_", " ") for raw, label in (signal.choices or {}).items()}
+    return frozenset(raw for raw, label in labels.items() if _NO_VALUE.fullmatch(label.strip()))
+
+
+class ReadSignal:
+    """Raw number -> canonical value; NaN where the sender says so or the DBC's range is left."""
+
+    __slots__ = ("_convert", "_factor", "_high", "_low", "_none", "_offset", "canonical", "name")
+
+    def __init__(self, signal: Any, canonical: str, factor: float, offset: float) -> None:
+        self.name: str = signal.name
+        self.canonical = canonical
+        self._factor, self._offset = factor, offset
+        self._none = no_value_raws(signal)
+        self._convert = signal.conversion.raw_to_scaled
+        slack = 0.0 if signal.is_float else _HALF_QUANTUM * abs(float(signal.scale))
+        self._low = -math.inf if signal.minimum is None else float(signal.minimum) - slack
+        self._high = math.inf if signal.maximum is None else float(signal.maximum) + slack
+
+    def read(self, raw: Any) -> float:
+        """Canonical value of a raw number, or NaN."""
+        if raw in self._none:
+            return math.nan
+        value = float(self._convert(raw, decode_choices=False))
+        if not self._low <= value <= self._high:
+            return math.nan
+        return value * self._factor + self._offset
+
+    def why_not(self, raw: Any) -> str:
+        """The fault of a raw number that read as NaN."""
+        return "not_available" if raw in self._none or math.isnan(raw) else "out_of_range"
+
+
+class WriteSignal:
+    """Value in the DBC's unit -> raw number within its range and width."""
+
+    __slots__ = ("_float", "_high", "_low", "_missing", "_none", "_offset", "_scale", "name")
+
+    def __init__(self, signal: Any) -> None:
+        self.name: str = signal.name
+        self._float: bool = bool(signal.is_float)
+        self._scale, self._offset = float(signal.scale), float(signal.offset)
+        width = signal.length
+        limits = (
+            (-(2 ** (width - 1)), 2 ** (width - 1) - 1) if signal.is_signed else (0, 2**width - 1)
+        )
+        given = sorted(
+            (bound - self._offset) / self._scale
+            for bound in (signal.minimum, signal.maximum)
+            if bound is not None
+        )
+        self._low: float = limits[0]
+        self._high: float = limits[1]
+        if self._float:
+            self._low, self._high = (given[0], given[1]) if len(given) == 2 else (-1e38, 1e38)
+        elif len(given) == 2:
+            self._low = max(limits[0], math.ceil(given[0] - 1e-3))
+            self._high = min(limits[1], math.floor(given[1] + 1e-3))
+        none = sorted(no_value_raws(signal))
+        self._none: int | None = none[-1] if none else None
+        initial = signal.raw_initial
+        self._missing = initial if initial is not None else min(max(0, self._low), self._high)
+
+    def write(self, value: float) -> tuple[int | float, int]:
+        """Raw number, and its fate: 0 as it was, 1 clipped, -1 there was no value."""
+        if math.isnan(value):
+            return (self._missing if self._none is None else self._none), -1
+        raw: float = (value - self._offset) / self._scale
+        if raw <= self._low:
+            return self._low, int(raw < self._low - _HALF_QUANTUM)
+        if raw >= self._high:
+            return self._high, int(raw > self._high + _HALF_QUANTUM)
+        return (raw if self._float else round(raw)), 0
