@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import can
-import cantools
 import numpy as np
 import pytest
 
+from eps_hil.bus.database import load_database
 from eps_hil.errors import InputError
 from eps_hil.report import figures
 from eps_hil.report.rack_force_loop import (
@@ -27,7 +27,7 @@ START_S = 1_700_000_000.0
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
     """4 s of turning, ±50 deg at 1 Hz: two cycles in sport, two in comfort."""
-    database = cantools.database.load_file(DBC)
+    database = load_database([DBC])
     pinion = database.get_message_by_name("SteeringPinion_Data_Alt")
     info = database.get_message_by_name("EPAS_INFO")
     path = tmp_path / "car.log"
