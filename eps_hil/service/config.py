@@ -1,0 +1,84 @@
+"""The service's configuration file as one frozen value (docs/reference-config.md)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, with_config
+
+from eps_hil.bus.config import NAME, BusSetup, load_as
+from eps_hil.errors import InputError
+from eps_hil.estimation.settings import EstimatorSettings
+
+Seconds = Annotated[float, Field(gt=0, le=60, allow_inf_nan=False)]
+_STRICT = ConfigDict(extra="forbid")
+
+
+def _off(value: object) -> object:
+    """YAML 1.1 reads a bare ``off`` as false."""
+    return "off" if value is False else value
+
+
+Realtime = Annotated[Literal["auto", "require", "off"], BeforeValidator(_off)]
+
+
+@with_config(_STRICT)
+@dataclass(frozen=True, slots=True)
+class PublishConfig:
+    """What the service may send. With ``enabled: false`` it sends nothing at all.
+
+    ``message`` and ``health_message`` name messages of the DBC (``health_message: null``: no
+    health frames). ``listen_first_s``: how long to listen for another transmitter of these ids
+    before sending the first frame.
+    """
+
+    enabled: bool = True
+    message: NAME = "EPSHIL_Estimate"
+    health_message: NAME | None = "EPSHIL_Health"
+    health_period_s: Seconds = 0.1
+    listen_first_s: Annotated[float, Field(ge=0, le=10)] = 0.25
+
+
+@with_config(_STRICT)
+@dataclass(frozen=True, slots=True)
+class RuntimeConfig:
+    """How the process runs.
+
+    ``realtime``: ``auto`` takes real-time priority and locked memory where permitted,
+    ``require`` ends without, ``off`` never asks. ``no_input_after_s``: silence of the sync frame
+    after which status "no input" is published, every ``no_input_period_s``. ``reconnect_s``:
+    pause between attempts to open a lost bus again (``bus.reconnect``).
+    """
+
+    realtime: Realtime = "auto"
+    priority: Annotated[int, Field(ge=1, le=98)] = 20
+    no_input_after_s: Seconds = 0.02
+    no_input_period_s: Seconds = 0.01
+    reconnect_s: Seconds = 1.0
+
+
+@with_config(_STRICT)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServiceConfig(BusSetup):
+    """The whole file. ``rig`` belongs to the simulated rig, which validates it itself."""
+
+    estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
+    publish: PublishConfig = field(default_factory=PublishConfig)
+    service: RuntimeConfig = field(default_factory=RuntimeConfig)
+    rig: Mapping[str, Any] | None = None
+
+
+def load_config(path: str | Path) -> ServiceConfig:
+    """Read and check a configuration file; :class:`InputError` names line and field."""
+    config = load_as(path, ServiceConfig)
+    if config.publish.message == config.publish.health_message:
+        raise InputError(
+            path, "publish", "message and health_message are the same", "name two messages"
+        )
+    return config
+
+
+def config_schema() -> dict[str, Any]:
+    """The JSON schema of the file, for editors that complete and check while typing."""
+    return TypeAdapter(ServiceConfig).json_schema()
