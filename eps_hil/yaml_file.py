@@ -74,7 +74,8 @@ def _text(path: Path) -> str:
 
 
 def _dotted(loc: tuple[int | str, ...]) -> str:
-    return ".".join(str(part) for part in loc) or "top level"
+    # pydantic marks a wrong key of a mapping by a last part of its own
+    return ".".join(str(part) for part in loc if part != "[key]") or "top level"
 
 
 def _place(path: Path, loc: tuple[int | str, ...]) -> str:

@@ -6,34 +6,42 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, with_config
+from pydantic_core import PydanticCustomError
 
 from eps_hil import yaml_file
 from eps_hil.bus.database import nearest
 from eps_hil.bus.protection import E2E_P01, PROFILES
+from eps_hil.bus.supply_power import CURRENT, VOLTAGE, SupplyPower
 from eps_hil.errors import InputError
 from eps_hil.signals import CANONICAL
 
 _STRICT = ConfigDict(extra="forbid")
 _SPEED, _ANGLE, _TORQUE = "motor_speed_rad_s", "motor_angle_rad", "motor_torque_nm"
+_SENSOR = "torque_sensor_nm"
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+def _wrong(problem: str) -> PydanticCustomError:
+    """A validation error whose text is the problem and nothing else."""
+    return PydanticCustomError("mapping", "{problem}", {"problem": problem})
+
+
 def _canonical(name: str) -> str:
     if name not in CANONICAL:
-        raise ValueError(f"unknown canonical signal; {nearest(name, CANONICAL)}")
+        raise _wrong(f"unknown canonical signal; {nearest(name, CANONICAL)}")
     return name
 
 
 def _not_zero(value: float) -> float:
     if value == 0.0:
-        raise ValueError("must not be zero")
+        raise _wrong("must not be zero")
     return value
 
 
 def _profile(name: str) -> str:
     if name not in PROFILES:
-        raise ValueError(f"unknown CRC profile; {nearest(name, PROFILES)}")
+        raise _wrong(f"unknown CRC profile; {nearest(name, PROFILES)}")
     return name
 
 
@@ -50,7 +58,8 @@ class SignalSource:
     Either ``message`` and ``signal`` of the DBC: canonical = DBC value * ``scale`` + ``offset``
     (with ``torque_constant_nm_per_a`` that result is a current in A, and the torque is the
     constant times it). Or ``derive_from`` another canonical signal by a straight line over
-    ``window_s``: then no message carries it and the estimator derives it.
+    ``window_s``: then no message carries it and the estimator derives it. Or ``supply_power``:
+    a motor torque out of the current that the steering module draws from its supply.
     """
 
     message: str | None = None
@@ -60,20 +69,37 @@ class SignalSource:
     torque_constant_nm_per_a: NotZero | None = None
     derive_from: CanonicalName | None = None
     window_s: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] | None = None
+    supply_power: SupplyPower | None = None
 
     def __post_init__(self) -> None:
-        if self.derive_from is not None:
+        if self.supply_power is not None:
+            if any(each is not None for each in (self.message, self.signal, self.derive_from)):
+                raise ValueError("supply_power names its own message and signals")
+        elif self.derive_from is not None:
             if self.message is not None or self.signal is not None:
-                raise ValueError("give either message and signal, or derive_from, not both")
+                raise _wrong("give either message and signal, or derive_from, not both")
         elif self.message is None or self.signal is None:
-            raise ValueError("needs both message and signal (or derive_from)")
+            raise _wrong("needs both message and signal (or derive_from)")
         elif self.window_s is not None:
-            raise ValueError("window_s belongs to derive_from")
+            raise _wrong("window_s belongs to derive_from")
 
     @property
     def derived(self) -> bool:
         """Whether the estimator derives it, so that no frame carries it."""
         return self.derive_from is not None
+
+    @property
+    def carrier(self) -> str | None:
+        """The message that it is read from; None if no frame carries it."""
+        return self.message if self.supply_power is None else self.supply_power.message
+
+    def reads(self, name: str) -> tuple[tuple[str, str, float, float], ...]:
+        """What is read for canonical signal ``name``: (DBC signal, reads as, factor, offset)."""
+        if self.supply_power is not None:
+            power = self.supply_power
+            return (power.current, CURRENT, 1.0, 0.0), (power.voltage, VOLTAGE, 1.0, 0.0)
+        factor = self.torque_constant_nm_per_a or 1.0
+        return ((str(self.signal), name, self.scale * factor, self.offset * factor),)
 
 
 @with_config(_STRICT)
@@ -98,7 +124,7 @@ class MessageRules:
 
     def __post_init__(self) -> None:
         if self.clock == "counter" and self.counter is None:
-            raise ValueError("'clock: counter' needs the name of the counter signal")
+            raise _wrong("'clock: counter' needs the name of the counter signal")
 
 
 @with_config(_STRICT)
@@ -115,17 +141,12 @@ class SignalMapping:
     messages: Mapping[str, MessageRules] = field(default_factory=dict)
     strict: bool = True
 
-    def __post_init__(self) -> None:
-        for name, source in self.signals.items():
-            if source.torque_constant_nm_per_a is not None and name != _TORQUE:
-                raise ValueError(f"{name}: torque_constant_nm_per_a belongs to {_TORQUE}")
-            if source.derive_from is None:
-                continue
-            if (name, source.derive_from) != (_SPEED, _ANGLE):
-                raise ValueError(f"{name}: only {_SPEED} can be derived, and from {_ANGLE}")
-            angle = self.signals.get(_ANGLE)
-            if angle is None or angle.derived:
-                raise ValueError(f"{name}: is derived from {_ANGLE}, which is not mapped")
+    def _check_supply_power(self, name: str) -> None:
+        if name != _TORQUE:
+            raise ValueError(f"{name}: supply_power belongs to {_TORQUE}")
+        for needed in (_ANGLE, _SENSOR):
+            if needed not in self.signals or self.signals[needed].derived:
+                raise ValueError(f"{name}: supply_power needs {needed}, which is not mapped")
 
     @property
     def sync_message(self) -> str | None:
@@ -154,4 +175,21 @@ def load_mapping(path: str | Path) -> SignalMapping:
             path, "signals", "section is missing",
             "add 'signals:' with lines like 'motor_speed_rad_s: {message: M, signal: S}'",
         )  # fmt: skip
-    return yaml_file.validate(path, content, SignalMapping)
+    mapping = yaml_file.validate(path, content, SignalMapping)
+    for name, source in mapping.signals.items():
+        problem = _misplaced(mapping, name, source)
+        if problem:
+            raise InputError(path, f"signals.{name}", problem, "correct the entry")
+    return mapping
+
+
+def _misplaced(mapping: SignalMapping, name: str, source: SignalSource) -> str:
+    """What is wrong with an entry in view of the others; empty if nothing."""
+    if source.torque_constant_nm_per_a is not None and name != _TORQUE:
+        return f"torque_constant_nm_per_a belongs to {_TORQUE}"
+    if source.derive_from is None:
+        return ""
+    if (name, source.derive_from) != (_SPEED, _ANGLE):
+        return f"only {_SPEED} can be derived, and from {_ANGLE}"
+    angle = mapping.signals.get(_ANGLE)
+    return f"{_ANGLE}, which it derives from, is not mapped" if not angle or angle.derived else ""
