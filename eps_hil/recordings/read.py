@@ -71,9 +71,7 @@ def read_columns(
     if suffix in CAN_LOGS or (suffix == ".mf4" and _has_bus_frames(path)):
         from eps_hil.recordings.log_signals import read_log
 
-        return read_log(
-            path, dbc=dbc, signals=signals, gaps=gaps, channel=channel, on_progress=on_progress
-        )
+        return read_log(path, dbc=dbc, signals=signals, channel=channel, on_progress=on_progress)
     if suffix == ".mf4":
         from eps_hil.recordings.mf4_file import read_mf4
 

@@ -1,0 +1,51 @@
+"""``eps-hil convert IN OUT``: between recording formats (CONTRACT 3 and 6)."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from eps_hil.cli._inputs import (
+    Channel,
+    Dbc,
+    Gaps,
+    GapsOption,
+    IgnoreUnknown,
+    Signals,
+    progress,
+    say_notes,
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("convert")(convert)
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Recording to read.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; suffix = format.")],
+    dbc: Dbc = None,
+    signals: Signals = None,
+    gaps: GapsOption = Gaps.REFUSE,
+    ignore_unknown: IgnoreUnknown = False,
+    channel: Channel = None,
+) -> None:
+    """Convert a recording: CSV, Parquet, MF4, or a CAN log; the suffixes name the formats.
+
+    A CAN log becomes a table with --dbc and --signals, or another CAN log (.log, .blf, .asc).
+    """
+    from eps_hil.recordings.convert import convert as convert_file
+
+    with progress(f"converting {source.name}") as on_progress:
+        notes = convert_file(
+            source,
+            target,
+            dbc=dbc or (),
+            signals=signals,
+            gaps=gaps.value,
+            ignore_unknown=ignore_unknown,
+            channel=channel,
+            on_progress=on_progress,
+        )
+    say_notes(source, notes)

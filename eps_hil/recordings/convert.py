@@ -1,0 +1,119 @@
+"""One recording format to another: tables to tables, CAN logs to tables, CAN logs to CAN logs."""
+
+from collections.abc import Callable, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from eps_hil.bus.frame import Frame
+from eps_hil.errors import InputError
+from eps_hil.recordings.can_log import read_tagged_frames
+from eps_hil.recordings.files import refused_by_system, replacing
+from eps_hil.recordings.read import is_can_log, read_columns
+from eps_hil.recordings.table import from_series
+from eps_hil.recordings.write import TABLE_SUFFIXES, write_table
+
+LOG_SUFFIXES = (".log", ".blf", ".asc")
+"""CAN logs that can be written. Not TRC: its writer drops CAN FD, remote and error frames."""
+
+_NUMBERED_FROM_1 = (".blf", ".asc", ".trc")
+_NS = 1_000_000_000
+_YEAR_1990_S = 631_152_000  # BLF has no date before; python-can then leaves the start out
+
+
+def convert(
+    source: str | Path,
+    target: str | Path,
+    *,
+    dbc: Sequence[Path] = (),
+    signals: Path | None = None,
+    gaps: str = "refuse",
+    ignore_unknown: bool = False,
+    channel: str | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> tuple[str, ...]:
+    """Convert ``source`` to the format that ``target``'s suffix names; return the notes.
+
+    Into a table the rows are the union of all time stamps, and a signal has an empty cell where it
+    has no sample: read back, every signal has exactly the samples it had. Into a CAN log the
+    frames keep their order, channel and (to the microsecond) their stamps; ASC counts from its
+    first frame.
+    """
+    source, target = Path(source), Path(target)
+    suffix = target.suffix.lower()
+    if suffix not in (*TABLE_SUFFIXES, *LOG_SUFFIXES):
+        known = ", ".join((*TABLE_SUFFIXES, *LOG_SUFFIXES))
+        raise InputError(target, "", f"suffix '{target.suffix}' cannot be written", f"use {known}")
+    with refused_by_system(target):
+        same = target.exists() and source.exists() and target.samefile(source)
+    if same:
+        raise InputError(target, "", "is the input itself", "name another output file")
+    if suffix in LOG_SUFFIXES:
+        if not is_can_log(source):
+            problem = "holds columns, which cannot become CAN frames"
+            raise InputError(source, "", problem, "convert it to .csv, .parquet or .mf4")
+        return _log_to_log(source, target, channel, on_progress)
+    series, notes = read_columns(
+        source,
+        dbc=dbc,
+        signals=signals,
+        gaps=gaps,
+        ignore_unknown=ignore_unknown,
+        channel=channel,
+        on_progress=on_progress,
+    )
+    if not series:
+        raise InputError(source, "", "no signal has a value", "record at least one")
+    t_ns, columns = from_series(series)
+    write_table(target, columns, t_ns=t_ns)
+    return notes
+
+
+def _log_to_log(
+    source: Path,
+    target: Path,
+    channel: str | None,
+    on_progress: Callable[[float], None] | None,
+) -> tuple[str, ...]:
+    notes: list[str] = []
+    tagged = read_tagged_frames(source, channel=channel, notes=notes, on_progress=on_progress)
+    first = next(tagged)  # before anything is written: a broken log raises here
+    with replacing(target) as temporary:
+        writer = _writer(temporary, target.suffix.lower(), first[1].t_ns / _NS)
+        try:
+            for name, frame in chain([first], tagged):
+                writer.on_message_received(_message(frame, name, source.suffix.lower()))
+        finally:
+            writer.stop()
+    return tuple(notes)
+
+
+def _writer(path: Path, suffix: str, start_s: float) -> Any:
+    import can
+
+    if suffix == ".blf":
+        writer = can.BLFWriter(path)
+        if start_s < _YEAR_1990_S:
+            writer.start_timestamp = 0.0
+        return writer
+    return can.CanutilsLogWriter(path) if suffix == ".log" else can.ASCWriter(path)
+
+
+def _message(frame: Frame, channel: str, suffix: str) -> Any:
+    import can
+
+    from_one = channel.isdigit() and suffix in _NUMBERED_FROM_1
+    number = int(channel) - 1 if from_one else channel  # python-can's writers add the 1 again
+    return can.Message(
+        timestamp=frame.t_ns / _NS,
+        arbitration_id=frame.can_id,
+        is_extended_id=frame.extended,
+        is_remote_frame=frame.remote,
+        is_error_frame=frame.error,
+        is_fd=frame.fd,
+        bitrate_switch=frame.brs,
+        is_rx=not frame.own,
+        channel=number,
+        data=frame.data,
+        dlc=len(frame.data),
+    )

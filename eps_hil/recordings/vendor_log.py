@@ -1,0 +1,147 @@
+"""BLF, ASC, TRC and MF4 bus logging, through python-can's readers.
+
+Their stamps are floats of seconds; an epoch float is off by up to 240 ns, so stamps are rounded to
+the microsecond (BLF counts from its own start, ASC without a date always does: nothing is lost
+there). python-can knows no error base for broken files and logs as it goes; both end here.
+"""
+
+import contextlib
+import io
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from eps_hil.bus.frame import Frame
+from eps_hil.errors import InputError
+from eps_hil.recordings.files import needs_extra, refused_by_system
+
+_NS = 1_000_000_000
+_RELATIVE_S = 1e6  # smaller stamps count from the start and are exact to the nanosecond
+_LOGGERS = ("can", "asammdf")
+
+
+class VendorLog:
+    """One log; iterating gives (channel, frame) in the order of the file.
+
+    Channels are numbered as the vendor's tools show them, from 1 (MF4: as the file says).
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._kind = path.suffix.lower()
+        self._frames = 0
+        self._file: Any = None
+        self._size = max(path.stat().st_size, 1)
+        self.notes: list[str] = []
+
+    @property
+    def place(self) -> str:
+        """Where in the file the last frame stood."""
+        line = getattr(self._file, "line", 0)
+        return f"line {line}" if line else f"frame {self._frames}"
+
+    @property
+    def fraction(self) -> float:
+        """How much of the file has been read, 0 to 1 (MF4: not known, 0)."""
+        return min(self._position() / self._size, 1.0)
+
+    def __iter__(self) -> Iterator[tuple[str, Frame]]:
+        with refused_by_system(self._path), _quiet():
+            try:
+                yield from self._messages()
+            except InputError:
+                raise
+            except Exception as error:
+                if not self._frames or self._position() < self._size or self._kind == ".mf4":
+                    raise self._broken(error) from None
+                self.notes.append(f"the file is cut off after {self._frames} frames")
+            finally:
+                if self._file is not None:
+                    self._file.close()
+
+    def _messages(self) -> Iterator[tuple[str, Frame]]:
+        reader, start_ns = self._open()
+        first_channel = 1 if self._kind in (".blf", ".asc") else 0
+        for message in reader:
+            if not self._frames:
+                self._check(reader)
+            self._frames += 1
+            number = message.channel
+            channel = str(number + first_channel) if isinstance(number, int) else str(number)
+            yield channel, _frame(message, start_ns)
+
+    def _open(self) -> tuple[Any, int]:
+        import can
+
+        if self._kind == ".blf":
+            self._file = self._path.open("rb")
+            reader = can.BLFReader(self._file)
+            start_ns = round(reader.start_timestamp * 1000) * 1_000_000
+            reader.start_timestamp = 0.0  # so that a float holds every stamp exactly
+            return reader, start_ns
+        if self._kind == ".mf4":
+            with needs_extra(self._path, "mf4"):
+                import asammdf  # noqa: F401  # python-can's reader needs it
+            return can.MF4Reader(self._path), 0
+        self._file = _Lines(self._path)
+        return (can.ASCReader if self._kind == ".asc" else can.TRCReader)(self._file), 0
+
+    def _check(self, reader: Any) -> None:
+        """ASC may count from event to event; python-can reads it as if from the start."""
+        if getattr(reader, "timestamps_format", None) == "relative":
+            problem = "time stamps are relative to the event before"
+            raise InputError(self._path, "", problem, "export with absolute time stamps")
+
+    def _position(self) -> int:
+        if self._file is None or self._file.closed:
+            return self._size if self._frames else 0
+        return int(getattr(self._file, "buffer", self._file).tell())
+
+    def _broken(self, error: Exception) -> InputError:
+        kind = self._kind.removeprefix(".").upper()
+        problem = f"is not readable as {kind} ({type(error).__name__})"
+        place = f"after {self.place}" if self._frames else ""
+        return InputError(self._path, place, problem, "export or record it again")
+
+
+class _Lines(io.TextIOWrapper):
+    """A text file that knows its line; vendors write umlauts in whatever code page they have."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path.open("rb"), encoding="utf-8", errors="replace")
+        self.line = 0
+
+    def __next__(self) -> str:  # type: ignore[override]  # as typeshed does itself
+        self.line += 1
+        return super().__next__()
+
+
+def _frame(message: Any, start_ns: int) -> Frame:
+    seconds = message.timestamp
+    exact = abs(seconds) < _RELATIVE_S and not start_ns
+    t_ns = round(seconds * _NS) if exact else round(seconds * 1e6) * 1000
+    return Frame(
+        t_ns=start_ns + t_ns,
+        can_id=message.arbitration_id,
+        data=b"" if message.is_remote_frame else bytes(message.data),
+        extended=message.is_extended_id,
+        fd=message.is_fd,
+        error=message.is_error_frame,
+        own=not message.is_rx,
+        remote=message.is_remote_frame,
+        brs=message.bitrate_switch,
+    )
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    loggers = [logging.getLogger(name) for name in _LOGGERS]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
