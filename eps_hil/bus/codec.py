@@ -18,6 +18,7 @@ from eps_hil.bus.message_decoder import STAMP_RESOLUTION_NS, MessageDecoder, Sam
 from eps_hil.bus.protection import E2E_P01, CounterCheck, CrcRule, crc_byte
 from eps_hil.bus.sample_clock import SampleClock
 from eps_hil.bus.signal_codec import ReadSignal, WriteSignal
+from eps_hil.bus.supply_power import SupplyPowerTorque
 from eps_hil.errors import InputError
 
 __all__ = ["FAULTS", "STAMP_RESOLUTION_NS", "FrameDecoder", "FrameEncoder", "Sample"]
@@ -50,8 +51,10 @@ class FrameDecoder:
         self._files = mapping_file, dbc_file
         wanted: dict[str, list[str]] = {}
         for name, source in mapping.signals.items():
-            if source.message is not None:
-                wanted.setdefault(source.message, []).append(name)
+            if source.carrier is not None:
+                wanted.setdefault(source.carrier, []).append(name)
+        laws = [source.supply_power for source in mapping.signals.values() if source.supply_power]
+        self._power = SupplyPowerTorque(laws[0]) if laws else None
         for message_name, names in wanted.items():
             self._add(database, mapping, message_name, names)
         for message_name in mapping.messages:
@@ -77,7 +80,8 @@ class FrameDecoder:
         if frame.error or frame.remote:
             return []
         plan = self._plans.get((frame.can_id, frame.extended))
-        return [] if plan is None else plan.decode(frame)
+        samples = [] if plan is None else plan.decode(frame)
+        return samples if self._power is None else self._power.replace(samples)
 
     def _add(
         self, database: Any, mapping: SignalMapping, message_name: str, names: Sequence[str]
@@ -86,10 +90,9 @@ class FrameDecoder:
         rules = mapping.rules(message_name)
         signals = []
         for name in names:
-            source = mapping.signals[name]
-            found = self._signal(message, str(source.signal), f"signals.{name}")
-            factor = source.torque_constant_nm_per_a or 1.0
-            signals.append(ReadSignal(found, name, source.scale * factor, source.offset * factor))
+            for signal, reads_as, factor, offset in mapping.signals[name].reads(name):
+                found = self._signal(message, signal, f"signals.{name}")
+                signals.append(ReadSignal(found, reads_as, factor, offset))
         key = self._key(message, rules)
         if key in self._plans:
             raise InputError(

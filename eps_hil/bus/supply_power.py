@@ -14,14 +14,21 @@ Far above the blend speed ω_b this is P/ω, at rest it is g·T_sen. An energy b
 measurement of torque: good for the size and shape of a rack force, not for a calibration.
 """
 
+import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 from pydantic import ConfigDict, Field, with_config
 
+from eps_hil.bus.message_decoder import Sample
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+CURRENT, VOLTAGE = "supply_current_a", "supply_voltage_v"
+"""Under these names the decoder reads what the torque is made of."""
 
 _REMEMBERED = 256
 _Point = tuple[int, float]
@@ -70,6 +77,28 @@ class SupplyPowerTorque:
         self._half_ns = round(law.window_s * 0.5e9)
         self._angle: deque[_Point] = deque(maxlen=_REMEMBERED)
         self._sensor: deque[_Point] = deque(maxlen=_REMEMBERED)
+
+    def replace(self, samples: Sequence[Sample]) -> list[Sample]:
+        """The samples of one frame, with the motor torque in place of current and voltage."""
+        kept: list[Sample] = []
+        supply: dict[str, float] = {}
+        stamp = 0
+        for sample in samples:
+            if sample.signal in (CURRENT, VOLTAGE):
+                supply[sample.signal], stamp = sample.value, sample.t_ns
+                continue
+            kept.append(sample)
+            if sample.signal == "motor_angle_rad":
+                self.see_angle(sample.t_ns, sample.value)
+            elif sample.signal == "torque_sensor_nm":
+                self.see_sensor(sample.t_ns, sample.value)
+        if supply:
+            value = self.torque_nm(
+                stamp, supply.get(CURRENT, math.nan), supply.get(VOLTAGE, math.nan)
+            )
+            if value is not None:
+                kept.append(Sample("motor_torque_nm", stamp, value))
+        return kept
 
     def see_angle(self, t_ns: int, angle_rad: float) -> None:
         """A sample of the rotor angle."""
