@@ -14,12 +14,11 @@ from eps_hil.physics.chain import (
     Chain,
     ChainState,
     Reading,
-    advance,
     build_chain,
-    read_out,
     rest_state,
 )
 from eps_hil.physics.chain_parameters import ChainParameters
+from eps_hil.physics.chain_step import advance, read_out
 from eps_hil.physics.model import Model
 from eps_hil.rig.manoeuvre import (
     ASSIST_GAIN,
