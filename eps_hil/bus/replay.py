@@ -1,0 +1,231 @@
+"""Play a CAN log onto a bus at its own pace.
+
+The schedule is absolute: frame k is due at start + (t_k - t_0)/speed, whatever happened to the
+frames before it, so lateness never adds up to drift (python-can #1372, can-utils #521). How late
+each frame went out is measured and said, because a replay that quietly lags proves nothing.
+"""
+
+import contextlib
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from eps_hil.bus.frame import Frame
+from eps_hil.bus.port import Port
+from eps_hil.errors import InputError
+
+_NAP_S = 0.1  # longest sleep in one piece: a stop request is seen within this time
+_BIN_NS = 1_000
+_BINS = 1_000_000  # up to one second in steps of 1 µs
+_REORDERED_NS = 1_000_000_000  # logs of several channels interleave; more is a clock set back
+
+
+class Lateness:
+    """Histogram of how late frames went out, in steps of 1 µs; constant memory, however long."""
+
+    def __init__(self) -> None:
+        self._counts: dict[int, int] = {}
+        self._total = 0
+        self.max_ns = 0
+
+    def add(self, late_ns: int) -> None:
+        """One frame, ``late_ns`` after it was due (negative counts as on time)."""
+        place = min(max(late_ns, 0) // _BIN_NS, _BINS)
+        self._counts[place] = self._counts.get(place, 0) + 1
+        self._total += 1
+        self.max_ns = max(self.max_ns, late_ns)
+
+    def quantile_ns(self, share: float) -> int:
+        """Lateness (ns) that ``share`` of the frames did not exceed; 0 without frames."""
+        rank, seen = share * self._total, 0
+        for place in sorted(self._counts):
+            seen += self._counts[place]
+            if seen >= rank:
+                return min((place + 1) * _BIN_NS, self.max_ns)
+        return self.max_ns
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayReport:
+    """What a replay did: frames ``sent``, ``dropped`` by a full bus, ``skipped`` (error frames
+    and ids not asked for), its time span in the log and on the clock, and its lateness."""
+
+    sent: int
+    dropped: int
+    skipped: int
+    log_s: float
+    wall_s: float
+    late_p50_ns: int
+    late_p99_ns: int
+    late_max_ns: int
+    stopped: bool
+
+
+def read_log(path: str | Path) -> Iterator[Frame]:
+    """Frames of any log that python-can reads (by suffix: .log .blf .asc .trc .mf4 .csv .db).
+
+    :class:`InputError` names the file and the position of whatever cannot be read; a log
+    without a single frame is refused too.
+    """
+    import can
+
+    from eps_hil.bus.python_can import from_message
+
+    file = Path(path)
+    if not file.is_file():
+        problem = "is a folder, not a CAN log" if file.is_dir() else "no such file"
+        raise InputError(path, "", problem, "check the path")
+    count = 0
+    with contextlib.ExitStack() as stack:
+        try:
+            reader = stack.enter_context(can.LogReader(file))
+            for message in reader:
+                frame = from_message(message, round(message.timestamp * 1e9))
+                count += 1
+                yield frame
+        except Exception as error:  # every format of python-can fails in its own way
+            raise _unreadable(file, count, error) from None
+    if not count:
+        raise InputError(path, "", "holds no CAN frames", "is it the right file?")
+
+
+def _unreadable(file: Path, count: int, error: Exception) -> InputError:
+    said = " ".join(str(error).split())[:120] or type(error).__name__
+    if isinstance(error, OSError):
+        return InputError(file, "", f"cannot be read: {error.strerror or said}")
+    if ("unknown" in said and "suffix" in said) or "No read support" in said:
+        remedy = "use .log (candump), .blf, .asc, .trc, .mf4, .csv or .db"
+        return InputError(file, "", f"'{file.suffix}' is not a format of CAN logs", remedy)
+    kind = file.suffix.lower().lstrip(".")
+    return InputError(
+        file,
+        f"after frame {count}" if count else "at the beginning",
+        f"not readable as a {kind} log ({type(error).__name__}: {said})",
+        "is the file complete, and of the format that its name says?",
+    )
+
+
+def replay(
+    frames: Iterable[Frame],
+    port: Port,
+    *,
+    speed: float | None = 1.0,
+    ids: Collection[int] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    progress: Callable[[int], None] | None = None,
+) -> ReplayReport:
+    """Send ``frames`` with the spacing of their stamps divided by ``speed`` (None: no waiting).
+
+    Error frames are reports of a controller, not traffic, and are skipped, as are ids outside
+    ``ids``. ``stop()`` is asked before each frame and at least every 0.1 s; ``progress(sent)``
+    is called now and then. :class:`~eps_hil.errors.BusError` when the bus is gone.
+    """
+    late = Lateness()
+    wanted = _Wanted(ids)
+    sent = dropped = log_ns = 0
+    started_ns = time.monotonic_ns()
+    stopped = False
+    for offset_ns, frame in offsets(filter(wanted, frames)):
+        if not sent + dropped:
+            started_ns = time.monotonic_ns()
+        due_ns = time.monotonic_ns() if speed is None else started_ns + round(offset_ns / speed)
+        stopped = not _sleep_until(due_ns, stop)
+        if stopped:
+            break
+        accepted = port.send(frame)
+        late.add(time.monotonic_ns() - due_ns)
+        sent += accepted
+        dropped += not accepted
+        log_ns = max(log_ns, offset_ns)
+        if progress is not None and not (sent + dropped) % 256:
+            progress(sent)
+    return ReplayReport(
+        sent=sent,
+        dropped=dropped,
+        skipped=wanted.refused,
+        log_s=log_ns / 1e9,
+        wall_s=(time.monotonic_ns() - started_ns) / 1e9,
+        late_p50_ns=late.quantile_ns(0.5),
+        late_p99_ns=late.quantile_ns(0.99),
+        late_max_ns=late.max_ns,
+        stopped=stopped,
+    )
+
+
+class _Wanted:
+    """Filter for traffic of the chosen ids; counts what it refused."""
+
+    def __init__(self, ids: Collection[int] | None) -> None:
+        self._ids = ids
+        self.refused = 0
+
+    def __call__(self, frame: Frame) -> bool:
+        wanted = not frame.error and (self._ids is None or frame.can_id in self._ids)
+        self.refused += not wanted
+        return wanted
+
+
+def offsets(frames: Iterable[Frame]) -> Iterator[tuple[int, Frame]]:
+    """(log time in ns since the first frame, frame); where the log's clock was set back by more
+    than a second (two logs in one file), time carries on from the frame before."""
+    base_ns: int | None = None
+    last_ns = 0
+    for frame in frames:
+        if base_ns is None:
+            base_ns = frame.t_ns
+        offset_ns = frame.t_ns - base_ns
+        if offset_ns < last_ns - _REORDERED_NS:
+            base_ns, offset_ns = frame.t_ns - last_ns, last_ns
+        last_ns = max(last_ns, offset_ns)
+        yield offset_ns, frame
+
+
+def _sleep_until(due_ns: int, stop: Callable[[], bool]) -> bool:
+    """Sleep to a monotonic instant; False as soon as ``stop()`` says so."""
+    while not stop():
+        left_s = (due_ns - time.monotonic_ns()) / 1e9
+        if left_s <= 0.0:
+            return True
+        time.sleep(min(left_s, _NAP_S))
+    return False
+
+
+def again(make: Callable[[], Iterable[Frame]], rest_ns: int = 1_000_000) -> Iterator[Frame]:
+    """The log over and over, each pass ``rest_ns`` after the last, as one stream of time."""
+    end_ns: int | None = None
+    while True:
+        shift_ns: int | None = None
+        for frame in make():
+            if shift_ns is None:
+                shift_ns = 0 if end_ns is None else end_ns + rest_ns - frame.t_ns
+            moved = replace(frame, t_ns=frame.t_ns + shift_ns)
+            end_ns = max(end_ns or moved.t_ns, moved.t_ns)
+            yield moved
+
+
+def parse_ids(words: Collection[str]) -> frozenset[int]:
+    """``0x76,118`` and the like -> ids; :class:`InputError` naming the word that is no id."""
+    ids = set()
+    for word in ",".join(words).replace(",", " ").split():
+        try:
+            can_id = int(word, 0)
+        except ValueError:
+            can_id = -1
+        if not 0 <= can_id <= 0x1FFF_FFFF:
+            raise InputError("--ids", word, "is not a CAN id", "write 118 or 0x76")
+        ids.add(can_id)
+    return frozenset(ids)
+
+
+def parse_speed(word: str) -> float | None:
+    """``1.0`` -> 1.0, ``max`` -> None; :class:`InputError` for anything else."""
+    if word.lower() == "max":
+        return None
+    try:
+        speed = float(word)
+    except ValueError:
+        speed = 0.0
+    if not 0.0 < speed < float("inf"):
+        raise InputError("--speed", word, "is not a speed", "write 1.0, 0.5, 10 or max")
+    return speed

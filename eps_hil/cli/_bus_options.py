@@ -1,0 +1,75 @@
+"""Which bus a verb works on: from ``--config``, or from ``--interface`` and ``--channel``."""
+
+import signal
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from eps_hil.bus.port import Port, open_port
+from eps_hil.errors import InputError
+
+DEFAULT_CHANNELS = {"socketcan": "vcan0", "udp_multicast": "239.74.163.2"}
+
+
+def open_bus(
+    config: Path | None,
+    interface: str | None,
+    channel: str | None,
+    option: Sequence[str],
+    fd: bool,
+    *,
+    receive_ids: Sequence[int] | None = None,
+    send_ids: Sequence[int] | None = None,
+) -> tuple[Port, str]:
+    """The opened port and its channel; what the command line says beats the file."""
+    options: dict[str, Any] = {}
+    if config is not None:
+        from eps_hil import yaml_file
+        from eps_hil.bus.config import BusConfig
+
+        bus = yaml_file.load(config, BusConfig, section="bus")
+        if interface in {None, bus.interface}:
+            interface, channel = bus.interface, channel or bus.channel
+            options, fd = dict(bus.options), fd or bus.fd
+    if interface is None:
+        raise InputError(
+            "--interface", "", "is missing", "name one (socketcan, udp_multicast, ...) or --config"
+        )
+    channel = channel or DEFAULT_CHANNELS.get(interface)
+    if channel is None:
+        raise InputError("--channel", "", "is missing", f"{interface} needs one")
+    options |= parse_options(option)
+    fd = fd or interface == "udp_multicast"
+    port = open_port(
+        interface, channel, fd=fd, receive_ids=receive_ids, send_ids=send_ids, options=options
+    )
+    return port, channel
+
+
+def parse_options(words: Sequence[str]) -> dict[str, Any]:
+    """``port=43113`` and the like -> keyword arguments of the interface."""
+    import yaml
+
+    options: dict[str, Any] = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals or not key.isidentifier():
+            raise InputError("--option", word, "is not an option", "write KEY=VALUE")
+        try:
+            options[key] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            options[key] = value
+    return options
+
+
+def stop_on_signals() -> Callable[[], bool]:
+    """A question that SIGINT and SIGTERM answer with yes; a second one ends the program."""
+    asked: list[int] = []
+
+    def ask(number: int, frame: object) -> None:
+        asked.append(number)
+        signal.signal(number, signal.SIG_DFL)
+
+    signal.signal(signal.SIGINT, ask)
+    signal.signal(signal.SIGTERM, ask)
+    return lambda: bool(asked)
