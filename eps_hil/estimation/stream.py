@@ -296,6 +296,8 @@ def _timing(model: Model, settings: EstimatorSettings, periods_s: Mapping[str, f
         needed.add("motor_angle_rad")
     missing = sorted(needed - set(periods_s))
     if missing:
+        if derive and "motor_angle_rad" in missing:
+            missing[missing.index("motor_angle_rad")] = "motor_speed_rad_s or motor_angle_rad"
         raise ValueError(f"the estimator needs {', '.join(missing)}")
     used = np.array([name in needed or name == "torque_sensor_nm" for name in SIGNALS])
     used &= np.array([name in periods_s for name in SIGNALS])

@@ -25,7 +25,9 @@ class Truth:
     time_s: Array
     rack_force_n: Array
     speed_rad_s: Array
+    angle_rad: Array
     friction_nm: Array
+    motor_torque_nm: Array
     columns: dict[str, Array]
 
 
@@ -98,7 +100,7 @@ def run(
         "motor_angle_rad": measured(_late(out[:, 2], 4), 1e-3, 1e-3),
         "rack_force_n": measured(force, 3.0, 1.0),
     }
-    return Truth(time, force, out[:, 1], out[:, 3], columns)
+    return Truth(time, force, out[:, 1], out[:, 2], out[:, 3], out[:, 0], columns)
 
 
 def sweep(duration_s: float = 40.0, force_n: float = 764.0, top_hz: float = 4.0) -> Array:

@@ -1,0 +1,61 @@
+"""What many tests share: the reference rig, and recordings of a rig of other code."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from eps_hil.physics.model import Model, load_model
+
+ROOT = Path(__file__).parents[1]
+
+
+def _independent_rig() -> ModuleType:
+    """``tests/estimation/independent_rig.py``, once per process."""
+    name = "independent_rig"
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(
+            name, ROOT / "tests" / "estimation" / "independent_rig.py"
+        )
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+    return sys.modules[name]
+
+
+@pytest.fixture(scope="session")
+def reference_model() -> Model:
+    return load_model(ROOT / "configs" / "reference_rig.yaml")
+
+
+@pytest.fixture(scope="session")
+def independent_rig() -> ModuleType:
+    return _independent_rig()
+
+
+@pytest.fixture(scope="session")
+def sweep_truth(independent_rig: ModuleType) -> object:
+    """The 540 N rms sweep of the independent rig."""
+    force = independent_rig.sweep()
+    return independent_rig.run(force, 0.0 * force)
+
+
+@pytest.fixture(scope="session")
+def weave_truth(independent_rig: ModuleType) -> object:
+    """A weave of the independent rig, with a driver."""
+    import numpy as np
+
+    force = independent_rig.weave()
+    time_s = np.arange(len(force)) * 1e-3
+    return independent_rig.run(force, 0.8 * np.sin(2 * np.pi * 0.25 * time_s + 0.4))
+
+
+@pytest.fixture(scope="session")
+def steps_truth(independent_rig: ModuleType) -> object:
+    """Rack-force steps with rests between them."""
+    force = independent_rig.steps()
+    return independent_rig.run(force, 0.0 * force)
