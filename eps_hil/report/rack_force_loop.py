@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from eps_hil.bus.database import load_database
 from eps_hil.errors import InputError
+from eps_hil.recordings.can_log import read_frames
 from eps_hil.report import figures
 from eps_hil.series import Series
 
@@ -68,27 +69,21 @@ class Loop:
 
 
 def read_steering(log: Path, dbc: Path, signals: SteeringSignals | None = None) -> SteeringTrace:
-    """Read the figure's signals from a CAN log that python-can reads.
+    """Read the figure's signals from a CAN log of any format.
 
     :class:`InputError` where log or DBC does not hold them.
     """
-    import can
-
     wanted = signals or SteeringSignals()
     names = (wanted.angle, wanted.torque, wanted.current, wanted.mode)
     database = load_database([dbc])
     places = [_find(database, dbc, name) for name in names]
     by_id = {message.frame_id: message for message, _ in places}
     rows: dict[str, list[tuple[int, float]]] = {name: [] for name in names}
-    with can.LogReader(str(log)) as reader:
-        for frame in reader:
-            if frame.arbitration_id not in by_id or frame.is_error_frame or frame.is_extended_id:
-                continue
-            values = by_id[frame.arbitration_id].decode(bytes(frame.data), decode_choices=False)
-            for name, (message, signal) in zip(names, places, strict=True):
-                if message.frame_id == frame.arbitration_id:
-                    stamp = round(frame.timestamp * 1e6) * 1000
-                    rows[name].append((stamp, float(values[signal.name])))
+    for frame in read_frames(log, ids=list(by_id)):
+        values = by_id[frame.can_id].decode(frame.data, decode_choices=False)
+        for name, (message, signal) in zip(names, places, strict=True):
+            if message.frame_id == frame.can_id:
+                rows[name].append((frame.t_ns, float(values[signal.name])))
     angle, torque, current, mode = (_series(log, name, rows[name]) for name in names)
     choices = places[-1][1].choices or {}
     mode_names = {int(k): str(v) for k, v in choices.items()}
@@ -164,6 +159,7 @@ def _draw_force(axis: Any, loop: Loop, colour: str) -> None:
     axis.set_title(f"{loop.name}, {loop.duration_s:.1f} s")
     axis.set_xlabel("pinion angle in degrees")
     axis.set_ylabel("rack force estimate in kN")
+    axis.margins(y=0.12)
     axis.legend(loc="upper left", frameon=False)
 
 
@@ -181,4 +177,5 @@ def _draw_inputs(axis: Any, trace: SteeringTrace, loop: Loop) -> None:
     )
     axis.set_xlabel("pinion angle in degrees")
     axis.set_ylabel("column torque in Nm, current in 5 A")
+    axis.margins(y=0.25)
     axis.legend(loc="upper left", frameon=False)
