@@ -46,7 +46,7 @@ NOISE_RMS = {
     "rack_position_m": 5e-6,
     "steering_wheel_angle_rad": 5e-4,
     "steering_wheel_speed_rad_s": 0.01,
-    "vehicle_speed_m_s": 0.02,
+    "vehicle_speed_m_s": 0.0,  # comes filtered from the vehicle, and never below zero
     "lateral_acceleration_m_s2": 0.02,
     "yaw_rate_rad_s": 0.001,
 }

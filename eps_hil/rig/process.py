@@ -1,0 +1,188 @@
+"""The simulated rig and ECU as a process of its own, in real time on a bus.
+
+It waits for nobody and keeps nothing: killed at any moment it leaves a bus that has simply gone
+silent. What it knows and a real rig does not (true friction, true speed) stays inside.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eps_hil.bus.config import describe_ids
+from eps_hil.bus.database import find_message, load_database
+from eps_hil.bus.frame import Frame
+from eps_hil.bus.mapping import load_mapping
+from eps_hil.bus.port import Port, open_port
+from eps_hil.rig.config import RigSetup
+from eps_hil.rig.ecu import COMMAND, CommandReader, Override
+from eps_hil.rig.frames import Cyclic, frames_of, schedule
+from eps_hil.rig.plant import TRUE_SIGNALS, Plant
+from eps_hil.rig.realtime import Lateness, Pacer, settle
+from eps_hil.rig.sensors import REPORTED, Sensors, SensorSettings
+
+_STOP_MS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class RigReport:
+    """Counts at the end of a run."""
+
+    simulated_s: float
+    frames_sent: int
+    send_dropped: int
+    commands: int
+    bad_commands: int
+    timeouts: int
+    clipped: int
+    overruns: int
+    caught_up_ms: int
+    lateness: Lateness
+
+
+class RigSimulation:
+    """Plant, sensors, ECU and frames, one millisecond per call; no bus and no clock."""
+
+    def __init__(self, setup: RigSetup) -> None:
+        files = ", ".join(str(path) for path in setup.bus.dbc)
+        mapping = load_mapping(setup.bus.signals)
+        database = load_database(setup.bus.dbc, strict=mapping.strict)
+        self.messages: list[Cyclic] = schedule(database, mapping, dbc_file=files)
+        command = find_message(database, COMMAND)
+        self.reader = None if command is None else CommandReader(command)
+        limit_nm = setup.chain.motor_torque_limit_nm
+        self.override = Override(round(setup.rig.override_timeout_s * 1e9), limit_nm)
+        # The encoder rounds to the DBC's steps, so the sensors need not.
+        sensors: SensorSettings = replace(setup.rig.sensors, quantise=False)
+        self._plant = Plant(setup.model, setup.chain, setup.rig.order, setup.manoeuvre.table())
+        self._sensors = Sensors(setup.model, sensors, setup.rig.seed)
+        self._truth, self._reported = np.zeros(len(TRUE_SIGNALS)), np.zeros(len(REPORTED))
+        self._values = {"motor_temperature_degc": setup.rig.motor_temperature_degc}
+        self.millisecond = 0
+        self.commands = self.bad_commands = 0
+
+    @property
+    def rows(self) -> int:
+        """Milliseconds in one round of the manoeuvre."""
+        return self._plant.rows
+
+    @property
+    def listens_to(self) -> tuple[int, ...]:
+        """Ids of the frames that :meth:`hear` takes."""
+        return () if self.reader is None else (self.reader.can_id,)
+
+    def hear(self, frame: Frame, now_ns: int) -> None:
+        """Take one received frame; anything but the override command is not ours."""
+        if self.reader is None or frame.can_id not in self.listens_to:
+            return
+        if frame.own or frame.error or frame.remote:
+            return
+        command = self.reader.read(frame)
+        self.commands += 1
+        self.bad_commands += command is None
+        self.override.hear(command, now_ns)
+
+    def step(self, now_ns: int, *, stopping: bool = False) -> list[Frame]:
+        """Frames of this millisecond; then the plant moves on. ``stopping``: zero motor torque."""
+        torque_nm = 0.0 if stopping else self.override.torque_nm(now_ns)
+        self._plant.step(self._truth, torque_nm)
+        self._sensors.step(self._truth, self._reported)
+        self._values.update(zip(REPORTED, self._reported.tolist(), strict=True))
+        applied = torque_nm if torque_nm is not None else self._values["motor_torque_nm"]
+        status = self.override.status(applied)
+        frames = frames_of(self.messages, self.millisecond, self._values, status)
+        self.millisecond += 1
+        return frames
+
+    @property
+    def clipped(self) -> int:
+        """Values that did not fit into their signal."""
+        return sum(message.encoder.clipped for message in self.messages)
+
+
+class Rig:
+    """A rig on a bus; :meth:`run` returns when it is done or :meth:`stop` was called."""
+
+    def __init__(self, setup: RigSetup, say: Callable[[str], None] = lambda _: None) -> None:
+        self._setup, self._say = setup, say
+        self._simulation = RigSimulation(setup)
+        self._stop = False
+        bus = setup.bus.bus
+        sent = sorted(message.encoder.can_id for message in self._simulation.messages)
+        self._heard = self._simulation.listens_to
+        self._sent = tuple(sent)
+        self._port: Port = open_port(
+            bus.interface,
+            bus.channel,
+            fd=bus.fd,
+            receive_ids=self._heard,
+            send_ids=self._sent,
+            options=bus.options,
+        )
+
+    def stop(self) -> None:
+        """End after the present millisecond (callable from a signal handler)."""
+        self._stop = True
+
+    def run(self, *, duration_s: float = math.inf, loop: bool = False) -> RigReport:
+        """Run in real time for one manoeuvre, ``duration_s``, or (``loop``) until stopped."""
+        simulation = self._simulation
+        limit_ms = math.inf if loop else simulation.rows
+        limit_ms = min(limit_ms, duration_s * 1000)
+        self._announce(limit_ms)
+        self._warm_up()
+        self._say(f"timing: {settle(self._setup.rig.realtime)}")
+        pacer = Pacer()
+        try:
+            while not self._stop and simulation.millisecond < limit_ms:
+                due = pacer.wait()
+                self._receive()
+                for _ in range(due):
+                    self._send(time.monotonic_ns(), stopping=False)
+            for _ in range(_STOP_MS):  # let listeners see the torque go
+                pacer.wait()
+                self._send(time.monotonic_ns(), stopping=True)
+        finally:
+            self._port.close()
+        return self._report(pacer)
+
+    def _receive(self) -> None:
+        for frame in self._port.recv(0.0):
+            self._simulation.hear(frame, time.monotonic_ns())
+
+    def _send(self, now_ns: int, *, stopping: bool) -> None:
+        for frame in self._simulation.step(now_ns, stopping=stopping):
+            self._port.send(frame)
+
+    def _warm_up(self) -> None:
+        """Compile and touch everything before the first deadline, on a rig of its own."""
+        twin = RigSimulation(self._setup)
+        for _ in range(120):
+            twin.step(0)
+
+    def _announce(self, limit_ms: float) -> None:
+        setup, messages = self._setup, self._simulation.messages
+        length = "until stopped" if math.isinf(limit_ms) else f"{limit_ms / 1000:g} s"
+        self._say(f"rig on {setup.bus.bus}: {setup.manoeuvre.name}, {length}")
+        self._say(f"plant: {setup.rig.order} masses, seed {setup.rig.seed}")
+        for message in messages:
+            can_id = f"0x{message.encoder.can_id:X}"
+            self._say(f"sends {can_id} {message.name} every {message.cycle_ms} ms")
+        self._say(f"listens to {describe_ids(self._heard)} (torque override)")
+
+    def _report(self, pacer: Pacer) -> RigReport:
+        simulation, counts = self._simulation, self._port.counts
+        return RigReport(
+            simulated_s=simulation.millisecond / 1000,
+            frames_sent=counts.sent,
+            send_dropped=counts.send_dropped,
+            commands=simulation.commands,
+            bad_commands=simulation.bad_commands,
+            timeouts=simulation.override.timeouts,
+            clipped=simulation.clipped,
+            overruns=pacer.overruns,
+            caught_up_ms=pacer.caught_up,
+            lateness=pacer.lateness,
+        )
