@@ -11,7 +11,7 @@ PAYLOADS = st.binary(min_size=8, max_size=8)
 
 @pytest.mark.parametrize(
     ("data_id", "frame"),
-    [  # computed by the autosar-e2e library, profile 1, both-bytes mode; the first is the standard's
+    [  # by the library autosar-e2e, profile 1, both-bytes mode; the first is the standard's
         (0x0123, "cc00000000000000"),
         (0x0100, "7a05112233445566"),
         (0x4567, "b8f1fffefdfcfbfa"),

@@ -1,0 +1,146 @@
+#!/usr/bin/env python3
+"""Write the tables of docs/reference-bus.md from dbc/eps_rig.dbc.
+
+The text between the markers of the document is generated, the rest is written by hand. A test
+fails when the two have drifted apart; running this script puts them in step again.
+"""
+
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from eps_hil.bus.database import load_database
+
+ROOT = Path(__file__).resolve().parents[1]
+DBC = ROOT / "dbc" / "eps_rig.dbc"
+DOCUMENT = ROOT / "docs" / "reference-bus.md"
+INTERMISSION = 3
+NEWTON_PER = {  # at the rack of the reference rig, per unit of the signal's quantum
+    "MotorSpeed": (2.0e-4 * 2513.0 / 1e-3, "as a step within 1 ms, times J i_APA"),
+    "MotorTorque": (2513.0, "times i_APA"),
+    "AppliedMotorTorque": (2513.0, "times i_APA"),
+    "RequestedMotorTorque": (2513.0, "times i_APA"),
+    "FrictionTorque": (2513.0, "times i_APA"),
+    "TorsionBarTorque": (125.7, "times i_pi"),
+    "RackForce": (1.0, ""),
+    "RackForceEstimate": (1.0, ""),
+}
+
+
+def classic_bits(length: int) -> tuple[int, int]:
+    """Bits of a classic base frame of ``length`` bytes: without stuffing, and at most.
+
+    ISO 11898-1: 34 bits and the data are subject to stuffing, 10 bits and the intermission not.
+    """
+    stuffed = 34 + 8 * length
+    plain = stuffed + 10 + INTERMISSION
+    return plain, plain + (stuffed - 1) // 4
+
+
+def fd_seconds(length: int, nominal: float, data: float) -> float:
+    """Longest duration of a CAN FD base frame with bit-rate switch (ISO 11898-1:2015), in s.
+
+    Arbitration phase: SOF, id, RRS, IDE, FDF, res, BRS (17 bits, stuffed), then CRC delimiter,
+    ACK and its delimiter, EOF (10) and intermission. Data phase: ESI, DLC and data (stuffed),
+    stuff count and CRC-17 with fixed stuff bits (4 + 17 + 6; CRC-21 over 16 bytes: 4 + 21 + 7).
+    """
+    slow = 17 + 4 + 10 + INTERMISSION
+    dynamic = 5 + 8 * length
+    fast = dynamic + dynamic // 4 + (27 if length <= 16 else 32)
+    return slow / nominal + fast / data
+
+
+def load(messages: Iterable[Any], duration_s: Callable[[int], float]) -> float:
+    """Share of the bus in percent, each message sent at its cycle time."""
+    return float(sum(100e3 * duration_s(m.length) / m.cycle_time for m in messages))
+
+
+def _messages(database: Any) -> list[str]:
+    lines = ["| id | message | cycle | from | what |", "|---|---|---|---|---|"]
+    for m in sorted(database.messages, key=lambda each: each.frame_id):
+        lines.append(
+            f"| 0x{m.frame_id:03X} | `{m.name}` | {m.cycle_time} ms"
+            f" | {m.senders[0]} | {m.comment} |"
+        )
+    return lines
+
+
+def _range(signal: Any) -> str:
+    low, high = signal.minimum, signal.maximum
+    return f"±{high:.10g}" if low == -high else f"{low:.10g} to {high:.10g}"
+
+
+def _signals(database: Any) -> list[str]:
+    lines = [
+        "| message | signal | unit | bits | quantum | range | quantum at the rack | no value |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for m in sorted(database.messages, key=lambda each: each.frame_id):
+        for s in m.signals:
+            newton = ""
+            if s.name in NEWTON_PER:
+                factor, how = NEWTON_PER[s.name]
+                newton = f"{s.scale * factor:.3g} N{' (' + how + ')' if how else ''}"
+            none = ", ".join(f"raw {r}" for r, t in (s.choices or {}).items() if str(t) == "SNA")
+            bits = f"{s.start}..{s.start + s.length - 1}"
+            lines.append(
+                f"| `{m.name}` | `{s.name}` | {s.unit or ''} | {bits} | {s.scale:.10g} |"
+                f" {_range(s)} | {newton} | {none} |"
+            )
+    return lines
+
+
+def _labels(database: Any) -> list[str]:
+    lines = ["| signal | labels |", "|---|---|"]
+    for m in sorted(database.messages, key=lambda each: each.frame_id):
+        for s in m.signals:
+            labels = [f"{raw} {text}" for raw, text in (s.choices or {}).items()]
+            if len(labels) > 1:
+                lines.append(f"| `{m.name}.{s.name}` | {', '.join(labels)} |")
+    return lines
+
+
+def _bus_load(database: Any) -> list[str]:
+    everything = list(database.messages)
+    override = ("EPSHIL_TorqueOverride", "EPS_OverrideStatus")
+    listening = [m for m in everything if m.name not in override]
+    lines = [
+        "| bus | estimating | with the torque override |",
+        "|---|---|---|",
+    ]
+    for rate in (500e3, 1e6):
+        cells = []
+        for messages in (listening, everything):
+            plain = load(messages, lambda n, r=rate: classic_bits(n)[0] / r)  # type: ignore[misc]
+            worst = load(messages, lambda n, r=rate: classic_bits(n)[1] / r)  # type: ignore[misc]
+            cells.append(f"{plain:.0f} % (at most {worst:.0f} %)")
+        lines.append(f"| classic, {rate / 1e3:.0f} kbit/s | {cells[0]} | {cells[1]} |")
+    for nominal, data in ((500e3, 2e6), (1e6, 5e6)):
+        cells = []
+        for messages in (listening, everything):
+            worst = load(messages, lambda n, a=nominal, d=data: fd_seconds(n, a, d))  # type: ignore[misc]
+            cells.append(f"at most {worst:.0f} %")
+        name = f"CAN FD, {nominal / 1e3:.0f} kbit/s and {data / 1e6:.0f} Mbit/s"
+        lines.append(f"| {name} | {cells[0]} | {cells[1]} |")
+    return lines
+
+
+PARTS = {"messages": _messages, "signals": _signals, "labels": _labels, "load": _bus_load}
+
+
+def rendered(document: str) -> str:
+    """The document with every generated part made anew from the database."""
+    database = load_database([DBC])
+    for name, make in PARTS.items():
+        begin, end = f"<!-- {name}: generated -->", f"<!-- {name}: end -->"
+        pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
+        if not pattern.search(document):
+            raise SystemExit(f"{DOCUMENT}: the markers of '{name}' are missing")
+        text = "\n".join([begin, *make(database), end])
+        document = pattern.sub(lambda _, text=text: text, document)  # type: ignore[misc]
+    return document
+
+
+if __name__ == "__main__":
+    DOCUMENT.write_text(rendered(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")
