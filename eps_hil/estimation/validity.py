@@ -32,6 +32,8 @@ class Reason(IntFlag):
     """Sample time jumped; the estimator started again."""
     DIVERGED = 1024
     """The estimator's own numbers became impossible; it started again."""
+    OTHER_TRANSMITTER = 2048
+    """Somebody else sends the estimate's id too; nobody can tell whose a frame is."""
 
 
 def words(reason: Reason) -> str:

@@ -1,0 +1,167 @@
+"""The heart of the loop without I/O and without a clock: frames in, the frame to publish out.
+
+What it returns depends on nothing but the frames it was given and their stamps, so a recording
+replayed as fast as possible gives the published frames bit for bit (DESIGN.md, decisions 2, 3).
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from typing import Protocol
+
+from eps_hil.bus.codec import Sample
+from eps_hil.bus.frame import Frame
+from eps_hil.estimation.stream import Estimate
+from eps_hil.estimation.validity import Reason
+
+_FOREIGN_HOLD_NS = 1_000_000_000
+"""How long after a frame of another transmitter the estimate stays invalid."""
+
+_LOAD_CELL = "rack_force_n"
+
+
+class Status(IntEnum):
+    """``EstimateStatus`` of the DBC."""
+
+    OFF = 0
+    SETTLING = 1
+    VALID = 2
+    INVALID = 3
+
+
+class Decoder(Protocol):
+    """What the core needs of :class:`~eps_hil.bus.codec.FrameDecoder`."""
+
+    def decode(self, frame: Frame) -> list[Sample]:
+        """Samples of a frame."""
+
+    def sync(self, frame: Frame) -> bool:
+        """Whether the estimator steps on it."""
+
+
+class Estimator(Protocol):
+    """What the core needs of :class:`~eps_hil.estimation.stream.StreamEstimator`."""
+
+    def push(self, signal: str, t_ns: int, value: float) -> None:
+        """Take a sample."""
+
+    def advance(self, t_ns: int) -> int:
+        """Step up to a sync stamp."""
+
+    @property
+    def latest(self) -> Estimate:
+        """The newest estimate."""
+
+
+class Encoder(Protocol):
+    """What the core needs of :class:`~eps_hil.bus.codec.FrameEncoder`."""
+
+    def frame(self, values: Mapping[str, float], t_ns: int = 0) -> Frame:
+        """The frame that carries the values."""
+
+
+def status_of(reason: Reason) -> Status:
+    """The verdict in one word."""
+    if reason == Reason.FINE:
+        return Status.VALID
+    return Status.SETTLING if reason == Reason.SETTLING else Status.INVALID
+
+
+def estimate_values(estimate: Estimate, status: Status, age_s: float) -> dict[str, float]:
+    """Signals of ``EPSHIL_Estimate`` (force in N, torque in Nm, age in ms)."""
+    return {
+        "RackForceEstimate": estimate.rack_force_n,
+        "FrictionTorque": estimate.friction_torque_nm,
+        "EstimateStatus": int(status),
+        "EstimateReason": int(estimate.reason),
+        "EstimateAge": age_s * 1e3,
+    }
+
+
+def silent_values(status: Status, reason: Reason) -> dict[str, float]:
+    """Signals of ``EPSHIL_Estimate`` where nothing is being estimated: force not available."""
+    return {
+        "RackForceEstimate": math.nan,
+        "FrictionTorque": math.nan,
+        "EstimateStatus": int(status),
+        "EstimateReason": int(reason),
+        "EstimateAge": math.inf,
+    }
+
+
+class ServiceCore:
+    """Decode, step, and say what to publish.
+
+    ``encoder`` None: nothing is ever returned (listen only). ``send_ids``: (id, extended) of
+    everything the service sends; such a frame seen from the bus is another transmitter's.
+    """
+
+    def __init__(
+        self,
+        decoder: Decoder,
+        estimator: Estimator,
+        encoder: Encoder | None = None,
+        send_ids: frozenset[tuple[int, bool]] = frozenset(),
+    ) -> None:
+        self.decoder, self.estimator = decoder, estimator
+        self.steps = self.valid_steps = self.skipped = self.foreign = 0
+        self.latest: Estimate | None = None
+        self.sync_t_ns = 0
+        """Receive stamp of the last sync frame."""
+        self.load_cell: deque[tuple[int, float]] = deque(maxlen=512)
+        """The newest (stamp, rack force of the rig), to show beside the estimate."""
+        self._encoder, self._send_ids = encoder, send_ids
+        self._foreign_t_ns: int | None = None
+
+    def on_frames(self, frames: Sequence[Frame]) -> list[Frame]:
+        """Take a batch in order; at most one frame to publish: that of its newest sync frame.
+
+        A batch holds several sync frames only when the loop was late. Stale estimates are not
+        sent in a burst: they are left out, counted in ``skipped``, and seen by the receiver as
+        a jump of the message counter.
+        """
+        newest: Frame | None = None
+        decoder, estimator = self.decoder, self.estimator
+        for frame in frames:
+            if frame.error or frame.own:
+                continue
+            if (frame.can_id, frame.extended) in self._send_ids:
+                self.foreign += 1
+                self._foreign_t_ns = frame.t_ns
+                continue
+            samples = decoder.decode(frame)
+            for signal, t_ns, value in samples:
+                estimator.push(signal, t_ns, value)
+                if signal == _LOAD_CELL:
+                    self.load_cell.append((t_ns, value))
+            if samples and decoder.sync(frame):
+                if newest is not None:
+                    self.skipped += 1
+                newest = self._step(frame.t_ns, samples[0].t_ns)
+        return [] if newest is None else [newest]
+
+    def _step(self, receive_ns: int, sample_ns: int) -> Frame | None:
+        self.estimator.advance(sample_ns)
+        estimate = self.estimator.latest
+        if self._foreign_t_ns is not None:
+            if abs(receive_ns - self._foreign_t_ns) < _FOREIGN_HOLD_NS:
+                reason = estimate.reason | Reason.OTHER_TRANSMITTER
+                estimate = estimate._replace(valid=False, reason=reason)
+            else:
+                self._foreign_t_ns = None
+        self.latest = estimate
+        self.sync_t_ns = receive_ns
+        self.steps += 1
+        self.valid_steps += estimate.valid
+        if self._encoder is None:
+            return None
+        age_s = (receive_ns - estimate.t_ns) * 1e-9
+        return self._encoder.frame(estimate_values(estimate, status_of(estimate.reason), age_s))
+
+    def load_cell_at(self, t_ns: int) -> float | None:
+        """Rack force of the rig at ``t_ns`` by the nearest sample within 10 ms, in N."""
+        near = min(self.load_cell, key=lambda point: abs(point[0] - t_ns), default=None)
+        if near is None or abs(near[0] - t_ns) > 10_000_000 or math.isnan(near[1]):
+            return None
+        return near[1]
