@@ -19,6 +19,8 @@ from eps_hil.recordings.can_log import read_frames
 from eps_hil.report import figures
 from eps_hil.series import Series
 
+_VALID = 2  # EstimateStatus of EPSHIL_Estimate
+
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
@@ -64,8 +66,10 @@ class Loop:
 
     @property
     def duration_s(self) -> float:
-        """Time in this mode with a valid estimate, from 1 kHz rows."""
-        return float(np.count_nonzero(np.isfinite(self.rack_force_n))) * 1e-3
+        """Time in this mode with a valid estimate."""
+        shown = np.isfinite(self.rack_force_n)
+        step = np.median(np.diff(self.t_s)) if len(self.t_s) > 1 else 0.0
+        return float(np.count_nonzero(shown) * step)
 
 
 def read_steering(log: Path, dbc: Path, signals: SteeringSignals | None = None) -> SteeringTrace:
@@ -88,6 +92,31 @@ def read_steering(log: Path, dbc: Path, signals: SteeringSignals | None = None) 
     choices = places[-1][1].choices or {}
     mode_names = {int(k): str(v) for k, v in choices.items()}
     return SteeringTrace(angle, torque, current, mode, mode_names)
+
+
+def read_published(log: Path, dbc: Path, *, sync_id: int, latency_s: float) -> Estimates:
+    """The estimates that the service published, from a recording of its bus.
+
+    ``dbc`` holds ``EPSHIL_Estimate``. Each estimate follows a frame ``sync_id`` and speaks of
+    ``latency_s`` before it. (The message's own age ends at 25.5 ms,
+    which a bus of 50 Hz signals exceeds.)
+    """
+    message = load_database([dbc]).get_message_by_name("EPSHIL_Estimate")
+    stamp: int | None = None
+    rows: list[tuple[int, float, bool]] = []
+    for frame in read_frames(log, ids=[sync_id, message.frame_id]):
+        if frame.can_id == sync_id:
+            stamp = frame.t_ns
+        elif stamp is not None:
+            values = message.decode(frame.data, decode_choices=False)
+            valid = values["EstimateStatus"] == _VALID
+            rows.append((stamp, float(values["RackForceEstimate"]), valid))
+            stamp = None
+    if not rows:
+        raise InputError(log, "EPSHIL_Estimate", "no estimate follows a sync frame", "was it run?")
+    stamps, forces, valid_rows = zip(*rows, strict=True)
+    t_ns = np.array(stamps, np.int64) - round(latency_s * 1e9)
+    return Estimates(t_ns, np.array(forces), np.array(valid_rows))
 
 
 def _find(database: Any, dbc: Path, name: str) -> tuple[Any, Any]:

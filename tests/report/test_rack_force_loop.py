@@ -6,6 +6,7 @@ import can
 import numpy as np
 import pytest
 
+from eps_hil.bus.codec import FrameEncoder
 from eps_hil.bus.database import load_database
 from eps_hil.errors import InputError
 from eps_hil.report import figures
@@ -17,6 +18,7 @@ from eps_hil.report.rack_force_loop import (
     draw,
     enclosed_work_j,
     loops_by_mode,
+    read_published,
     read_steering,
 )
 
@@ -109,3 +111,23 @@ def test_wrong_figure_name_signal_and_log_are_refused(log: Path, tmp_path: Path)
     empty.write_text("(1.0) can0 123#00\n")
     with pytest.raises(InputError, match="no frame carries it"):
         read_steering(empty, DBC)
+
+
+def test_published_estimates_are_dated_back_from_their_sync_frame(tmp_path: Path) -> None:
+    """Force and validity as sent; the time is the sync frame's, less the latency."""
+    rig = DBC.with_name("eps_rig.dbc")
+    encoder = FrameEncoder(load_database([rig]), "EPSHIL_Estimate")
+    path = tmp_path / "bus.log"
+    with can.Logger(str(path)) as writer:
+        for k in range(3):
+            stamp = START_S + 0.01 * k
+            writer(can.Message(stamp, 0x85, is_extended_id=False, data=bytes(8)))
+            values = {"RackForceEstimate": 1000.0 * k, "EstimateStatus": 2 if k else 1}
+            data = encoder.encode(values)
+            writer(can.Message(stamp + 3e-4, encoder.can_id, is_extended_id=False, data=data))
+    got = read_published(path, rig, sync_id=0x85, latency_s=0.065)
+    assert got.rack_force_n.tolist() == [0.0, 1000.0, 2000.0]
+    assert got.valid.tolist() == [False, True, True]
+    assert (got.t_ns - START_S * 1e9).tolist() == pytest.approx([-65e6, -55e6, -45e6], abs=1e3)
+    with pytest.raises(InputError, match="no estimate follows"):
+        read_published(path, rig, sync_id=0x86, latency_s=0.065)
