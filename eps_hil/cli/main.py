@@ -5,7 +5,6 @@ import pkgutil
 import sys
 import traceback
 
-import click
 import typer
 
 from eps_hil import __version__, cli
@@ -56,16 +55,16 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _explain(error: BaseException, debug: bool) -> int:
     match error:
-        case click.exceptions.Exit():
+        case typer.Exit():
             return error.exit_code
         case BrokenPipeError():
             return 0
-        case click.Abort() | KeyboardInterrupt():
+        case typer.Abort() | KeyboardInterrupt():
             message, status = "interrupted", 130
-        case click.ClickException():
-            message, status = f"{error.format_message()}; see eps-hil --help", 2
         case EpsHilError():
             message, status = str(error), error.exit_status
+        case _ if hasattr(error, "format_message"):  # wrong words, in click's own exception
+            message, status = f"{error.format_message().rstrip('.')}; see eps-hil --help", 2
         case SystemExit():
             raise error
         case _:

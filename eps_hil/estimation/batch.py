@@ -58,7 +58,7 @@ def estimate(
     stream = StreamEstimator(model, settings or EstimatorSettings(), periods)
     trace = stream.run(*events(series))
     first = min(int(s.t_ns[0]) for name, s in series.items() if name in SIGNALS)
-    keep = trace.t_ns >= first - 1_000_000_000
+    keep = trace.t_ns >= first
     return Trace(
         trace.t_ns[keep],
         trace.rack_force_n[keep],

@@ -7,12 +7,13 @@ is the judge of the estimator, so it must stay a stranger to it.
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[np.floating[Any]]
 
 INERTIA, RATIO, PINION = 2.0e-4, 2513.0, 125.7
 SUBSTEPS = 100

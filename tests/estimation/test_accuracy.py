@@ -20,7 +20,7 @@ from eps_hil.series import Series
 BASE = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s")
 MOVING_RAD_S = 1.0
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[np.floating[Any]]
 
 
 def series_of(truth: Any, names: tuple[str, ...] = BASE) -> dict[str, Series]:

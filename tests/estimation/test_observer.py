@@ -5,8 +5,9 @@ import pytest
 from scipy.linalg import expm
 
 from eps_hil.estimation.observer_design import design, transition
-from eps_hil.estimation.rack_force import Inputs, RackForceEstimator
+from eps_hil.estimation.rack_force import RackForceEstimator
 from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.setup import Inputs
 from eps_hil.physics.model import Model
 
 DT = 1e-3
@@ -59,7 +60,7 @@ def test_observer_is_stable(reference_model: Model, walk: float, angle: bool) ->
 
 @pytest.mark.parametrize("walk", [30.0, 100.0, 1000.0])
 def test_lag_is_what_a_ramp_shows(reference_model: Model, walk: float) -> None:
-    """A rack force that grows steadily is estimated ``lag_s`` late: count it on a noise-free ramp."""
+    """A rack force that grows steadily is estimated ``lag_s`` late, counted on a clean ramp."""
     settings = EstimatorSettings(
         force_walk_n_per_sqrt_s=walk,
         friction_compensation=False,

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eps_hil.estimation.rack_force import Inputs, Output, RackForceEstimator
+from eps_hil.estimation.rack_force import Output, RackForceEstimator
 from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.model import Model, load_model
 
@@ -48,8 +49,8 @@ def test_each_direction_has_its_own_friction(reference_model: Model) -> None:
 def test_limiter_takes_no_more_than_there_is(reference_model: Model) -> None:
     """Eq. 4a: at rest with a small torque the compensation may not turn the balance round."""
 
-    def after_slide(**switches: bool) -> float:
-        estimator = RackForceEstimator(reference_model, EstimatorSettings(**switches))
+    def after_slide(limiter: bool = True) -> float:
+        estimator = RackForceEstimator(reference_model, EstimatorSettings(limiter=limiter))
         run(estimator, Inputs(0.3, 0.0, 20.0), 1000)
         run(estimator, Inputs(0.3, 0.0, 0.0), 20)
         return run(estimator, Inputs(0.0, 0.0, 0.0), 2000).rack_force_n
@@ -66,12 +67,11 @@ def test_dead_zone_keeps_the_bristle_from_bleeding(reference_model: Model) -> No
         estimator = RackForceEstimator(
             reference_model, EstimatorSettings(dead_zone=dead_zone, limiter=False)
         )
-        run(estimator, Inputs(0.5, 0.0, 20.0), 1000)
-        held = [run(estimator, Inputs(0.5, 0.0, 0.0), 50).friction_torque_nm]
-        for _ in range(3000):
-            noise = 0.5 * rng.standard_normal()
-            held.append(estimator.step(Inputs(0.5, 0.0, noise)).friction_torque_nm)
-        return float(np.ptp(held[200:]))
+        held = []
+        for k in range(5000):
+            speed = (20.0 if k < 1000 else 0.0) + 0.5 * rng.standard_normal()
+            held.append(estimator.step(Inputs(0.5, 0.0, speed)).friction_torque_nm)
+        return float(np.ptp(held[1100:]))
 
     assert spread(dead_zone=True) < 0.02
     assert spread(dead_zone=False) > 0.05

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from eps_hil.estimation.batch import estimate, events, sample_periods_s
-from eps_hil.estimation.rack_force import Inputs, RackForceEstimator
+from eps_hil.estimation.rack_force import RackForceEstimator
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.stream import SIGNALS, StreamEstimator, Trace
+from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.stream import SIGNALS, Estimate, StreamEstimator, Trace
 from eps_hil.estimation.validity import Reason, words
 from eps_hil.physics.model import Delays, Model
 from eps_hil.series import Series
@@ -35,7 +36,7 @@ def moving(seconds: float = 3.0, start_ns: int = 0, seed: int = 0) -> dict[str, 
 
 def live(stream: StreamEstimator, series: dict[str, Series]) -> Trace:
     """Feed events one by one, as the service does."""
-    rows = []
+    rows: list[Estimate] = []
     for kind, t_ns, value in zip(*events(series), strict=True):
         if kind >= 0:
             stream.push(SIGNALS[kind], int(t_ns), float(value))
@@ -193,7 +194,7 @@ def test_batch_leaves_out_what_was_before_the_recording(reference_model: Model) 
     series = {n: one for n, one in moving(start_ns=10**18).items() if n in NAMES[:3]}
     trace = estimate(series, reference_model)
     assert np.all(np.diff(trace.t_ns) == MS)
-    assert trace.t_ns[0] >= 10**18 - 10**9
+    assert trace.t_ns[0] >= 10**18
 
 
 def test_words_for_people() -> None:

@@ -1,0 +1,53 @@
+"""Small things that verbs share about the files they write."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from eps_hil.errors import EpsHilError, InputError
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write ``content`` whole or not at all; NaN becomes null, as JSON has none."""
+    from eps_hil.recordings.files import replacing
+
+    text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def output_for(out: Path, recording: Path, several: bool) -> Path:
+    """The output file of one recording; with several recordings its name must hold {name}."""
+    if "{name}" in str(out):
+        return Path(str(out).replace("{name}", recording.stem))
+    if several:
+        raise InputError(
+            out,
+            "--out",
+            "one file for several recordings",
+            "put {name} into it, for example out/{name}_estimate.csv",
+        )
+    return out
+
+
+def check_different(out: Path, recording: Path) -> None:
+    """Refuse to write over the recording that is being read."""
+    if out.exists() and recording.exists() and out.resolve() == recording.resolve():
+        raise InputError(out, "--out", "is the recording itself", "choose another name")
+
+
+def need(condition: bool, message: str) -> None:
+    """Raise a plain error with ``message`` unless the condition holds."""
+    if not condition:
+        raise EpsHilError(message)
+
+
+def _plain(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {str(key): _plain(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_plain(value) for value in content]
+    if isinstance(content, float) and not math.isfinite(content):
+        return None
+    return content

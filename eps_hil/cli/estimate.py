@@ -1,0 +1,216 @@
+"""``eps-hil estimate REC…``: the rack force of recordings (CONTRACT 6)."""
+
+import enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from eps_hil.cli._files import check_different, output_for, write_json
+from eps_hil.cli._inputs import (
+    Channel,
+    Dbc,
+    Gaps,
+    GapsOption,
+    IgnoreUnknown,
+    RecordingPaths,
+    Signals,
+    read_recordings,
+)
+
+if TYPE_CHECKING:
+    from eps_hil.estimation.score import Score
+    from eps_hil.estimation.settings import EstimatorSettings
+    from eps_hil.estimation.stream import Trace
+    from eps_hil.physics.model import Model
+    from eps_hil.recordings.recording import Recording
+
+
+class Block(enum.StrEnum):
+    """A block of the estimator (PAPER fig. 8) that can be switched off."""
+
+    FRICTION_COMPENSATION = "friction-compensation"
+    EXTENSIONS = "extensions"
+    DEAD_ZONE = "dead-zone"
+    LIMITER = "limiter"
+    LOW_PASS = "low-pass"
+
+
+ModelPath = Annotated[Path, typer.Option("--model", help="Model file of the rig (YAML).")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("estimate")(estimate)
+
+
+def estimate(
+    recordings: RecordingPaths,
+    model: ModelPath,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Estimates (.csv, .parquet, .mf4); {name} = recording."),
+    ] = None,
+    json: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
+    settings: Annotated[
+        Path | None, typer.Option("--settings", help="Estimator settings (YAML).")
+    ] = None,
+    without: Annotated[
+        list[Block] | None, typer.Option("--without", help="Switch a block off; may repeat.")
+    ] = None,
+    friction: Annotated[
+        bool,
+        typer.Option("--friction", help="Rack force known: give the friction torque instead."),
+    ] = False,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    gaps: GapsOption = Gaps.REFUSE,
+    ignore_unknown: IgnoreUnknown = False,
+    channel: Channel = None,
+) -> None:
+    """Estimate the rack force of recordings.
+
+    --out holds time_s, rack_force_estimate_n, friction_torque_nm, valid; time_s is the physical
+    instant that a row speaks of. Where a recording has rack_force_n, the error is shown too.
+    """
+    from eps_hil.physics.model import load_model
+
+    rig = load_model(model)
+    chosen = _settings(settings, without or [], friction)
+    if out:
+        _check_out(out, recordings)
+    results = []
+    for path, recording in zip(
+        recordings,
+        read_recordings(
+            recordings,
+            dbc=dbc,
+            signals=signals,
+            gaps=gaps,
+            ignore_unknown=ignore_unknown,
+            channel=channel,
+        ),
+        strict=True,
+    ):
+        trace, result = _one(path, recording, rig, chosen)
+        results.append(result)
+        if out:
+            target = output_for(out, path, len(recordings) > 1)
+            _write(target, trace)
+            typer.echo(f"{path.name}: {len(trace.t_ns)} rows written to {target}")
+    if json:
+        write_json(
+            json,
+            {"schema": "eps-hil/estimate/1", "model": str(model), "recordings": results},
+        )
+
+
+def _settings(path: Path | None, without: list[Block], friction: bool) -> "EstimatorSettings":
+    from dataclasses import replace
+
+    from eps_hil import yaml_file
+    from eps_hil.estimation.settings import EstimatorSettings
+
+    chosen = yaml_file.load(path, EstimatorSettings) if path else EstimatorSettings()
+    names = {block.value.replace("-", "_") for block in without}
+    if "extensions" in names:
+        names = (names - {"extensions"}) | {"dead_zone", "limiter"}
+    changes: dict[str, Any] = dict.fromkeys(names, False)
+    if friction:
+        changes["quantity"] = "friction"
+    return replace(chosen, **changes)
+
+
+def _check_out(out: Path, recordings: list[Path]) -> None:
+    from eps_hil.recordings.write import check_writable_suffix
+
+    for path in recordings:
+        target = output_for(out, path, len(recordings) > 1)
+        check_writable_suffix(target)
+        check_different(target, path)
+
+
+def _one(
+    path: Path, recording: "Recording", rig: "Model", settings: "EstimatorSettings"
+) -> "tuple[Trace, dict[str, Any]]":
+    from eps_hil.errors import InputError
+    from eps_hil.estimation import batch
+    from eps_hil.estimation.score import score
+    from eps_hil.estimation.stream import StreamEstimator
+
+    try:
+        trace = batch.estimate(recording.series, rig, settings)
+        latency = StreamEstimator(rig, settings, batch.sample_periods_s(recording.series)).latency_s
+    except ValueError as error:
+        there = ", ".join(sorted(recording.series))
+        raise InputError(path, "", str(error), f"it holds {there}") from None
+    if not len(trace.t_ns):
+        raise InputError(
+            path, "", "is too short for one estimate", f"record more than {latency:.3f} s"
+        )
+    found = score(trace, recording.series, rig)
+    _say(path, recording, trace, found, latency)
+    return trace, _result(path, trace, found, latency)
+
+
+def _say(
+    path: Path,
+    recording: "Recording",
+    trace: "Trace",
+    found: "Score | None",
+    latency_s: float,
+) -> None:
+    typer.echo(
+        f"{path.name}: {len(trace.t_ns)} estimates, {100 * trace.valid.mean():.2f} % valid, "
+        f"latency {1e3 * latency_s:.1f} ms"
+    )
+    if "torque_sensor_nm" not in recording.series:
+        typer.echo(
+            f"{path.name}: no torsion-bar torque: what the driver holds counts as rack force",
+            err=True,
+        )
+    if found:
+        typer.echo(
+            f"{path.name}: error against the load cell: {found.rmse_moving_n:.1f} N rms moving, "
+            f"{found.rmse_overall_n:.1f} N rms overall, of {found.rms_force_n:.0f} N rms"
+        )
+
+
+def _result(path: Path, trace: "Trace", found: "Score | None", latency_s: float) -> dict[str, Any]:
+    import numpy as np
+
+    from eps_hil.estimation.validity import Reason
+
+    result: dict[str, Any] = {
+        "recording": str(path),
+        "rows": len(trace.t_ns),
+        "valid_share": float(trace.valid.mean()),
+        "latency_s": latency_s,
+        "reasons": {
+            bit.name.lower(): int(np.count_nonzero(trace.reason & int(bit)))
+            for bit in Reason
+            if bit and bit.name and np.any(trace.reason & int(bit))
+        },
+    }
+    if found:
+        result["rack_force_error_n"] = {
+            "rms_moving": found.rmse_moving_n,
+            "rms_overall": found.rmse_overall_n,
+            "bias_moving": found.bias_moving_n,
+            "rms_of_rack_force": found.rms_force_n,
+        }
+    return result
+
+
+def _write(target: Path, trace: "Trace") -> None:
+    from eps_hil.recordings.write import write_table
+
+    write_table(
+        target,
+        {
+            "rack_force_estimate_n": trace.rack_force_n,
+            "friction_torque_nm": trace.friction_torque_nm,
+            "valid": trace.valid,
+        },
+        t_ns=trace.t_ns,
+    )

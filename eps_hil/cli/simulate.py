@@ -1,0 +1,79 @@
+"""``eps-hil simulate``: a recording's inputs through the model (CONTRACT 6)."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from eps_hil.cli._files import check_different
+from eps_hil.cli._inputs import (
+    Channel,
+    Dbc,
+    Gaps,
+    GapsOption,
+    IgnoreUnknown,
+    Signals,
+    read_recordings,
+)
+from eps_hil.cli.estimate import ModelPath
+
+if TYPE_CHECKING:
+    from eps_hil.physics.model import Model
+    from eps_hil.recordings.recording import Recording
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("simulate")(simulate)
+
+
+def simulate(
+    model: ModelPath,
+    inputs: Annotated[Path, typer.Option("--inputs", help="Recording with torques and force.")],
+    out: Annotated[Path, typer.Option("--out", help="Simulated signals (.csv, .parquet, .mf4).")],
+    physical: Annotated[
+        bool,
+        typer.Option("--physical", help="Write physical instants, not what sensors report late."),
+    ] = False,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    gaps: GapsOption = Gaps.REFUSE,
+    ignore_unknown: IgnoreUnknown = False,
+    channel: Channel = None,
+) -> None:
+    """Run the recorded motor torque, torsion-bar torque and rack force through the model.
+
+    The output is a recording like the input: canonical columns at its stamps, each as late as the
+    model file says its sensor is, so that the two lie on top of each other if the model is right.
+    """
+    from eps_hil.physics.model import load_model
+    from eps_hil.recordings.write import check_writable_suffix, write_table
+
+    rig = load_model(model)
+    check_writable_suffix(out)
+    check_different(out, inputs)
+    (recording,) = read_recordings(
+        [inputs],
+        dbc=dbc,
+        signals=signals,
+        gaps=gaps,
+        ignore_unknown=ignore_unknown,
+        channel=channel,
+    )
+    t_ns, columns = _run(inputs, recording, rig, physical)
+    write_table(out, columns, t_ns=t_ns)
+    typer.echo(f"{inputs.name}: {len(t_ns)} rows simulated to {out}")
+
+
+def _run(path: Path, recording: "Recording", rig: "Model", physical: bool) -> Any:
+    from eps_hil.errors import InputError
+    from eps_hil.physics.forward import InputMissingError, forward
+
+    try:
+        result = forward(rig, recording.series, physical=physical)
+    except InputMissingError as error:
+        there = ", ".join(sorted(recording.series))
+        raise InputError(path, "", str(error), f"it holds {there}") from None
+    for note in result.notes:
+        typer.echo(f"{path.name}: {note}", err=True)
+    return result.t_ns, result.columns

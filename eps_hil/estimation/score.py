@@ -1,0 +1,92 @@
+"""How far an estimate is from the rig's load cell, overall and while the rotor moves."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.stream import Trace
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+MOVING_RAD_S = 1.0
+"""Above this rotor speed the rotor counts as moving: 0.4 mm/s at the rack of the reference rig."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Errors in newtons at the rack over the valid rows; NaN where there are no such rows."""
+
+    rmse_overall_n: float
+    rmse_moving_n: float
+    bias_moving_n: float
+    rms_force_n: float
+    rows: int
+
+
+VARIANTS: Mapping[str, Mapping[str, bool]] = {
+    "2Q-fa": {},
+    "no exten": {"dead_zone": False, "limiter": False},
+    "w/o FC": {"friction_compensation": False, "dead_zone": False, "limiter": False},
+}
+"""The paper's variants of figs 11 and 12, by their names there, as changes of the settings."""
+
+
+def variant(settings: EstimatorSettings, name: str) -> EstimatorSettings:
+    """The settings with the blocks switched off that variant ``name`` does without."""
+    return replace(settings, **VARIANTS[name])  # type: ignore[arg-type]
+
+
+def score(trace: Trace, series: Mapping[str, Series], model: Model) -> Score | None:
+    """Compare with ``rack_force_n`` of the recording; None where it has none.
+
+    The load cell and the speed that tells movement are read at the estimate's own instants, their
+    reporting delays taken out.
+    """
+    if "rack_force_n" not in series:
+        return None
+    keep = trace.valid & _inside(trace.t_ns, series["rack_force_n"])
+    t_ns = trace.t_ns[keep]
+    force = _at(t_ns, series["rack_force_n"], model.delays_s.of("rack_force_n"))
+    error = trace.rack_force_n[keep] - force
+    moving = np.abs(_speed(t_ns, series, model)) > MOVING_RAD_S
+    return Score(
+        _rms(error),
+        _rms(error[moving]),
+        float(np.mean(error[moving])) if moving.any() else float("nan"),
+        _rms(force),
+        len(error),
+    )
+
+
+def _speed(
+    t_ns: npt.NDArray[np.int64], series: Mapping[str, Series], model: Model
+) -> npt.NDArray[np.float64]:
+    """Rotor speed (rad/s) smoothed over 20 ms, so that noise at rest is no movement."""
+    if "motor_speed_rad_s" in series:
+        delay = model.delays_s.of("motor_speed_rad_s")
+        speed = series["motor_speed_rad_s"]
+        around = [_at(t_ns + k * 2_000_000, speed, delay) for k in range(-5, 6)]
+        return np.asarray(np.mean(around, axis=0))
+    delay = model.delays_s.of("motor_angle_rad")
+    after, before = (
+        _at(t_ns + shift, series["motor_angle_rad"], delay) for shift in (10_000_000, -10_000_000)
+    )
+    return np.asarray((after - before) / 20e-3)
+
+
+def _inside(t_ns: npt.NDArray[np.int64], one: Series) -> npt.NDArray[np.bool_]:
+    return np.asarray((t_ns >= one.t_ns[0]) & (t_ns <= one.t_ns[-1]))
+
+
+def _at(t_ns: npt.NDArray[np.int64], one: Series, delay_s: float) -> npt.NDArray[np.float64]:
+    good = np.isfinite(one.value)
+    stamps = one.t_ns[good] - round(delay_s * 1e9)
+    origin = stamps[0]  # differences are small enough for floats, stamps since 1970 are not
+    return np.asarray(np.interp(t_ns - origin, stamps - origin, one.value[good]))
+
+
+def _rms(values: npt.NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

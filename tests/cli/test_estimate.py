@@ -1,0 +1,217 @@
+"""``eps-hil estimate`` and ``eps-hil simulate`` as a user calls them."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.cli.main import main
+
+ROOT = Path(__file__).parents[2]
+MODEL = str(ROOT / "configs" / "reference_rig.yaml")
+NAMES = (
+    "time_s",
+    "motor_torque_nm",
+    "torque_sensor_nm",
+    "motor_speed_rad_s",
+    "motor_angle_rad",
+    "rack_force_n",
+)
+
+
+def write_csv(path: Path, truth: Any, names: tuple[str, ...] = NAMES, rows: int = 15000) -> Path:
+    table = np.column_stack([truth.columns[name][:rows] for name in names])
+    np.savetxt(path, table, delimiter=",", header=",".join(names), comments="", fmt="%.9g")
+    return path
+
+
+@pytest.fixture
+def weave(tmp_path: Path, weave_truth: Any) -> Path:
+    return write_csv(tmp_path / "weave.csv", weave_truth)
+
+
+def read(path: Path) -> Any:
+    return np.genfromtxt(path, delimiter=",", names=True)
+
+
+def test_estimate_writes_the_contracts_columns(
+    tmp_path: Path, weave: Path, weave_truth: Any
+) -> None:
+    out, summary = tmp_path / "e.csv", tmp_path / "e.json"
+    status = main(
+        ["estimate", str(weave), "--model", MODEL, "--out", str(out), "--json", str(summary)]
+    )
+    assert status == 0
+    assert out.read_text(encoding="utf-8").splitlines()[0] == (
+        "time_s,rack_force_estimate_n,friction_torque_nm,valid"
+    )
+    table = read(out)
+    assert np.all(np.diff(table["time_s"]) > 0)
+    truth = np.interp(table["time_s"], weave_truth.time_s, weave_truth.rack_force_n)
+    speed = np.interp(table["time_s"], weave_truth.time_s, weave_truth.speed_rad_s)
+    rows = (table["valid"] == 1) & (np.abs(speed) > 1)
+    error = table["rack_force_estimate_n"][rows] - truth[rows]
+    assert np.sqrt(np.mean(error**2)) < 20
+    (one,) = json.loads(summary.read_text(encoding="utf-8"))["recordings"]
+    assert one["rows"] == len(table)
+    assert one["valid_share"] == pytest.approx(np.mean(table["valid"]))
+    assert one["rack_force_error_n"]["rms_moving"] < 20
+
+
+def test_blocks_can_be_switched_off(
+    tmp_path: Path, weave: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    errors = {}
+    for block in ("friction-compensation", "extensions", "low-pass"):
+        summary = tmp_path / f"{block}.json"
+        words = ["estimate", str(weave), "--model", MODEL, "--without", block]
+        assert main([*words, "--json", str(summary)]) == 0
+        (one,) = json.loads(summary.read_text(encoding="utf-8"))["recordings"]
+        errors[block] = one["rack_force_error_n"]["rms_moving"]
+    assert errors["friction-compensation"] > 300
+    assert errors["extensions"] < 30
+    assert errors["low-pass"] < 30
+
+
+def test_friction_from_a_known_rack_force(tmp_path: Path, weave: Path) -> None:
+    out = tmp_path / "f.csv"
+    assert main(["estimate", str(weave), "--model", MODEL, "--friction", "--out", str(out)]) == 0
+    level = read(out)["friction_torque_nm"]
+    assert 0.05 < np.std(level) < 0.3
+
+
+def test_several_recordings_and_formats(tmp_path: Path, weave: Path, weave_truth: Any) -> None:
+    second = write_csv(tmp_path / "second.csv", weave_truth, rows=4000)
+    out = str(tmp_path / "{name}_estimate.parquet")
+    assert main(["estimate", str(weave), str(second), "--model", MODEL, "--out", out]) == 0
+    assert (tmp_path / "weave_estimate.parquet").exists()
+    assert (tmp_path / "second_estimate.parquet").exists()
+
+
+def test_the_torque_sensor_may_be_absent(
+    tmp_path: Path, weave_truth: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = ("time_s", "motor_torque_nm", "motor_speed_rad_s")
+    recording = write_csv(tmp_path / "bare.csv", weave_truth, names)
+    out = tmp_path / "e.csv"
+    assert main(["estimate", str(recording), "--model", MODEL, "--out", str(out)]) == 0
+    assert "no torsion-bar torque" in capsys.readouterr().err
+    assert np.mean(read(out)["valid"]) > 0.95
+
+
+def test_marked_gaps_make_the_estimate_invalid_for_a_while(tmp_path: Path, weave: Path) -> None:
+    lines = weave.read_text(encoding="utf-8").splitlines()
+    row = lines[5000].split(",")
+    row[1] = "nan"
+    lines[5000] = ",".join(row)
+    weave.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    out = tmp_path / "e.csv"
+    words = ["estimate", str(weave), "--model", MODEL, "--out", str(out)]
+    assert main(words) == 2
+    assert not out.exists()
+    assert main([*words, "--gaps", "mark"]) == 0
+    table = read(out)
+    bad = table["valid"] == 0
+    around = (table["time_s"] > 4.8) & (table["time_s"] < 5.3)
+    assert 50 < np.sum(bad & around) < 200
+    assert not np.any(bad & (table["time_s"] > 5.3))
+    assert np.all(np.isfinite(table["rack_force_estimate_n"]))
+
+
+def test_simulate_lies_on_the_recording(tmp_path: Path, independent_rig: Any, weave: Path) -> None:
+    """The same model in other code: speed and angle as its sensors report them."""
+    force = independent_rig.weave(6.0)
+    truth = independent_rig.run(
+        force, 0.0 * force, speed_noise=0.0, torque_noise=0.0, sensor_noise=0.0
+    )
+    recording = write_csv(tmp_path / "clean.csv", truth, rows=6000)
+    out = tmp_path / "s.csv"
+    assert main(["simulate", "--model", MODEL, "--inputs", str(recording), "--out", str(out)]) == 0
+    table = read(out)
+    measured = truth.columns["motor_speed_rad_s"]
+    error = table["motor_speed_rad_s"] - measured
+    fit = 100 * (1 - np.std(error) / np.std(measured))
+    assert fit > 90
+
+
+def test_simulation_can_be_estimated(
+    tmp_path: Path, weave: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, summary = tmp_path / "s.csv", tmp_path / "s.json"
+    assert main(["simulate", "--model", MODEL, "--inputs", str(weave), "--out", str(out)]) == 0
+    assert main(["estimate", str(out), "--model", MODEL, "--json", str(summary)]) == 0
+    (one,) = json.loads(summary.read_text(encoding="utf-8"))["recordings"]
+    assert one["rack_force_error_n"]["rms_moving"] < 20
+
+
+def test_physical_instants_differ_by_the_delays(tmp_path: Path, weave: Path) -> None:
+    columns = []
+    for words in ([], ["--physical"]):
+        out = tmp_path / f"s{len(words)}.csv"
+        base = ["simulate", "--model", MODEL, "--inputs", str(weave), "--out", str(out)]
+        assert main([*base, *words]) == 0
+        columns.append(read(out)["motor_speed_rad_s"])
+    reported, physical = columns
+    assert np.allclose(reported[4:], physical[:-4], atol=1e-9)
+
+
+HEADER = "time_s,motor_torque_nm,torque_sensor_nm,motor_speed_rad_s\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (HEADER + "0,1,0,2\n0.001,oops,0,2\n", "line 3, column motor_torque_nm"),
+        (HEADER + "0.001,1,0,2\n0,1,0,2\n", "time goes back"),
+        (HEADER + "0,1,0,2\n0.001,inf,0,2\n", "line 3, column motor_torque_nm"),
+        ("time_s,motor_torque_nm,foo\n0,1,2\n", "foo"),
+        ("", "empty"),
+        ("time_s,motor_torque_nm\n0,1\n0.001,1\n", "motor_speed_rad_s or motor_angle_rad"),
+        ("time_s,motor_speed_rad_s\n0,1\n0.001,1\n", "motor_torque_nm"),
+        (HEADER + "0,1,0,2\n0.001,1,0,2\n", "too short"),
+    ],
+)
+def test_bad_recordings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, said: str
+) -> None:
+    recording = tmp_path / "bad.csv"
+    recording.write_text(content, encoding="utf-8")
+    for words in (["estimate", str(recording)], ["simulate", "--inputs", str(recording)]):
+        out = tmp_path / "out.csv"
+        status = main([*words, "--model", MODEL, "--out", str(out)])
+        err = capsys.readouterr().err
+        if words[0] == "simulate" and ("short" in said or "speed_rad_s or" in said):
+            continue  # a simulation needs no speed, and no length
+        assert status == 2
+        assert err.count("\n") == 1
+        assert "bad.csv" in err
+        assert said in err
+        assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--model", "none.yaml"], "none.yaml: no such file"),
+        ([], "Missing option '--model'"),
+        (["--model", MODEL, "--out", "x.txt"], ".txt"),
+        (["--model", MODEL, "--without", "everything"], "everything"),
+        (["--model", MODEL, "--settings", "none.yaml"], "none.yaml"),
+    ],
+)
+def test_bad_words(
+    weave: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    assert main(["estimate", str(weave), *words]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert said in captured.err
+
+
+def test_out_may_not_be_the_recording(weave: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = weave.read_bytes()
+    assert main(["estimate", str(weave), "--model", MODEL, "--out", str(weave)]) == 2
+    assert weave.read_bytes() == before
+    assert "recording itself" in capsys.readouterr().err

@@ -1,0 +1,69 @@
+"""The command itself: statuses, one line for every error, a traceback only on request."""
+
+import subprocess
+import sys
+
+import pytest
+import typer
+
+from eps_hil.cli import main as command
+from eps_hil.errors import EpsHilError, InputError, SafetyStop
+
+
+def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["--version"]) == 0
+    assert "eps-hil" in capsys.readouterr().out
+    assert command.main(["--help"]) == 0
+    assert "estimate" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (InputError("f.csv", "line 3", "is wrong", "mend it"), 2),
+        (EpsHilError("disk full"), 1),
+        (SafetyStop("speed"), 3),
+        (KeyboardInterrupt(), 130),
+        (ZeroDivisionError("oh"), 1),
+        (BrokenPipeError(), 0),
+    ],
+)
+def test_every_error_has_its_status(
+    error: BaseException,
+    status: int,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(**_words: object) -> None:
+        raise error
+
+    monkeypatch.setattr(command, "app", fail)
+    assert command.main([]) == status
+    shown = capsys.readouterr().err
+    assert "Traceback" not in shown
+    assert shown.count("\n") == (0 if isinstance(error, BrokenPipeError) else 1)
+    if status not in (0, 130):
+        command.main(["--debug"])
+        assert "Traceback" in capsys.readouterr().err
+
+
+def test_debug_may_stand_after_the_verb(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["estimate", "none.csv", "--model", "none.yaml", "--debug"]) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_help_imports_nothing_heavy() -> None:
+    """Import time is a feature: the face of the command needs no numba, scipy or pandas."""
+    code = (
+        "import sys; from eps_hil.cli.main import main; main(['--help']); "
+        "heavy = {'numba', 'scipy', 'pandas', 'matplotlib', 'pyarrow', 'asammdf', 'can', "
+        "'cantools', 'numpy'} & set(sys.modules); sys.exit(f'heavy: {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_all_verbs_have_a_sentence() -> None:
+    group = typer.main.get_command(command.app)
+    for name, verb in group.commands.items():  # type: ignore[attr-defined]
+        assert verb.help, name
