@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from eps_hil.errors import EpsHilError, InputError
+from eps_hil.errors import InputError
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -35,12 +35,6 @@ def check_different(out: Path, recording: Path) -> None:
     """Refuse to write over the recording that is being read."""
     if out.exists() and recording.exists() and out.resolve() == recording.resolve():
         raise InputError(out, "--out", "is the recording itself", "choose another name")
-
-
-def need(condition: bool, message: str) -> None:
-    """Raise a plain error with ``message`` unless the condition holds."""
-    if not condition:
-        raise EpsHilError(message)
 
 
 def _plain(content: Any) -> Any:
