@@ -35,7 +35,7 @@ def convert(
 
     A CAN log becomes a table with --dbc and --signals, or another CAN log (.log, .blf, .asc).
     """
-    from eps_hil.recordings.convert import convert as convert_file
+    from eps_hil.recordings.conversion import convert as convert_file
 
     with progress(f"converting {source.name}") as on_progress:
         notes = convert_file(

@@ -16,6 +16,7 @@ import numpy as np
 from eps_hil.errors import InputError
 from eps_hil.recordings.files import read_bytes
 from eps_hil.recordings.table import (
+    EPOCH_S,
     MARK_REMEDY,
     TIME_NS,
     Floats,
@@ -30,7 +31,6 @@ from eps_hil.signals import TIME
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
-_EPOCH_S = 1e6  # from here on the product t * 1e9 may miss the nanosecond that the text names
 _WHAT = "a CSV file with one header line of canonical names was expected"
 
 
@@ -120,6 +120,7 @@ def _split(path: Path, raw: bytes) -> tuple[str, bytes]:
 
 
 def _names(path: Path, header: str, body: bytes) -> list[str]:
+    header = re.sub(r"[ \t]*,[ \t]*", ",", header.strip())
     try:
         names = [name.strip() for name in next(csv.reader([header], strict=True), [])]
     except csv.Error:
@@ -140,10 +141,10 @@ def _column_is_empty(body: bytes, commas: int) -> bool:
 
 def _plain(path: Path, body: bytes, names: list[str], columns: dict[str, int]) -> bytes:
     """The body without quotes, blanks around cells, and commas that end every line."""
-    if b'"' in body:
-        body = _unquoted(path, body, set(columns.values()), names)
     if b" " in body or b"\t" in body:
         body = re.sub(rb"[ \t]*([,\n])[ \t]*", rb"\1", body.lstrip(b" \t"))
+    if b'"' in body:
+        body = _unquoted(path, body, set(columns.values()), names)
     first = body.lstrip(b"\n").partition(b"\n")[0]
     if first.count(b",") == len(names) and _column_is_empty(body, len(names)):
         body = body.replace(b",\n", b"\n")
@@ -155,7 +156,7 @@ def _unquoted(path: Path, body: bytes, used: set[int], names: list[str]) -> byte
     lines = []
     for number, line in enumerate(body.decode("latin-1").split("\n")[:-1], start=2):
         try:
-            row = next(csv.reader([line], strict=True, skipinitialspace=True), [])
+            row = next(csv.reader([line], strict=True), [])
         except csv.Error:
             raise InputError(path, f"line {number}", "quotes do not match", "mend them") from None
         for index, cell in enumerate(row):
@@ -235,7 +236,7 @@ def _stamps(
     name = TIME_NS if TIME_NS in columns else TIME
     seconds = values[name] * (1e-9 if name == TIME_NS else 1.0)
     t_ns = stamps_from_seconds(path, seconds, line_of, column=f"column {name}")
-    if np.abs(seconds).max() < _EPOCH_S:
+    if np.abs(seconds).max() < EPOCH_S:
         return t_ns
     index = columns[name]
     cells = line_of.kept([line.split(b",", index + 1)[index] for _, line in _lines(body)])

@@ -7,6 +7,7 @@ rule for empty cells. MF4 files of raw CAN frames ("bus logging") go through ``c
 import contextlib
 import io
 import logging
+import traceback
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -41,7 +42,7 @@ def has_bus_frames(path: Path) -> bool:
 def read_mf4(
     path: Path, *, gaps: str, ignore_unknown: bool
 ) -> tuple[dict[str, Series], tuple[str, ...]]:
-    """Series of every canonical channel, and notes."""
+    """Series of every canonical channel, in the order of CONTRACT 2, and notes."""
     with _opened(path) as mdf:
         masters = set(mdf.masters_db.items())
         places = [
@@ -64,7 +65,8 @@ def read_mf4(
                 notes += (f"channel {name}: {marked} bad samples marked",) if marked else ()
             else:
                 notes += (f"channel {name} has no sample: left out",)
-    return series, notes
+    order = [*CANONICAL, VALID]
+    return dict(sorted(series.items(), key=lambda item: order.index(item[0]))), notes
 
 
 def write_mf4(path: Path, t_ns: Stamps, columns: Mapping[str, Floats]) -> None:
@@ -103,6 +105,7 @@ def _opened(path: Path) -> Iterator[Any]:
         except InputError:
             raise
         except Exception as error:  # asammdf has no error base: struct, Key, zlib, its own
+            _lay_to_rest(error)
             problem = f"is not readable as MF4 ({type(error).__name__})"
             raise InputError(path, "", problem, "record or export it again") from None
 
@@ -118,6 +121,14 @@ def _quiet() -> Iterator[None]:
             yield
     finally:
         log.setLevel(before)
+
+
+def _lay_to_rest(error: Exception) -> None:
+    """Mark what asammdf had half built as closed, or its ``__del__`` writes to stderr."""
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        unfinished: Any = frame.f_locals.get("self")
+        if type(unfinished).__module__.startswith("asammdf") and hasattr(unfinished, "_closed"):
+            unfinished._closed = True
 
 
 def _epoch_ns(start: datetime) -> int:

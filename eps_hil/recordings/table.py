@@ -25,6 +25,9 @@ TIME_NS = "time_ns"
 VALID = "valid"
 """0/1 beside a published estimate: status, not a signal of its own."""
 
+EPOCH_S = 1e6
+"""From here on t * 1e9 may miss the nanosecond that a decimal text names: parse the text."""
+
 _ESTIMATES = ("rack_force_estimate_n", "friction_torque_nm")
 _NS = 1_000_000_000
 _EXACT_S = 2**53 / _NS  # up to here a float of seconds names every nanosecond

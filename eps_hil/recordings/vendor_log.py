@@ -18,6 +18,7 @@ from eps_hil.recordings.files import needs_extra, refused_by_system
 
 _NS = 1_000_000_000
 _RELATIVE_S = 1e6  # smaller stamps count from the start and are exact to the nanosecond
+_MUCH = 1 << 16
 _LOGGERS = ("can", "asammdf")
 
 
@@ -32,6 +33,7 @@ class VendorLog:
         self._kind = path.suffix.lower()
         self._frames = 0
         self._file: Any = None
+        self._reader: Any = None
         self._size = max(path.stat().st_size, 1)
         self.notes: list[str] = []
 
@@ -53,15 +55,18 @@ class VendorLog:
             except InputError:
                 raise
             except Exception as error:
-                if not self._frames or self._position() < self._size or self._kind == ".mf4":
+                if not self._frames or not self._at_end():
                     raise self._broken(error) from None
-                self.notes.append(f"the file is cut off after {self._frames} frames")
+                self.notes.append(f"the file is damaged or cut off after {self._frames} frames")
             finally:
                 if self._file is not None:
                     self._file.close()
+                elif self._reader is not None:
+                    self._reader.stop()
 
     def _messages(self) -> Iterator[tuple[str, Frame]]:
         reader, start_ns = self._open()
+        self._reader = reader
         first_channel = 1 if self._kind in (".blf", ".asc") else 0
         for message in reader:
             if not self._frames:
@@ -97,6 +102,10 @@ class VendorLog:
         if self._file is None or self._file.closed:
             return self._size if self._frames else 0
         return int(getattr(self._file, "buffer", self._file).tell())
+
+    def _at_end(self) -> bool:
+        """Whether nothing follows: the logger was stopped in the middle of a frame."""
+        return self._file is not None and not self._file.read(_MUCH).strip()
 
     def _broken(self, error: Exception) -> InputError:
         kind = self._kind.removeprefix(".").upper()

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from eps_hil.errors import InputError
 from eps_hil.recordings.files import replacing
-from eps_hil.recordings.table import TIME_NS, VALID, Stamps, seconds_to_ns
+from eps_hil.recordings.table import EPOCH_S, TIME_NS, VALID, Stamps, seconds_to_ns
 from eps_hil.signals import TIME
 
 TABLE_SUFFIXES = (".csv", ".parquet", ".mf4")
@@ -31,7 +31,8 @@ def write_table(path: str | Path, columns: Columns, *, t_ns: Stamps | None = Non
     """Write equally long columns; the format is the suffix (.csv, .parquet, .mf4).
 
     ``columns``: arrays of shape (n,), canonical names, ``time_s`` among them unless ``t_ns``
-    (int64 ns) gives the time exactly. Floats round-trip bit for bit; ``valid``, booleans and
+    (int64 ns) gives the time exactly. Floats round-trip bit for bit (but float epoch times are
+    taken to the microsecond, which is what they resolve); ``valid``, booleans and
     integers are written as integers; NaN is written as an empty cell (MF4: no sample). Where
     floats of seconds cannot hold ``t_ns``, Parquet also gets an int64 column ``time_ns``.
     Raises :class:`InputError` for a wrong suffix or folder, :class:`EpsHilError` for a full disk.
@@ -66,7 +67,7 @@ def _plain(name: str, column: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _write_csv(path: Path, columns: Columns, t_ns: Stamps) -> None:
-    exact = np.array_equal(seconds_to_ns(columns[TIME]), t_ns)
+    exact = np.abs(columns[TIME]).max(initial=0.0) < EPOCH_S
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(",".join(columns) + "\n")
         for start in range(0, len(t_ns), _ROWS):

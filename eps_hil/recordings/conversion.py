@@ -35,8 +35,9 @@ def convert(
     """Convert ``source`` to the format that ``target``'s suffix names; return the notes.
 
     Into a table the rows are the union of all time stamps, and a signal has an empty cell where it
-    has no sample: read back, every signal has exactly the samples it had. Into a CAN log the
-    frames keep their order, channel and (to the microsecond) their stamps; ASC counts from its
+    has no sample: read back, every signal has exactly the samples it had (but a frame that was
+    lost beside others of its instant is a hole in the table, and is told as one). Into a CAN log
+    the frames keep their order, channel and (to the microsecond) their stamps; ASC counts from its
     first frame.
     """
     source, target = Path(source), Path(target)

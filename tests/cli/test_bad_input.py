@@ -1,0 +1,57 @@
+"""Wrong input through the command: status 2 and one line that names file, place and remedy."""
+
+from pathlib import Path
+
+import pytest
+
+from eps_hil.cli.main import main
+
+HEADER = b"time_s,motor_torque_nm,motor_speed_rad_s\n"
+
+CASES = [
+    ("text.csv", HEADER + b"0,1,2\n1,abc,2\n", "line 3, column motor_torque_nm: 'abc'"),
+    ("backwards.csv", HEADER + b"1,1,2\n0,1,2\n", "line 3, column time_s: time goes back"),
+    ("unknown.csv", b"time_s,motor_torqe_nm\n0,1\n", "rename it to motor_torque_nm"),
+    ("empty.csv", b"", "is empty"),
+    ("header.csv", HEADER, "nothing follows the header"),
+    ("nan.csv", HEADER + b"0,nan,2\n", "line 2, column motor_torque_nm: is NaN or infinite"),
+    ("inf.csv", HEADER + b"0,1,inf\n", "line 2, column motor_speed_rad_s: is NaN or infinite"),
+    ("semicolon.csv", b"time_s;motor_torque_nm\n0,5;1,5\n", "separated by a semicolon"),
+    ("bytes.csv", bytes(range(256)), "line 1: holds binary data"),
+    ("bytes.parquet", bytes(range(256)), "is not readable as Parquet"),
+    ("bytes.mf4", bytes(range(256)), "is not readable as MF4"),
+    ("bytes.blf", bytes(range(256)), "is not readable as BLF"),
+    ("bytes.asc", bytes(range(256)), "holds no CAN frame"),
+    ("bytes.trc", bytes(range(256)), "holds no CAN frame"),
+    ("bytes.log", bytes(range(256)), "is not a candump line"),
+    ("log.log", b"(1.0) can0 123#00\n", "no mapped frame occurs"),
+    ("text.doc", b"text", "is no recording"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "expected"), CASES, ids=[case[0] for case in CASES])
+def test_convert_says_what_is_wrong_in_one_line(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+    content: bytes,
+    expected: str,
+) -> None:
+    path, target = tmp_path / name, tmp_path / "out.csv"
+    path.write_bytes(content)
+    root = Path(__file__).parents[2]
+    status = main(
+        [
+            "convert", str(path), str(target),
+            "--dbc", str(root / "dbc" / "eps_rig.dbc"),
+            "--signals", str(root / "configs" / "eps_rig_signals.yaml"),
+        ]
+    )  # fmt: skip
+    captured = capsys.readouterr()
+    assert status == 2
+    assert captured.out == ""
+    assert captured.err.startswith(f"eps-hil: {path}: ")
+    assert captured.err.count("\n") == 1
+    assert expected in captured.err
+    assert "; " in captured.err  # a remedy follows the problem
+    assert not target.exists()

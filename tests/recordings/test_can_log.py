@@ -1,0 +1,254 @@
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eps_hil.bus.frame import Frame
+from eps_hil.errors import InputError
+from eps_hil.recordings.can_log import read_frames
+from eps_hil.recordings.read import read_recording
+
+LogWriter = Callable[[str, list[Frame]], Path]
+
+ROOT = Path(__file__).parents[2]
+DBC = [ROOT / "dbc" / "eps_rig.dbc"]
+SIGNALS = ROOT / "configs" / "eps_rig_signals.yaml"
+START_NS = 1_757_617_431_821_276_000
+FORMATS = ("log", "blf", "asc", "trc")
+
+
+def _candump(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "a.log"
+    path.write_text(text)
+    return path
+
+
+def _refused(path: Path, **options: object) -> str:
+    with pytest.raises(InputError) as caught:
+        list(read_frames(path, **options))  # type: ignore[arg-type]
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_every_format_gives_the_same_frames(
+    write_log: LogWriter, rig_frames: list[Frame], kind: str
+) -> None:
+    frames = list(read_frames(write_log(f"a.{kind}", rig_frames)))
+    start_ns = START_NS if kind == "asc" else 0  # ASC counts from its first frame
+    assert frames == [replace(frame, t_ns=frame.t_ns - start_ns) for frame in rig_frames]
+
+
+def test_mf4_bus_logging_gives_the_same_frames(
+    write_log: LogWriter, rig_frames: list[Frame]
+) -> None:
+    now_ns = 4_000_000_000 * 10**9  # python-can's writer wants stamps after its own start
+    later = [replace(f, t_ns=f.t_ns - START_NS + now_ns) for f in rig_frames[:60]]
+    frames = list(read_frames(write_log("a.mf4", later)))
+    assert [replace(f, t_ns=0) for f in frames] == [replace(f, t_ns=0) for f in later]
+    # the writer keeps floats of seconds after its own start: the last microsecond is lost there
+    assert max(abs(a.t_ns - b.t_ns) for a, b in zip(frames, later, strict=True)) <= 1000
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_signals_are_the_same_from_every_format(
+    write_log: LogWriter, rig_frames: list[Frame], kind: str
+) -> None:
+    path = write_log(f"a.{kind}", rig_frames)
+    recording = read_recording(path, dbc=DBC, signals=SIGNALS)
+    speed = recording.series["motor_speed_rad_s"]
+    cycle = np.arange(300)
+    np.testing.assert_allclose(speed.value, 20 * np.sin(0.02 * cycle), atol=0.6e-4)
+    offset = 0 if kind == "asc" else START_NS
+    np.testing.assert_allclose(speed.t_ns - offset, cycle * 1_000_000, atol=2_000)
+    assert len(recording.series["steering_wheel_angle_rad"].t_ns) == 30
+    assert len(recording.series["rack_force_n"].t_ns) == 300
+    assert any("never occur: motor_temperature_degc" in note for note in recording.notes)
+
+
+def test_candump_line_by_line(tmp_path: Path) -> None:
+    path = _candump(
+        tmp_path,
+        "(1757617431.821276) can0 123#DEADBEEF\n"
+        "\n"
+        "(1757617431.821276123) can0 00000123#  R\n"
+        "(1757617431.9) can0 123##1AABB T\r\n"
+        "(1757617432.0) can0 123#R8\n"
+        "(1757617432.1) can0 20000080#0000000000000000\n"
+        "(1757617432.2) can0 7ff#0102030405060708_9\n",
+    )
+    second = 1_757_617_431_000_000_000
+    assert list(read_frames(path)) == [
+        Frame(second + 821_276_000, 0x123, b"\xde\xad\xbe\xef"),
+        Frame(second + 821_276_123, 0x123, b"", extended=True),
+        Frame(second + 900_000_000, 0x123, b"\xaa\xbb", fd=True, brs=True, own=True),
+        Frame(second + 1_000_000_000, 0x123, b"", remote=True),
+        Frame(second + 1_100_000_000, 0x80, bytes(8), extended=True, error=True),
+        Frame(second + 1_200_000_000, 0x7FF, bytes(range(1, 9))),
+    ]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "hello",
+        "(1.0) can0 123",
+        "(1.0) can0 12#00",
+        "(1.0) can0 123#0",
+        "(1.0) can0 123#000102030405060708",
+        "(x.0) can0 123#00",
+        "1.0 can0 123#00",
+        "(1.0) 123#00",
+    ],
+)
+def test_bad_candump_line_is_named(tmp_path: Path, line: str) -> None:
+    text = f"(1.0) can0 123#00\n{line}\n(2.0) can0 123#00\n"
+    assert "a.log: line 2: " in _refused(_candump(tmp_path, text))
+
+
+def test_log_that_was_cut_off_is_read_up_to_there(tmp_path: Path) -> None:
+    notes: list[str] = []
+    path = _candump(tmp_path, "(1.0) can0 123#00\n(2.0) can0 12")
+    assert len(list(read_frames(path, notes=notes))) == 1
+    assert notes == ["line 2 is cut off: left out"]
+
+
+def test_bad_asc_line_is_named(write_log: LogWriter, rig_frames: list[Frame]) -> None:
+    path = write_log("a.asc", rig_frames[:20])
+    lines = path.read_text().splitlines()
+    lines[9] = lines[9][:-2] + "XY"
+    path.write_text("\n".join(lines))
+    assert "a.asc: after line 10: is not readable as ASC (ValueError)" in _refused(path)
+
+
+def test_asc_with_relative_stamps_is_refused(write_log: LogWriter, rig_frames: list[Frame]) -> None:
+    path = write_log("a.asc", rig_frames[:20])
+    path.write_text(path.read_text().replace("timestamps absolute", "timestamps relative"))
+    assert "relative to the event before; export with absolute" in _refused(path)
+
+
+def test_slight_disorder_is_sorted_and_told(tmp_path: Path) -> None:
+    notes: list[str] = []
+    path = _candump(tmp_path, "(1.0) a 1F0#\n(1.2) a 1F1#\n(1.1) b 1F2#\n(1.3) a 1F3#\n")
+    ids = [frame.can_id for frame in read_frames(path, notes=notes)]
+    assert ids == [0x1F0, 0x1F2, 0x1F1, 0x1F3]
+    assert notes == ["1 frames were out of order: sorted by stamp"]
+
+
+def test_time_that_jumps_back_is_refused(tmp_path: Path) -> None:
+    path = _candump(tmp_path, "(5.0) a 1F0#\n(9.0) a 1F1#\n(5.1) a 1F2#\n")
+    assert "a.log: line 3: time goes back by 3.9 s; split the log there" in _refused(path)
+
+
+def test_buses_are_told_apart(tmp_path: Path) -> None:
+    path = _candump(tmp_path, "(1.0) can0 100#\n(1.1) can1 101#\n(1.2) can1 100#\n")
+    assert len(list(read_frames(path))) == 3
+    assert len(list(read_frames(path, channel="can1"))) == 2
+    assert len(list(read_frames(path, ids=[0x101]))) == 1
+    assert "id 0x100 is on channel can0 and on can1; choose one with --channel" in _refused(
+        path, ids=[0x100]
+    )
+    assert len(list(read_frames(path, ids=[0x100], channel="can1"))) == 1
+    assert "channel can7: does not occur; the log has: can0, can1" in _refused(path, channel="can7")
+
+
+def test_vendor_channels_count_from_one(tmp_path: Path, rig_frames: list[Frame]) -> None:
+    path = tmp_path / "a.blf"
+    with can.Logger(path) as log:
+        for number in (0, 1):
+            log.on_message_received(can.Message(timestamp=1e9 + number, channel=number))
+    assert [f.t_ns for f in read_frames(path, channel="2")] == [1_000_000_001 * 10**9]
+
+
+def test_log_needs_database_and_mapping(tmp_path: Path) -> None:
+    path = _candump(tmp_path, "(1.0) can0 7E0#00\n")
+    for options, missing in (
+        ({}, "needs --dbc and --signals;"),
+        ({"dbc": DBC}, "needs --signals;"),
+        ({"signals": SIGNALS}, "needs --dbc;"),
+    ):
+        with pytest.raises(InputError) as caught:
+            read_recording(path, **options)
+        assert missing in str(caught.value)
+    with pytest.raises(InputError, match=r"a\.log: no mapped frame occurs \(ids 0x100, 0x101"):
+        read_recording(path, dbc=DBC, signals=SIGNALS)
+
+
+def test_frames_with_a_wrong_crc_become_bad_samples(
+    write_log: LogWriter, rig_frames: list[Frame]
+) -> None:
+    frames = list(rig_frames)
+    position = next(i for i, f in enumerate(frames) if i > 100 and f.can_id == 0x101)
+    frames[position] = replace(frames[position], data=bytes(8))
+    recording = read_recording(write_log("a.log", frames), dbc=DBC, signals=SIGNALS)
+    assert np.isnan(recording.series["motor_torque_nm"].value).sum() == 1
+    assert not np.isnan(recording.series["motor_speed_rad_s"].value).any()
+    assert "1 frames with a wrong CRC: marked bad" in recording.notes
+
+
+def test_progress_ends_at_one(write_log: LogWriter, rig_frames: list[Frame]) -> None:
+    for kind in FORMATS:
+        heard: list[float] = []
+        list(read_frames(write_log(f"a.{kind}", rig_frames * 5), on_progress=heard.append))
+        assert heard == sorted(heard)
+        assert heard[-1] == 1.0
+        assert all(0 <= fraction <= 1 for fraction in heard)
+
+
+@settings(max_examples=60, deadline=None)
+@given(cut=st.floats(0.0, 0.999), kind=st.sampled_from(FORMATS))
+def test_truncated_log_is_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, rig_frames: list[Frame], cut: float, kind: str
+) -> None:
+    folder = tmp_path_factory.mktemp("cut")
+    whole, part = folder / f"whole.{kind}", folder / f"part.{kind}"
+    with can.Logger(whole) as log:
+        for frame in rig_frames[:40]:
+            log.on_message_received(
+                can.Message(
+                    timestamp=frame.t_ns / 1e9,
+                    arbitration_id=frame.can_id,
+                    is_extended_id=False,
+                    data=frame.data,
+                )
+            )
+    content = whole.read_bytes()
+    part.write_bytes(content[: int(cut * len(content))])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            count = len(list(read_frames(part)))
+        except InputError:
+            return
+    assert 0 < count <= 40
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    changes=st.lists(st.tuples(st.floats(0, 0.999), st.integers(0, 255)), min_size=1, max_size=4),
+    kind=st.sampled_from(FORMATS),
+)
+def test_damaged_log_is_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory,
+    rig_frames: list[Frame],
+    changes: list[tuple[float, int]],
+    kind: str,
+) -> None:
+    path = tmp_path_factory.mktemp("damaged") / f"a.{kind}"
+    with can.Logger(path) as log:
+        for frame in rig_frames[:20]:
+            log.on_message_received(can.Message(timestamp=frame.t_ns / 1e9, data=frame.data))
+    content = bytearray(path.read_bytes())
+    for where, byte in changes:
+        content[int(where * len(content))] = byte
+    path.write_bytes(bytes(content))
+    try:
+        count = len(list(read_frames(path)))
+    except InputError:
+        return
+    assert 0 < count <= 21

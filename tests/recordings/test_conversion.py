@@ -1,0 +1,139 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eps_hil.bus.frame import Frame
+from eps_hil.errors import InputError
+from eps_hil.recordings.can_log import read_frames
+from eps_hil.recordings.conversion import convert
+from eps_hil.recordings.read import read_recording
+
+LogWriter = Callable[[str, list[Frame]], Path]
+
+ROOT = Path(__file__).parents[2]
+DBC = [ROOT / "dbc" / "eps_rig.dbc"]
+SIGNALS = ROOT / "configs" / "eps_rig_signals.yaml"
+START_NS = 1_757_617_431_821_276_000
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mf4"])
+def test_table_of_a_log_holds_exactly_its_samples(
+    tmp_path: Path, write_log: LogWriter, rig_frames: list[Frame], kind: str
+) -> None:
+    log = write_log("a.log", rig_frames)
+    table = tmp_path / f"a.{kind}"
+    convert(log, table, dbc=DBC, signals=SIGNALS)
+    direct = read_recording(log, dbc=DBC, signals=SIGNALS).series
+    through = read_recording(table).series
+    assert set(through) == set(direct)
+    for name, one in direct.items():
+        np.testing.assert_array_equal(through[name].t_ns, one.t_ns)
+        np.testing.assert_array_equal(through[name].value, one.value)
+
+
+def test_lost_frame_is_a_hole_of_the_table(
+    tmp_path: Path, write_log: LogWriter, rig_frames: list[Frame]
+) -> None:
+    torques = [i for i, frame in enumerate(rig_frames) if frame.can_id == 0x101]
+    log = write_log("a.log", [f for i, f in enumerate(rig_frames) if i != torques[150]])
+    notes = convert(log, tmp_path / "a.csv", dbc=DBC, signals=SIGNALS)
+    assert "1 frames are missing, by their counter" in notes
+    with pytest.raises(InputError, match="column motor_torque_nm: is empty in a filled column"):
+        read_recording(tmp_path / "a.csv")
+    series = read_recording(tmp_path / "a.csv", gaps="mark").series
+    speed, torque = series["motor_speed_rad_s"], series["motor_torque_nm"]
+    assert not np.isnan(speed.value).any()
+    assert np.flatnonzero(np.isnan(torque.value)).tolist() == [150]
+    assert torque.t_ns[150] == speed.t_ns[150]
+
+
+@pytest.mark.parametrize("chain", [("parquet", "csv"), ("mf4", "csv"), ("parquet", "mf4", "csv")])
+def test_tables_convert_without_loss(tmp_path: Path, chain: tuple[str, ...]) -> None:
+    source = tmp_path / "start.csv"
+    source.write_text(
+        "time_s,motor_torque_nm,motor_speed_rad_s,rack_force_estimate_n,valid\n"
+        "1757617431.821276123,0.30000000000000004,1.0,,0\n"
+        "1757617431.822276123,1e-300,,-17.25,1\n"
+        "1757617431.823276123,3.0,-5e-324,2.5,1\n"
+        "1757617431.824276123,4.0,,1e+22,1\n"
+    )
+    path = source
+    for step, suffix in enumerate(chain):
+        target = tmp_path / f"{step}.{suffix}"
+        assert convert(path, target) == ()
+        path = target
+    assert path.read_text() == source.read_text()
+
+
+@pytest.mark.parametrize("chain", [("blf", "log"), ("asc", "blf", "asc"), ("trc", "log")])
+def test_logs_convert_into_each_other(
+    tmp_path: Path, write_log: LogWriter, rig_frames: list[Frame], chain: tuple[str, ...]
+) -> None:
+    frames = [
+        replace(frame, extended=i % 3 == 0, own=i % 2 == 0, fd=i % 5 == 0)
+        for i, frame in enumerate(rig_frames)
+    ]
+    plain = rig_frames if "trc" in chain else frames
+    path = write_log(f"start.{chain[0]}", plain)
+    for step, suffix in enumerate(chain[1:]):
+        target = tmp_path / f"{step}.{suffix}"
+        convert(path, target)
+        path = target
+    shift = START_NS if "asc" in chain else 0
+    expected = [replace(frame, t_ns=frame.t_ns - shift, own=False) for frame in plain]
+    assert [replace(frame, own=False) for frame in read_frames(path)] == expected
+
+
+def test_candump_survives_a_trip_through_blf(tmp_path: Path) -> None:
+    text = (
+        "(1757617431.821276) can0 123#DEADBEEF R\n"
+        "(1757617431.821277) can1 00000123# T\n"
+        "(1757617431.900001) can0 123##1AABB R\n"
+        "(1757617432.000000) can0 123#R R\n"
+    )
+    (tmp_path / "a.log").write_text(text)
+    convert(tmp_path / "a.log", tmp_path / "a.blf")
+    convert(tmp_path / "a.blf", tmp_path / "b.log")
+    assert (tmp_path / "b.log").read_text() == text
+
+
+def test_log_that_counts_from_zero_keeps_its_stamps_in_blf(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text("(12.345678) can0 123#00 R\n(13.000000) can0 123#00 R\n")
+    convert(tmp_path / "a.log", tmp_path / "a.blf")
+    assert [frame.t_ns for frame in read_frames(tmp_path / "a.blf")] == [
+        12_345_678_000,
+        13_000_000_000,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "expected"),
+    [
+        ("a.csv", "b.xlsx", "b.xlsx: suffix '.xlsx' cannot be written; use .csv, .parquet, .mf4"),
+        ("a.csv", "b.trc", "b.trc: suffix '.trc' cannot be written"),
+        ("a.csv", "b.blf", "a.csv: holds columns, which cannot become CAN frames"),
+        ("a.csv", "a.csv", "a.csv: is the input itself"),
+        ("a.log", "b.csv", "a.log: is a CAN log, which needs --dbc and --signals"),
+        ("no.csv", "b.parquet", "no.csv: no such file"),
+        ("no.log", "b.blf", "no.log: no such file"),
+        ("a.csv", "no/b.csv", "no does not exist"),
+        ("a.log", "no/b.blf", "no does not exist"),
+    ],
+)
+def test_what_cannot_be_converted(tmp_path: Path, source: str, target: str, expected: str) -> None:
+    (tmp_path / "a.csv").write_text("time_s,rack_force_n\n0,1\n")
+    (tmp_path / "a.log").write_text("(1.0) can0 123#00\n")
+    with pytest.raises(InputError) as caught:
+        convert(tmp_path / source, tmp_path / target)
+    assert expected in str(caught.value)
+
+
+def test_broken_log_leaves_no_target(tmp_path: Path) -> None:
+    lines = "".join(f"({i}.0) can0 123#00\n" for i in range(20))
+    (tmp_path / "a.log").write_text(lines + "broken\n")
+    with pytest.raises(InputError, match="line 21"):
+        convert(tmp_path / "a.log", tmp_path / "a.blf")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.log"]

@@ -1,0 +1,168 @@
+import builtins
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import asammdf
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from eps_hil.errors import InputError
+from eps_hil.recordings.read import SUFFIXES, read_recording
+from eps_hil.recordings.write import write_table
+
+DBC = Path(__file__).parents[2] / "dbc" / "eps_rig.dbc"
+SIGNALS = Path(__file__).parents[2] / "configs" / "eps_rig_signals.yaml"
+
+
+def _refused(path: Path, **options: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        read_recording(path, **options)
+    text = str(caught.value)
+    assert text.startswith(str(path))
+    assert "\n" not in text
+    return text
+
+
+def _parquet(path: Path, columns: Mapping[str, Any]) -> Path:
+    pyarrow.parquet.write_table(pyarrow.table(dict(columns)), path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [*SUFFIXES, ".CSV", ".Blf"])
+def test_missing_file_folder_and_empty_file(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    assert "no such file; check the path" in _refused(path, dbc=[DBC], signals=SIGNALS)
+    path.touch()
+    assert "is empty" in _refused(path, dbc=[DBC], signals=SIGNALS)
+    path.unlink()
+    path.mkdir()
+    assert "is a folder" in _refused(path, dbc=[DBC], signals=SIGNALS)
+
+
+def test_unreadable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*_: object, **__: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(Path, "open", forbidden)
+    assert "may not be read; check its permissions" in _refused(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("name", ["a.xlsx", "a", "a.csv.bak"])
+def test_unknown_suffix_lists_the_known_ones(tmp_path: Path, name: str) -> None:
+    assert "known: .csv, .parquet, .mf4, .log, .blf, .asc, .trc" in _refused(tmp_path / name)
+
+
+@pytest.mark.parametrize(("suffix", "library"), [("parquet", "pyarrow"), ("mf4", "asammdf")])
+def test_missing_extra_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, library: str
+) -> None:
+    real_import = builtins.__import__
+
+    def without(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name.partition(".")[0] == library:
+            raise ImportError(name)
+        return real_import(name, *args, **kwargs)
+
+    path = tmp_path / f"a.{suffix}"
+    write_table(path, {"time_s": np.zeros(1), "rack_force_n": np.zeros(1)})
+    monkeypatch.setattr(builtins, "__import__", without)
+    assert f'pip install "eps_hil[{suffix}]"' in _refused(path)
+
+
+def test_parquet_problems_name_row_and_column(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    time = [0.0, 1.0, 2.0]
+    _parquet(path, {"time_s": time, "rack_force_n": ["a", "b", "c"]})
+    assert "column rack_force_n: holds string, not numbers" in _refused(path)
+    _parquet(path, {"time_s": time, "rack_force_n": [1.0, float("nan"), 2.0]})
+    assert "row 2, column rack_force_n: is NaN or infinite" in _refused(path)
+    _parquet(path, {"time_s": [0.0, 1.0, 0.5], "rack_force_n": time})
+    assert "row 3, column time_s: time goes back" in _refused(path)
+    _parquet(path, {"time_s": [0.0, None, 0.5], "rack_force_n": time})
+    assert "row 2, column time_s: is empty" in _refused(path)
+    _parquet(path, {"time_s": time, "rack_force": time})
+    assert "rename it to rack_force_n" in _refused(path)
+    _parquet(path, {"time_s": pyarrow.array([], pyarrow.float64()), "rack_force_n": time[:0]})
+    assert "column rack_force_n: holds" in _refused(path) or "no rows" in _refused(path)
+
+
+def test_parquet_integers_booleans_and_decimals_are_numbers(tmp_path: Path) -> None:
+    columns = {
+        "time_s": pyarrow.array([0, 1, 2], pyarrow.int32()),
+        "rack_force_n": pyarrow.array([1, None, 3], pyarrow.int64()),
+        "motor_torque_nm": pyarrow.array([1, 2, 3]).cast(pyarrow.decimal128(22, 3)),
+        "valid": pyarrow.array([True, False, True]),
+    }
+    series = read_recording(_parquet(tmp_path / "a.parquet", columns)).series
+    assert series["rack_force_n"].t_ns.tolist() == [0, 2_000_000_000]
+    assert series["motor_torque_nm"].value.tolist() == [1.0, 2.0, 3.0]
+
+
+def _mf4(path: Path, channels: Mapping[str, Any], time: list[float]) -> Path:
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.header.abs_time = 0
+        for name, samples in channels.items():
+            mdf.append(
+                asammdf.Signal(np.array(samples), np.array(time), name=name, encoding="utf-8")
+            )
+        mdf.save(path, overwrite=True)
+    return path
+
+
+def test_mf4_problems_name_sample_and_channel(tmp_path: Path) -> None:
+    path = tmp_path / "a.mf4"
+    good = [1.0, 2.0, 3.0]
+    _mf4(path, {"rack_force_n": [1.0, np.nan, 2.0]}, good)
+    assert "sample 2, channel rack_force_n: is NaN" in _refused(path)
+    marked = read_recording(path, gaps="mark")
+    np.testing.assert_array_equal(marked.series["rack_force_n"].value, [1.0, np.nan, 2.0])
+    assert marked.notes == ("channel rack_force_n: 1 bad samples marked",)
+    _mf4(path, {"rack_force_n": good}, [0.0, 1.0, 1.0])
+    assert "sample 3, channel rack_force_n: time repeats" in _refused(path)
+    _mf4(path, {"rack_force_n": [b"a", b"b", b"c"]}, good)
+    assert "channel rack_force_n: does not hold plain numbers" in _refused(path)
+    _mf4(path, {"RackForce": good}, good)
+    assert "rename it to rack_force_n" in _refused(path)
+    _mf4(path, {"RackForce": good, "motor_torque_nm": good}, good)
+    assert list(read_recording(path, ignore_unknown=True).series) == ["motor_torque_nm"]
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(content=st.binary(min_size=0, max_size=400), suffix=st.sampled_from(SUFFIXES))
+@example(content=b"LOGG" + bytes(200), suffix=".blf")
+@example(content=b"MDF     4.10    " + bytes(400), suffix=".mf4")
+@example(content=b"PAR1" + bytes(40) + b"PAR1", suffix=".parquet")
+@example(content=b"date Mon\nbase hex\n0.1 1 1 Rx d 9 xx\n", suffix=".asc")
+@example(content=b";$FILEVERSION=2.1\n;$STARTTIME=x\n1 2 3\n", suffix=".trc")
+@example(content=b"(1.0) can0 123#0", suffix=".log")
+def test_random_bytes_are_refused_under_every_suffix(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, suffix: str
+) -> None:
+    path = tmp_path_factory.mktemp("random") / f"a{suffix}"
+    path.write_bytes(content)
+    _refused(path, dbc=[DBC], signals=SIGNALS)
+    _refused(path)
+
+
+@settings(max_examples=40, deadline=None)
+@given(cut=st.floats(0.0, 0.999), suffix=st.sampled_from((".csv", ".parquet", ".mf4")))
+def test_truncated_table_is_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, cut: float, suffix: str
+) -> None:
+    folder = tmp_path_factory.mktemp("cut")
+    whole, part = folder / f"whole{suffix}", folder / f"part{suffix}"
+    time = np.arange(300) * 0.001
+    write_table(whole, {"time_s": time, "rack_force_n": time, "motor_torque_nm": time})
+    content = whole.read_bytes()
+    part.write_bytes(content[: int(cut * len(content))])
+    try:
+        series = read_recording(part).series
+    except InputError:
+        return
+    assert suffix == ".csv" or cut > 0.5  # Parquet and MF4 end with their index
+    assert 0 < len(series["rack_force_n"].t_ns) <= 300
