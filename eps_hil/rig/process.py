@@ -134,6 +134,8 @@ class Rig:
         self._announce(limit_ms)
         self._warm_up()
         self._say(f"timing: {settle(self._setup.rig.realtime)}")
+        while self._port.recv(0.0):
+            pass  # what was commanded before we were ready is out of date
         pacer = Pacer()
         try:
             while not self._stop and simulation.millisecond < limit_ms:

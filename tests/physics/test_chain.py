@@ -453,3 +453,13 @@ class TestEnergy:
         _, lines = drive(chain, 1.5, lambda _: 2.0, no_input)
         assert 0.08 < lines[:, POSITION].max() < 0.1
         assert lines[-1, POSITION] < 0.0865
+
+
+def test_the_documentation_lists_the_eigenfrequencies() -> None:
+    text = (CONFIGS.parent / "docs" / "theory-plant.md").read_text(encoding="utf-8")
+    for order in ORDERS[1:]:
+        line = next(line for line in text.splitlines() if line.startswith(f"| {order} | "))
+        listed = [float(word) for word in line.split("|")[4].split(",")]
+        values = np.linalg.eigvals(system(build_chain(model, parameters, order)))
+        found = sorted(np.abs(values[values.imag > 1]) / (2 * np.pi))
+        assert listed == pytest.approx(found, abs=0.05)
