@@ -111,6 +111,8 @@ class ServiceCore:
         """Receive stamp of the last sync frame."""
         self.load_cell: deque[tuple[int, float]] = deque(maxlen=512)
         """The newest (stamp, rack force of the rig), to show beside the estimate."""
+        self.record: list[tuple[int, Estimate]] | None = None
+        """Where a list is put here, (sync stamp, estimate) of every step is appended to it."""
         self._encoder, self._send_ids = encoder, send_ids
         self._foreign_t_ns: int | None = None
 
@@ -154,6 +156,8 @@ class ServiceCore:
         self.sync_t_ns = receive_ns
         self.steps += 1
         self.valid_steps += estimate.valid
+        if self.record is not None:
+            self.record.append((receive_ns, estimate))
         if self._encoder is None:
             return None
         age_s = (receive_ns - estimate.t_ns) * 1e-9

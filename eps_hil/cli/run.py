@@ -1,0 +1,104 @@
+"""``eps-hil run``: the service on a bus (CONTRACT 6)."""
+
+import contextlib
+import select
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("run")(run)
+
+
+def run(
+    config: Annotated[
+        Path | None, typer.Option("--config", help="Configuration of the service (YAML).")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", min=0.0, help="End after so many seconds.")
+    ] = None,
+    status_line: Annotated[
+        bool | None,
+        typer.Option("--status-line/--no-status-line", help="A live line (default: on a terminal)"),
+    ] = None,
+    log_estimates: Annotated[
+        Path | None, typer.Option("--log-estimates", help="Write every estimate to this CSV file.")
+    ] = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of the configuration and end.")
+    ] = False,
+) -> None:
+    """Estimate the rack force live on a CAN bus and publish it there.
+
+    Says at start what it listens to and what it will send; ends on Ctrl-C or SIGTERM with a
+    last frame of status "off" and a summary.
+    """
+    if schema:
+        import json
+
+        from eps_hil.service.config import config_schema
+
+        typer.echo(json.dumps(config_schema(), indent=2))
+        return
+    if config is None:
+        raise typer.BadParameter("a configuration file is needed", param_hint="'--config'")
+    _run(config, duration, _live_line(status_line), log_estimates)
+
+
+def _run(
+    config: Path, duration: float | None, show: Callable[[str], None] | None, log_path: Path | None
+) -> None:
+    import asyncio
+
+    from eps_hil.service.config import load_config
+    from eps_hil.service.estimate_log import EstimateLog
+    from eps_hil.service.loop import Service
+    from eps_hil.service.setup import describe, prepare
+
+    parts = prepare(load_config(config), config)
+    for line in describe(parts):
+        _say(line)
+    log = EstimateLog(log_path) if log_path else None
+    parts.estimator.warm_up()
+    service = Service(
+        parts,
+        _say,
+        show=None if show is None else lambda snapshot: show(snapshot.line()),
+        log=log,
+    )
+    try:
+        asyncio.run(service.run(duration))
+    finally:
+        if log is not None:
+            log.close()
+        if show is not None:
+            show("")
+        for line in service.summary().lines() if service.ready else []:
+            _say(line)
+
+
+def _say(line: str) -> None:
+    """A reader that went away must not end the service."""
+    with contextlib.suppress(BrokenPipeError):
+        typer.echo(line)
+        sys.stdout.flush()
+
+
+def _live_line(wanted: bool | None) -> Callable[[str], None] | None:
+    """How to show a line over the last one; None where it is not wanted."""
+    stream: Any = sys.stderr
+    if not (stream.isatty() if wanted is None else wanted):
+        return None
+
+    def show(text: str) -> None:
+        # A terminal that was stopped (Ctrl-S) would block the loop: skip the line instead.
+        if select.select([], [stream], [], 0)[1]:
+            stream.write(f"\r\x1b[2K{text}")
+            stream.flush()
+
+    return show

@@ -1,0 +1,184 @@
+"""From a configuration to parts that fit together, or one line that says why they do not.
+
+Everything that can be refused is refused here, before the bus is opened.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from eps_hil.bus.codec import FrameDecoder, FrameEncoder
+from eps_hil.bus.database import find_message, load_database, nearest
+from eps_hil.bus.mapping import SignalMapping, load_mapping
+from eps_hil.errors import InputError
+from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.stream import SIGNALS, StreamEstimator
+from eps_hil.physics.model import load_model
+from eps_hil.service.config import ServiceConfig
+from eps_hil.service.core import ServiceCore
+
+_PUBLISHED = ("RackForceEstimate", "EstimateStatus")
+"""What a message must have at least to carry an estimate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """A service that is ready for a bus. Encoders are None where nothing is sent."""
+
+    config: ServiceConfig
+    database: Any
+    mapping: SignalMapping
+    decoder: FrameDecoder
+    estimator: StreamEstimator
+    core: ServiceCore
+    silent: FrameEncoder | None
+    """Encodes the same message where nothing is estimated, with a counter of its own: the
+    counter of the estimates must not depend on how often a timer of ours fired."""
+    health: FrameEncoder | None
+    sync_period_s: float
+
+    @property
+    def send_ids(self) -> tuple[int, ...]:
+        """The only ids that the port will be allowed to send."""
+        return tuple(e.can_id for e in (self.silent, self.health) if e is not None)
+
+
+def prepare(config: ServiceConfig, file: str | Path) -> Parts:
+    """Load, connect and check; ``file`` is the configuration's path, named in errors."""
+    mapping = service_mapping(load_mapping(config.signals))
+    database = load_database(config.dbc, strict=mapping.strict)
+    dbc_file = " + ".join(path.name for path in config.dbc)
+    decoder = FrameDecoder(database, mapping, mapping_file=config.signals, dbc_file=dbc_file)
+    encoders = _encoders(config, database, file, dbc_file)
+    send_ids = frozenset((e.can_id, e.extended) for e in encoders if e is not None)
+    for can_id, _ in sorted(send_ids):
+        if can_id in decoder.receive_ids:
+            raise InputError(
+                config.signals, f"id 0x{can_id:X}", "is both listened to and sent",
+                f"publish under another message, or set publish.enabled: false in {file}",
+            )  # fmt: skip
+    estimator = _estimator(config, mapping, decoder, file)
+    core = ServiceCore(decoder, estimator, encoders[0], send_ids)
+    return Parts(
+        config=config,
+        database=database,
+        mapping=mapping,
+        decoder=decoder,
+        estimator=estimator,
+        core=core,
+        silent=encoders[1],
+        health=encoders[2],
+        sync_period_s=_sync_period_s(mapping, decoder),
+    )
+
+
+def service_mapping(mapping: SignalMapping) -> SignalMapping:
+    """The part of a mapping that the estimator reads: one file serves recorders as well.
+
+    What is left out (vehicle signals, our own estimate) costs no decoding and is not received.
+    """
+    signals = {name: source for name, source in mapping.signals.items() if name in SIGNALS}
+    if not signals:
+        return mapping  # the estimator will say what it misses
+    carriers = {source.carrier for source in signals.values()} | {mapping.sync_message}
+    messages = {name: rules for name, rules in mapping.messages.items() if name in carriers}
+    return replace(mapping, signals=signals, messages=messages)
+
+
+def _encoders(
+    config: ServiceConfig, database: Any, file: str | Path, dbc_file: str
+) -> tuple[FrameEncoder | None, FrameEncoder | None, FrameEncoder | None]:
+    publish = config.publish
+    if not publish.enabled:
+        return None, None, None
+
+    def encoder(name: str, place: str, needed: tuple[str, ...]) -> FrameEncoder:
+        message = find_message(database, name)
+        if message is None:
+            raise InputError(
+                file, place, f"{dbc_file} has no message {name}",
+                nearest(name, (each.name for each in database.messages)),
+            )  # fmt: skip
+        missing = [each for each in needed if each not in message.signal_tree]
+        if missing:
+            raise InputError(
+                file, place, f"message {name} has no signal {', '.join(missing)}",
+                "see docs/reference-bus.md for what it must carry",
+            )  # fmt: skip
+        if message.is_fd and not config.bus.fd:
+            raise InputError(file, place, f"{name} is a CAN FD message", "set bus.fd: true")
+        return FrameEncoder(database, name, dbc_file=dbc_file)
+
+    estimate = encoder(publish.message, "publish.message", _PUBLISHED)
+    silent = encoder(publish.message, "publish.message", _PUBLISHED)
+    if publish.health_message is None:
+        return estimate, silent, None
+    return estimate, silent, encoder(publish.health_message, "publish.health_message", ())
+
+
+def _estimator(
+    config: ServiceConfig, mapping: SignalMapping, decoder: FrameDecoder, file: str | Path
+) -> StreamEstimator:
+    model = load_model(config.model)
+    for name, source in mapping.signals.items():
+        if source.carrier is not None and name not in decoder.period_s:
+            raise InputError(
+                config.dbc[0], source.carrier, f"has no cycle time, which {name} needs",
+                "add GenMsgCycleTime",
+            )  # fmt: skip
+    settings = derived_settings(config.estimator, mapping)
+    try:
+        return StreamEstimator(model, settings, decoder.period_s)
+    except ValueError as error:
+        raise InputError(config.signals, "signals", str(error), "map the signal") from None
+
+
+def derived_settings(settings: EstimatorSettings, mapping: SignalMapping) -> EstimatorSettings:
+    """A ``window_s`` that the mapping gives to a derived speed goes before the estimator's."""
+    speed = mapping.signals.get("motor_speed_rad_s")
+    if speed is None or speed.window_s is None:
+        return settings
+    return replace(settings, speed_window_s=speed.window_s)
+
+
+def _sync_period_s(mapping: SignalMapping, decoder: FrameDecoder) -> float:
+    sync = mapping.sync_message
+    return min(
+        (decoder.period_s[n] for n, s in mapping.signals.items() if s.carrier == sync),
+        default=1e-3,
+    )
+
+
+def describe(parts: Parts) -> Iterator[str]:
+    """What the service listens to and what it will send, line by line."""
+    config, mapping = parts.config, parts.mapping
+    yield f"bus        {config.bus}"
+    yield f"model      {config.model}"
+    for message in _messages(parts):
+        names = [n for n, s in mapping.signals.items() if s.carrier == message.name]
+        sync = ", the estimator steps on it" if message.name == mapping.sync_message else ""
+        yield (
+            f"listen     0x{message.frame_id:X} {message.name} every {message.cycle_time} ms"
+            f"{sync}: {', '.join(names)}"
+        )
+    for name, source in mapping.signals.items():
+        if source.derived:
+            yield f"derive     {name} from {source.derive_from}"
+    sends = (
+        (parts.silent, config.publish.message, "with every sync frame"),
+        (parts.health, config.publish.health_message, f"every {config.publish.health_period_s} s"),
+    )
+    for encoder, message_name, when in sends:
+        if encoder is not None:
+            yield f"send       0x{encoder.can_id:X} {message_name} {when}"
+    if not parts.send_ids:
+        yield "send       nothing (publish.enabled: false)"
+    latency_ms = parts.estimator.latency_s * 1e3
+    yield f"look-back  {latency_ms:.1f} ms from the sync frame back to the instant estimated"
+
+
+def _messages(parts: Parts) -> list[Any]:
+    carriers = {source.carrier for source in parts.mapping.signals.values()}
+    found = [message for message in parts.database.messages if message.name in carriers]
+    return sorted(found, key=lambda message: int(message.frame_id))
