@@ -63,18 +63,30 @@ def read_tagged_frames(
     check_readable(path)
     log: _Log = CandumpLog(path) if path.suffix.lower() == ".log" else VendorLog(path)
     wanted = None if ids is None else frozenset(ids)
-    yield from _of_one_bus(path, _ordered(path, log, on_progress), wanted, channel)
+    chosen = _of_one_bus(path, _watched(log, on_progress), wanted, channel)
+    yield from _ordered(path, log, chosen)
     if notes is not None:
         notes.extend(log.notes)
 
 
+def _watched(log: _Log, on_progress: Callable[[float], None] | None) -> Iterator[tuple[str, Frame]]:
+    if on_progress is None:
+        yield from log
+        return
+    for number, tagged in enumerate(log):
+        if number % _REPORT_EVERY == 0:
+            on_progress(log.fraction)
+        yield tagged
+    on_progress(1.0)
+
+
 def _ordered(
-    path: Path, log: _Log, on_progress: Callable[[float], None] | None
+    path: Path, log: _Log, frames: Iterator[tuple[str, Frame]]
 ) -> Iterator[tuple[str, Frame]]:
     waiting: list[tuple[int, int, str, Frame]] = []
     newest = -(2**63)
     moved = 0
-    for number, (channel, frame) in enumerate(log):
+    for number, (channel, frame) in enumerate(frames):
         if frame.t_ns < newest:
             moved += 1
             if frame.t_ns < newest - _LOOK_AHEAD_NS:
@@ -86,14 +98,10 @@ def _ordered(
         heapq.heappush(waiting, (frame.t_ns, number, channel, frame))
         while waiting[0][0] < newest - _LOOK_AHEAD_NS:
             yield heapq.heappop(waiting)[2:]
-        if on_progress is not None and number % _REPORT_EVERY == 0:
-            on_progress(log.fraction)
     while waiting:
         yield heapq.heappop(waiting)[2:]
     if moved:
         log.notes.append(f"{moved} frames were out of order: sorted by stamp")
-    if on_progress is not None:
-        on_progress(1.0)
 
 
 def _of_one_bus(

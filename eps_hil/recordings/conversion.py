@@ -1,17 +1,20 @@
 """One recording format to another: tables to tables, CAN logs to tables, CAN logs to CAN logs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from eps_hil.bus.frame import Frame
 from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_tagged_frames
 from eps_hil.recordings.files import refused_by_system, replacing
 from eps_hil.recordings.read import is_can_log, read_columns
-from eps_hil.recordings.table import from_series
+from eps_hil.recordings.table import ESTIMATES, from_series
 from eps_hil.recordings.write import TABLE_SUFFIXES, write_table
+from eps_hil.series import Series
 
 LOG_SUFFIXES = (".log", ".blf", ".asc")
 """CAN logs that can be written. Not TRC: its writer drops CAN FD, remote and error frames."""
@@ -67,7 +70,18 @@ def convert(
         raise InputError(source, "", "no signal has a value", "record at least one")
     t_ns, columns = from_series(series)
     write_table(target, columns, t_ns=t_ns)
-    return notes
+    return (*notes, *_told(series, suffix))
+
+
+def _told(series: Mapping[str, Series], suffix: str) -> tuple[str, ...]:
+    """What becomes of bad samples; not of an estimate's, which ``valid`` explains."""
+    bad = [
+        name for name, one in series.items() if name not in ESTIMATES and np.isnan(one.value).any()
+    ]
+    if not bad:
+        return ()
+    fate = "left out" if suffix == ".mf4" else "empty cells: read the table with --gaps mark"
+    return (f"bad samples of {', '.join(bad)} are {fate}",)
 
 
 def _log_to_log(

@@ -71,7 +71,8 @@ def read_log(
         raise InputError(path, "", problem, "check the mapping, the DBC and the bus")
     notes += [f"{count} {_FAULTS[fault]}" for fault, count in decoder.faults.items() if count]
     notes += _absent(mapping.signals, samples)
-    return {name: _series(name, *samples[name], notes) for name in samples}, tuple(notes)
+    series = {name: _series(name, *samples[name], notes) for name in samples}
+    return series, tuple(notes)
 
 
 def _absent(mapped: Mapping[str, object], samples: Mapping[str, Samples]) -> list[str]:
@@ -89,4 +90,6 @@ def _series(name: str, times: "array[int]", values: "array[float]", notes: list[
     if not kept.all():
         count = int(np.count_nonzero(~kept))
         notes.append(f"{name}: {count} samples do not advance in time: left out")
+    if (bad := int(np.count_nonzero(np.isnan(value[kept])))) > 0:
+        notes.append(f"{name}: {bad} of {len(t_ns)} samples are marked bad")
     return Series(t_ns[kept].copy(), value[kept].copy())

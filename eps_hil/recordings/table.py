@@ -5,7 +5,8 @@ an empty cell may be "no sample at that time" (harmless) or a hole in the data (
 as a bad sample). :func:`to_series` tells the two apart by the company a signal keeps: a signal
 that is there in more than half of the rows in which some other signal is there belongs with it,
 and is missing where only the other one is found. With one full column beside it this is the plain
-rule "at most half of the cells filled: another rate; more: a hole".
+rule "at most half of the cells filled: another rate; more: a hole". Before a signal's first sample
+it is simply not there yet.
 """
 
 import difflib
@@ -28,7 +29,7 @@ VALID = "valid"
 EPOCH_S = 1e6
 """From here on t * 1e9 may miss the nanosecond that a decimal text names: parse the text."""
 
-_ESTIMATES = ("rack_force_estimate_n", "friction_torque_nm")
+ESTIMATES = ("rack_force_estimate_n", "friction_torque_nm")
 _NS = 1_000_000_000
 _EXACT_S = 2**53 / _NS  # up to here a float of seconds names every nanosecond
 _RANGE_S = 9.2e9  # what fits into int64 nanoseconds
@@ -128,7 +129,7 @@ def to_series(path: Path, table: Table, *, gaps: str) -> tuple[dict[str, Series]
     bad: dict[str, Flags] = {}
     for name, column in table.columns.items():
         bad[name] = np.isinf(column) | holes[name]
-        if name in _ESTIMATES:
+        if name in ESTIMATES:
             bad[name] &= ~excused
     notes = list(table.notes)
     if gaps == "refuse":
@@ -136,7 +137,7 @@ def to_series(path: Path, table: Table, *, gaps: str) -> tuple[dict[str, Series]
     series = {}
     for name, column in table.columns.items():
         kept = filled[name] | holes[name]
-        if name in _ESTIMATES:
+        if name in ESTIMATES:
             kept |= excused
         if not filled[name].any():
             notes.append(f"column {name} has no value: left out")
@@ -182,6 +183,8 @@ def _holes(filled: Mapping[str, Flags], rows: int) -> dict[str, Flags]:
                 holes[name] |= company & ~there
         if _belongs(there):
             holes[name] |= nothing
+        if there.any():
+            holes[name][: int(np.argmax(there))] = False  # it starts later: no hole
     return holes
 
 

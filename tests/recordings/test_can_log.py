@@ -189,6 +189,7 @@ def test_frames_with_a_wrong_crc_become_bad_samples(
     assert np.isnan(recording.series["motor_torque_nm"].value).sum() == 1
     assert not np.isnan(recording.series["motor_speed_rad_s"].value).any()
     assert "1 frames with a wrong CRC: marked bad" in recording.notes
+    assert "motor_torque_nm: 1 of 300 samples are marked bad" in recording.notes
 
 
 def test_progress_ends_at_one(write_log: LogWriter, rig_frames: list[Frame]) -> None:

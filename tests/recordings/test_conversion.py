@@ -131,6 +131,25 @@ def test_what_cannot_be_converted(tmp_path: Path, source: str, target: str, expe
     assert expected in str(caught.value)
 
 
+def test_bad_samples_are_told_and_survive(
+    tmp_path: Path, write_log: LogWriter, rig_frames: list[Frame]
+) -> None:
+    frames = list(rig_frames)
+    position = [i for i, frame in enumerate(frames) if frame.can_id == 0x101][150]
+    frames[position] = replace(frames[position], data=bytes(8))  # wrong CRC
+    log = write_log("a.log", frames)
+    notes = convert(log, tmp_path / "a.csv", dbc=DBC, signals=SIGNALS)
+    assert notes[-1] == (
+        "bad samples of motor_torque_nm, torque_sensor_nm are empty cells: "
+        "read the table with --gaps mark"
+    )
+    direct = read_recording(log, dbc=DBC, signals=SIGNALS).series
+    through = read_recording(tmp_path / "a.csv", gaps="mark").series
+    for name, one in direct.items():
+        np.testing.assert_array_equal(through[name].t_ns, one.t_ns)
+        np.testing.assert_array_equal(through[name].value, one.value)
+
+
 def test_broken_log_leaves_no_target(tmp_path: Path) -> None:
     lines = "".join(f"({i}.0) can0 123#00\n" for i in range(20))
     (tmp_path / "a.log").write_text(lines + "broken\n")

@@ -134,6 +134,13 @@ def test_half_rate_may_start_and_end_the_file(tmp_path: Path) -> None:
     assert len(_read(tmp_path, HEADER + rows).series["motor_torque_nm"].t_ns) == 3
 
 
+def test_signal_may_start_later(tmp_path: Path) -> None:
+    recording = _read(
+        tmp_path, HEADER + "0,,2\n1,,2\n" + "".join(f"{i},1,2\n" for i in range(2, 9))
+    )
+    assert recording.series["motor_torque_nm"].t_ns[0] == 2_000_000_000
+
+
 def test_gaps_mark_keeps_bad_samples_as_nan(tmp_path: Path) -> None:
     text = HEADER + "0,1,2\n1,,2\n2,NaN,2\n3,-inf,2\n4,1e999,2\n5,6,2\n6,7,2\n7,8,2\n8,9,2\n"
     recording = _read(tmp_path, text, gaps="mark")
