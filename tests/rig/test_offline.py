@@ -1,8 +1,11 @@
 """Recordings of the simulated rig: motion as in the paper's figures, sensors as configured."""
 
+from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from eps_hil.bus.database import load_database
@@ -16,8 +19,22 @@ from eps_hil.rig.offline import SimulatedRecording, simulate_recording
 from eps_hil.rig.plant import Plant
 from eps_hil.rig.sensors import NOISE_RMS, REPORTED, Sensors, SensorSettings
 
+Floats = npt.NDArray[np.float64]
+Quiet = Callable[[str], Mapping[str, Floats]]
+
 REPOSITORY = Path(__file__).parents[2]
 QUIET = SensorSettings(noise=False, quantise=False)
+
+
+@pytest.fixture(scope="module")
+def quiet(model: Model, chain: ChainParameters) -> Quiet:
+    """Truth of a named manoeuvre, simulated once."""
+
+    @cache
+    def truth(name: str) -> Mapping[str, Floats]:
+        return simulate_recording(model, chain, load_manoeuvre(name), sensors=QUIET).truth
+
+    return truth
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +73,9 @@ def test_equation_1d_holds_for_the_five_masses_below_their_resonances(
     "name", ["constant_speed_preload", "demo", "dwell", "multisine", "steps", "weave"]
 )
 def test_every_manoeuvre_stays_within_the_travel_and_the_ranges_of_the_bus(
-    name: str, model: Model, chain: ChainParameters
+    name: str, quiet: Quiet
 ) -> None:
-    truth = simulate_recording(model, chain, load_manoeuvre(name), sensors=QUIET).truth
+    truth = quiet(name)
     assert np.abs(truth["rack_position_m"]).max() < 0.08
     assert np.abs(truth["motor_angle_rad"]).max() < 419
     assert np.abs(truth["torque_sensor_nm"]).max() < 16
@@ -66,16 +83,15 @@ def test_every_manoeuvre_stays_within_the_travel_and_the_ranges_of_the_bus(
     assert np.abs(truth["motor_speed_rad_s"]).max() > 20, "nothing moved"
 
 
-def test_the_steps_come_to_rest(model: Model, chain: ChainParameters) -> None:
-    truth = simulate_recording(model, chain, load_manoeuvre("steps"), sensors=QUIET).truth
+def test_the_steps_come_to_rest(quiet: Quiet) -> None:
+    truth = quiet("steps")
     for second in range(2, 21, 2):
         rest = truth["motor_speed_rad_s"][second * 1000 - 200 : second * 1000 - 2]
         assert np.abs(rest).max() < 0.5, second
 
 
-def test_the_dwells_rest_and_break_away(model: Model, chain: ChainParameters) -> None:
-    manoeuvre = load_manoeuvre("dwell")
-    truth = simulate_recording(model, chain, manoeuvre, sensors=QUIET).truth
+def test_the_dwells_rest_and_break_away(quiet: Quiet) -> None:
+    manoeuvre, truth = load_manoeuvre("dwell"), quiet("dwell")
     end = 0
     for segment in manoeuvre.segments:
         assert segment.duration_s is not None
@@ -87,11 +103,9 @@ def test_the_dwells_rest_and_break_away(model: Model, chain: ChainParameters) ->
             assert speed[-300:].max() < 0.5
 
 
-def test_the_robot_holds_its_speed(model: Model, chain: ChainParameters) -> None:
+def test_the_robot_holds_its_speed(model: Model, quiet: Quiet) -> None:
     """Figs 4 and 7: at constant speed the torque sensor reads the friction."""
-    truth = simulate_recording(
-        model, chain, load_manoeuvre("constant_speed_preload"), sensors=QUIET
-    ).truth
+    truth = quiet("constant_speed_preload")
     friction = model.friction
     steady = (
         (np.abs(truth["motor_speed_rad_s"] - 20) < 0.2)
