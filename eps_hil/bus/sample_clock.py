@@ -39,6 +39,7 @@ _SLOPE_MIN_BLOCKS = 16
 _MAX_DRIFT = 300e-6
 _LATE = 0.75  # of a period: further than a message of the same cycle can lie
 _LATE_RUN = 16
+_LATE_TOTAL = 128  # not one frame in time, though some caught up
 _SILENCE_PERIODS = 20
 
 
@@ -53,7 +54,10 @@ class Instant(NamedTuple):
 class _Lane:
     """One message on the clock: its last counter, cycle, stamp and instant."""
 
-    __slots__ = ("counter", "cycle", "joined", "late_first", "late_run", "repeated", "stamp", "t")
+    __slots__ = (
+        "counter", "cycle", "joined", "late_first", "late_last", "late_run", "late_total",
+        "repeated", "stamp", "t",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.joined = False
@@ -61,8 +65,8 @@ class _Lane:
         self.cycle = self.stamp = 0
         self.t: int | None = None
         self.repeated = False
-        self.late_run = 0
-        self.late_first = 0
+        self.late_total = self.late_run = 0
+        self.late_first = self.late_last = 0
 
 
 class SampleClock:
@@ -142,6 +146,7 @@ class SampleClock:
         again = self._last is not None
         for lane in self._lanes.values():
             lane.joined = False
+            lane.late_total = lane.late_run = 0
         self._origin, self._anchor, self._level = t_ns, 0, 0
         self._block_start, self._low_cycle, self._low = 0, 0, 0
         self._lows.clear()
@@ -172,13 +177,18 @@ class SampleClock:
     def _slipped(self, at: _Lane, late: int, silence: int) -> bool:
         """Whether lateness is no hiccup any more: after a silence, or without catching up."""
         if late <= _LATE * self.period_ns:
-            at.late_run = 0
+            at.late_total = at.late_run = 0
             return False
         if silence > self.silence_ns:
             return True
-        if at.late_run == 0:
-            at.late_first = late
+        fell = at.late_last - late > self.period_ns // 2  # a burst: it is catching up
+        if at.late_run == 0 or fell:
+            at.late_run, at.late_first = 0, late
         at.late_run += 1
+        at.late_total += 1
+        at.late_last = late
+        if at.late_total >= _LATE_TOTAL:
+            return True
         if at.late_run < _LATE_RUN:
             return False
         at.late_run = 0

@@ -65,7 +65,7 @@ def errors_us(result: dict[int, Instant], sender: Sender, first: int = 0) -> lis
 @given(
     drift=st.floats(-200e-6, 200e-6),
     noise=st.floats(0, 20),
-    hiccups=st.integers(0, 60),
+    hiccups=st.integers(0, 40),
     loss=st.floats(0, 0.1),
     modulo=st.sampled_from([15, 16, 256]),
     seed=st.integers(0, 1000),
@@ -85,9 +85,10 @@ def test_instants_rise_and_stay_near_the_truth(
     assert all(at.t_ns <= sender.stamps[n] for n, at in result.items())
     assert sum(at.lost for at in result.values()) == len(lost)
     assert clock.restarts == 0
-    # latency 100 us; the envelope of the first second lags a slow sender by drift * 1 s
+    # Latency is 100 us. Before the drift is known, the envelope of a slow sender is as old as its
+    # window: 9 blocks of 64 cycles, 115.2 us at 200 ppm.
     assert max(errors_us(result, sender)) < 100 + 4 * noise + 60
-    assert min(errors_us(result, sender)) > 100 - 110
+    assert min(errors_us(result, sender)) > 100 - 9 * 64 * 0.2 - 1
 
 
 @pytest.mark.parametrize("drift", [-200e-6, -50e-6, 0.0, 200e-6])
@@ -107,6 +108,41 @@ def test_bursts_after_hiccups_are_spread_over_their_cycles() -> None:
     assert max(raw) > 5 * MS
     worst = errors_us(run(SampleClock(MS, 256), sender), sender, first=10)
     assert max(worst) < 120
+
+
+@pytest.mark.parametrize("median_ms", [0.3, 1.0])
+def test_a_sender_late_all_the_time_is_still_told_its_cycles(median_ms: float) -> None:
+    """A busy machine: the task wakes at random and then sends every cycle that is due."""
+    rng = np.random.default_rng(3)
+    clock = SampleClock(MS, 256)
+    wake, late, wrong = EPOCH, [], []
+    for n in range(10_000):
+        true = EPOCH + n * MS
+        if true > wake:
+            wake = true + int(rng.exponential(median_ms * MS))
+        wake += 20 * US
+        at = clock.instant(wake, n % 256)
+        assert at is not None
+        late.append(wake - true)
+        wrong.append(abs(at.t_ns - true))
+    assert np.percentile(late[1000:], 99) > 1 * MS
+    assert max(wrong[1000:]) < 60 * US
+    assert clock.restarts == 0
+
+
+def test_losses_around_a_restart_are_counted_in_every_lane() -> None:
+    clock = SampleClock(MS, 256)
+    lost = {"a": 0, "b": 0}
+    for n in range(100):
+        if n in (50, 51, 52):
+            continue
+        slip = 0 if n < 50 else 40 * MS  # a silence that ended late: the line starts anew
+        for lane in lost:
+            at = clock.instant(EPOCH + n * MS + slip, n, lane)
+            assert at is not None
+            lost[lane] += at.lost
+    assert clock.restarts == 1
+    assert lost == {"a": 3, "b": 3}
 
 
 def test_starting_inside_a_hiccup_ends_with_the_burst() -> None:
