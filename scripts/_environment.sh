@@ -91,7 +91,7 @@ _install() { # extra, digest
     local log="$VENV/.eps_hil-install.log" since=$SECONDS
     say "installing eps_hil[$1] and what it needs into .venv (needs the network, once; about a minute)"
     if ! PIP_USER=0 "$VENV/bin/python" -m pip install --disable-pip-version-check \
-        --progress-bar off --editable "$ROOT[$1]" >"$log" 2>&1; then
+        --progress-bar off --editable "${ROOT}[$1]" >"$log" 2>&1; then
         tail -n 15 "$log" >&2
         fail "pip could not install eps_hil[$1] (whole log: $log); is the network there?"
     fi
