@@ -199,6 +199,31 @@ def test_a_sender_that_slips_without_catching_up_is_followed_within_16_cycles() 
     assert clock.restarts == 1
 
 
+def test_hiccups_that_follow_each_other_are_not_taken_for_a_slip() -> None:
+    sender = Sender(cycles=400)
+    free = 0
+    for n in range(200, 260):  # held up for 7 ms every 6 cycles: never in time, always catching up
+        free = max(free, sender.true[n // 6 * 6] + 7 * MS) + 20 * US
+        sender.stamps[n] = free
+    late = [sender.stamps[n] - sender.true[n] for n in range(200, 260)]
+    assert min(late) > MS
+    clock = SampleClock(MS, 256)
+    assert max(errors_us(run(clock, sender), sender)) < 120
+    assert clock.restarts == 0
+
+
+def test_a_slip_is_followed_even_if_frames_keep_falling_behind_and_catching_up() -> None:
+    sender = Sender(cycles=800)
+    clock = SampleClock(MS, 256)
+    for n, stamp in enumerate(sender.stamps):
+        slip = 0 if n < 300 else 7 * MS + n % 3 * 800 * US
+        at = clock.instant(stamp + slip, n % 256)
+        assert at is not None
+        if n >= 300 + 130:
+            assert abs(at.t_ns - sender.true[n] - 7 * MS) < 200 * US
+    assert clock.restarts >= 1
+
+
 @pytest.mark.parametrize("jump_s", [-3600, -1, 1, 3600])
 def test_jumping_stamps_are_followed_at_once(jump_s: int) -> None:
     sender = Sender(cycles=600)
