@@ -1,0 +1,210 @@
+"""The core without a bus: what is published, when, and that it depends on the frames alone."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eps_hil.bus.frame import Frame
+from eps_hil.estimation.stream import SIGNALS, Estimate
+from eps_hil.estimation.validity import Reason
+from eps_hil.service.config import ServiceConfig
+from eps_hil.service.core import ServiceCore, Status, status_of
+from eps_hil.service.setup import Parts, prepare
+
+from .conftest import Receiver, TinyRig
+
+CONFIG = Path("c.yaml")
+
+
+def fresh(config: ServiceConfig) -> ServiceCore:
+    return prepare(config, CONFIG).core
+
+
+def drive(core: ServiceCore, rig: TinyRig, since: int, until: int) -> list[Frame]:
+    return [f for k in range(since, until) for f in core.on_frames(rig.millisecond(k))]
+
+
+def test_one_frame_a_millisecond_with_value_status_age_and_counter(
+    parts: Parts, rig: TinyRig, receiver: Receiver
+) -> None:
+    sent = drive(parts.core, rig, 0, 400)
+    assert len(sent) == 400
+    first, last = receiver.read(sent[0]), receiver.read(sent[-1])
+    assert first["EstimateStatus"] == Status.INVALID
+    assert int(first["EstimateReason"]) & Reason.NOT_STARTED
+    assert last["EstimateStatus"] == Status.VALID
+    assert last["EstimateReason"] == 0
+    assert parts.core.latest is not None
+    assert last["RackForceEstimate"] == pytest.approx(parts.core.latest.rack_force_n, abs=0.11)
+    assert last["EstimateAge"] == pytest.approx(parts.estimator.latency_s * 1e3, abs=0.7)
+    assert [int(receiver.read(f)["Counter"]) for f in sent] == [k % 16 for k in range(400)]
+    assert parts.core.steps == 400
+    assert 200 < parts.core.valid_steps < 400
+
+
+def test_settling_is_told_from_invalid(parts: Parts, rig: TinyRig, receiver: Receiver) -> None:
+    seen = [receiver.read(f)["EstimateStatus"] for f in drive(parts.core, rig, 0, 300)]
+    assert Status.SETTLING in seen
+    assert status_of(Reason.SETTLING | Reason.GAP) == Status.INVALID
+
+
+def test_bunched_frames_publish_the_newest_once(config: ServiceConfig, rig: TinyRig) -> None:
+    frames = [rig.millisecond(k) for k in range(300)]
+    one_by_one, bunched = fresh(config), fresh(config)
+    all_published = [f for batch in frames for f in one_by_one.on_frames(batch)]
+    for batch in frames[:250]:
+        bunched.on_frames(batch)
+    late = bunched.on_frames([frame for batch in frames[250:260] for frame in batch])
+    assert late == [all_published[259]]
+    assert bunched.skipped == 9
+    assert bunched.on_frames(frames[260]) == [all_published[260]]
+
+
+@settings(max_examples=20)
+@given(cuts=st.lists(st.integers(1, 899), max_size=60), data=st.data())
+def test_estimates_do_not_depend_on_how_frames_were_bunched(
+    cuts: list[int], data: st.DataObject
+) -> None:
+    rig = TinyRig()
+    frames = [frame for k in range(300) for frame in rig.millisecond(k)]
+    whole, cut = fresh(_config()), fresh(_config())
+    whole.record, cut.record = [], []
+    published = [f for frame in frames for f in whole.on_frames([frame])]
+    edges = sorted({0, *cuts, len(frames)})
+    got = [f for a, b in itertools.pairwise(edges) for f in cut.on_frames(frames[a:b])]
+    assert _bits(cut.record) == _bits(whole.record)
+    assert set(f.data for f in got) <= set(f.data for f in published)
+    assert len(got) + cut.skipped == len(published)
+
+
+def test_batch_run_over_the_decoded_frames_gives_the_same_floats(
+    config: ServiceConfig, rig: TinyRig
+) -> None:
+    frames = [f for k in range(1500) if not 700 <= k < 760 for f in rig.millisecond(k)]
+    live = fresh(config)
+    live.record = []
+    live.on_frames(frames)
+    parts = prepare(config, CONFIG)
+    events: list[tuple[int, int, float]] = []
+    for frame in frames:
+        samples = parts.decoder.decode(frame)
+        events += [(SIGNALS.index(s.signal), s.t_ns, s.value) for s in samples]
+        if parts.decoder.sync(frame):
+            events.append((-1, samples[0].t_ns, 0.0))
+    kind, t_ns, value = zip(*events, strict=True)
+    trace = parts.estimator.run(
+        np.array(kind, np.int8), np.array(t_ns, np.int64), np.array(value, float)
+    )
+    by_instant = {int(t): k for k, t in enumerate(trace.t_ns)}
+    assert len(live.record) == 1440
+    for _, estimate in live.record:
+        k = by_instant[estimate.t_ns]
+        assert estimate.rack_force_n == trace.rack_force_n[k]
+        assert estimate.friction_torque_nm == trace.friction_torque_nm[k]
+        assert estimate.reason == trace.reason[k]
+
+
+def test_a_gap_makes_it_invalid_with_a_reason_and_it_comes_back(parts: Parts, rig: TinyRig) -> None:
+    drive(parts.core, rig, 0, 300)
+    assert _latest(parts).valid
+    drive(parts.core, rig, 360, 362)
+    assert not _latest(parts).valid
+    assert _latest(parts).reason != Reason.FINE
+    drive(parts.core, rig, 362, 660)
+    assert _latest(parts).valid
+
+
+def test_a_damaged_frame_makes_it_invalid_and_it_comes_back(
+    parts: Parts, rig: TinyRig, receiver: Receiver
+) -> None:
+    drive(parts.core, rig, 0, 300)
+    torque, *others = rig.millisecond(300)
+    damaged = Frame(torque.t_ns, torque.can_id, bytes((torque.data[0] ^ 1,)) + torque.data[1:])
+    parts.core.on_frames([damaged, *others])
+    sent = drive(parts.core, rig, 301, 340)
+    reasons = [Reason(int(receiver.read(f)["EstimateReason"])) for f in sent]
+    assert any(reason & Reason.BAD_SAMPLE for reason in reasons)
+    assert parts.decoder.faults["crc"] == 1
+    drive(parts.core, rig, 340, 600)
+    assert _latest(parts).valid
+
+
+def test_another_transmitter_of_our_id_makes_it_invalid_for_a_second(
+    parts: Parts, rig: TinyRig, receiver: Receiver
+) -> None:
+    drive(parts.core, rig, 0, 300)
+    stamp = rig.millisecond(300)[0].t_ns
+    assert parts.core.on_frames([Frame(stamp, 0x120, bytes(8))]) == []
+    (during,) = parts.core.on_frames(rig.millisecond(301))
+    told = receiver.read(during)
+    assert told["EstimateStatus"] == Status.INVALID
+    assert told["EstimateReason"] == Reason.OTHER_TRANSMITTER
+    assert parts.core.foreign == 1
+    sent = drive(parts.core, rig, 302, 1400)
+    assert receiver.read(sent[900])["EstimateStatus"] == Status.INVALID
+    assert receiver.read(sent[-1])["EstimateStatus"] == Status.VALID
+
+
+def test_own_and_error_frames_and_strangers_change_nothing(parts: Parts, rig: TinyRig) -> None:
+    drive(parts.core, rig, 0, 10)
+    before = (parts.core.steps, parts.core.latest)
+    strangers = [
+        Frame(0, 0x120, bytes(8), own=True),
+        Frame(0, 0x100, bytes(8), error=True),
+        Frame(0, 0x7FF, bytes(8)),
+        Frame(0, 0x100, bytes(8), extended=True),
+    ]
+    assert parts.core.on_frames(strangers) == []
+    assert (parts.core.steps, parts.core.latest) == before
+    assert parts.core.foreign == 0
+
+
+def test_a_repeated_sync_frame_is_not_a_step(parts: Parts, rig: TinyRig) -> None:
+    drive(parts.core, rig, 0, 10)
+    sync = rig.millisecond(10)[2]
+    assert len(parts.core.on_frames([sync])) == 1
+    again = Frame(sync.t_ns + 100_000, sync.can_id, sync.data)
+    assert parts.core.on_frames([again]) == []
+    assert parts.core.steps == 11
+
+
+def test_without_an_encoder_nothing_is_ever_returned(parts: Parts, rig: TinyRig) -> None:
+    core = ServiceCore(parts.decoder, parts.estimator)
+    assert drive(core, rig, 0, 50) == []
+    assert core.steps == 50
+
+
+def test_load_cell_beside_the_estimate_is_of_the_same_instant(parts: Parts, rig: TinyRig) -> None:
+    drive(parts.core, rig, 0, 300)
+    at = _latest(parts).t_ns
+    shown = parts.core.load_cell_at(at)
+    assert shown is not None
+    phase = 2 * math.pi * 2.0 * (at - rig.millisecond(0)[0].t_ns) * 1e-9
+    assert shown == pytest.approx(1000.0 * math.sin(phase), abs=15.0)
+    assert parts.core.load_cell_at(at + 10**10) is None
+
+
+def _latest(parts: Parts) -> Estimate:
+    assert parts.core.latest is not None
+    return parts.core.latest
+
+
+def _bits(record: Sequence[tuple[int, Estimate]] | None) -> list[tuple[object, ...]]:
+    assert record
+    return [
+        (t, e.t_ns, e.rack_force_n.hex(), e.friction_torque_nm.hex(), e.reason) for t, e in record
+    ]
+
+
+def _config() -> ServiceConfig:
+    from eps_hil.service.config import load_config
+
+    from .conftest import ROOT
+
+    return load_config(ROOT / "configs" / "demo_udp.yaml")
