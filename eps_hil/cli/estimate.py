@@ -77,6 +77,8 @@ def estimate(
 
     rig = load_model(model)
     chosen = _settings(settings, without or [], friction)
+    if signals:
+        chosen = _with_window(chosen, signals)
     if out:
         _check_out(out, recordings)
     results = []
@@ -119,6 +121,14 @@ def _settings(path: Path | None, without: list[Block], friction: bool) -> "Estim
     if friction:
         changes["quantity"] = "friction"
     return replace(chosen, **changes)
+
+
+def _with_window(settings: "EstimatorSettings", signals: Path) -> "EstimatorSettings":
+    """A mapping's ``window_s`` counts here as it does live, so that the two agree."""
+    from eps_hil.bus.mapping import load_mapping
+    from eps_hil.service.setup import derived_settings
+
+    return derived_settings(settings, load_mapping(signals))
 
 
 def _check_out(out: Path, recordings: list[Path]) -> None:

@@ -9,7 +9,9 @@ import numpy.typing as npt
 import pytest
 
 from eps_hil.bus.database import load_database
+from eps_hil.bus.mapping import load_mapping
 from eps_hil.estimation import batch
+from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.physics.model import load_model
 from eps_hil.recordings.can_log import read_frames
 from eps_hil.recordings.read import read_recording
@@ -21,6 +23,7 @@ from eps_hil.report.rack_force_loop import (
     loops_by_mode,
     read_steering,
 )
+from eps_hil.service.setup import derived_settings
 
 pytestmark = pytest.mark.real_data
 
@@ -61,7 +64,8 @@ class Drive:
 def drive(ford_log: Path) -> Drive:
     recording = read_recording(ford_log, dbc=[DBC], signals=SIGNALS)
     assert recording.notes == ()
-    trace = batch.estimate(recording.series, load_model(MODEL))
+    settings = derived_settings(EstimatorSettings(), load_mapping(SIGNALS))
+    trace = batch.estimate(recording.series, load_model(MODEL), settings)
     estimates = Estimates(trace.t_ns, trace.rack_force_n, trace.valid)
     steering = read_steering(ford_log, DBC)
     angle = steering.angle_deg
@@ -199,8 +203,6 @@ def test_rack_work_comes_from_driver_and_supply(drive: Drive, ford_log: Path) ->
 
 def test_mapping_and_model_speak_of_one_gear() -> None:
     """The angle's scale and the model's ratios are two places for one number."""
-    from eps_hil.bus.mapping import load_mapping
-
     model, mapping = load_model(MODEL), load_mapping(SIGNALS)
     scale = np.radians(1) * model.rack_to_rotor_ratio_rad_per_m / model.pinion_ratio_rad_per_m
     assert mapping.signals["motor_angle_rad"].scale == pytest.approx(scale, rel=1e-4)
