@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import difflib
 import errno
+import logging
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -252,6 +253,7 @@ def _open(
         near = difflib.get_close_matches(interface, sorted(can.VALID_INTERFACES), 1)
         meant = f"did you mean {near[0]}?" if near else "see python-can's list of interfaces"
         raise BusError(f"'{interface}' is not an interface that python-can knows; {meant}")
+    logging.getLogger("can").addHandler(logging.NullHandler())  # errors reach people as ours
     if fd:
         options.setdefault("fd", True)
     if receive_ids is not None:
@@ -271,10 +273,10 @@ def _open(
             "see python-can's page on this interface"
         ) from None
     except Exception as error:  # drivers raise whatever their vendor's library does
-        raise BusError(
-            f"{interface}:{channel} cannot be opened: {_one_line(error)}; "
-            "is the device connected and the channel right?"
-        ) from None
+        said = _one_line(error).rstrip(".")
+        missing = "library" in said.lower() and "not found" in said.lower()
+        remedy = "install the vendor's driver" if missing else "is it connected, the channel right?"
+        raise BusError(f"{interface}:{channel} cannot be opened: {said}; {remedy}") from None
 
 
 def _is_gone(error: BaseException) -> bool:

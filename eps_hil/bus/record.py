@@ -30,7 +30,7 @@ class RecordError(EpsHilError):
 
 @dataclass(frozen=True, slots=True)
 class RecordReport:
-    """``frames`` written (``error_frames`` among them) in ``duration_s``, ``lost`` in the kernel."""
+    """``frames`` written (with ``error_frames``) in ``duration_s``; ``lost`` in the kernel."""
 
     frames: int
     lost: int

@@ -152,18 +152,20 @@ class SocketPort(ABC):
     def _drain(self) -> list[Frame]:
         frames: list[Frame] = []
         receive, parse = self._sock.recvmsg, self._parse
-        try:
-            for _ in range(_BATCH_MAX):
+        for _ in range(_BATCH_MAX):
+            try:
                 data, ancillary, flags, address = receive(2048, _ANCILLARY_BYTES)
-                t_ns, hardware_ns = self._stamps(ancillary)
-                frame = parse(data, t_ns, hardware_ns, flags, address)
-                if frame is not None:
-                    frames.append(frame)
-        except BlockingIOError:
-            pass
-        except OSError as error:
-            if not self._closed:
-                self._lose(error)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                if self._closed or self._lost_reason:
+                    break
+                self._lose(error)  # said once, ahead of the frames that wait in the queue
+                continue
+            t_ns, hardware_ns = self._stamps(ancillary)
+            frame = parse(data, t_ns, hardware_ns, flags, address)
+            if frame is not None:
+                frames.append(frame)
         self._received += len(frames)
         return frames
 
