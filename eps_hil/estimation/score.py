@@ -1,4 +1,4 @@
-"""How far an estimate is from the rig's load cell, overall and while the rotor moves."""
+"""How far an estimate is from the rig's load cell, overall, moving and at rest."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -24,6 +24,7 @@ class Score:
     bias_moving_n: float
     rms_force_n: float
     rows: int
+    rmse_resting_n: float
 
 
 VARIANTS: Mapping[str, Mapping[str, bool]] = {
@@ -58,6 +59,7 @@ def score(trace: Trace, series: Mapping[str, Series], model: Model) -> Score | N
         float(np.mean(error[moving])) if moving.any() else float("nan"),
         _rms(force),
         len(error),
+        _rms(error[~moving]),
     )
 
 
