@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from eps_hil.bus.frame import Frame
+from eps_hil.bus.frame import EXTENDED_ID_MAX, STANDARD_ID_MAX, Frame
 from eps_hil.bus.port import Port
 from eps_hil.errors import InputError
 
@@ -81,13 +81,22 @@ def read_log(path: str | Path) -> Iterator[Frame]:
         try:
             reader = stack.enter_context(can.LogReader(file))
             for message in reader:
-                frame = from_message(message, round(message.timestamp * 1e9))
+                frame = _checked(from_message(message, round(message.timestamp * 1e9)))
                 count += 1
                 yield frame
         except Exception as error:  # every format of python-can fails in its own way
             raise _unreadable(file, count, error) from None
     if not count:
         raise InputError(path, "", "holds no CAN frames", "is it the right file?")
+
+
+def _checked(frame: Frame) -> Frame:
+    """python-can hands on whatever a log says; ValueError for what no CAN bus carries."""
+    if len(frame.data) > (64 if frame.fd else 8):
+        raise ValueError(f"{len(frame.data)} data bytes in one frame")
+    if frame.can_id > (EXTENDED_ID_MAX if frame.extended else STANDARD_ID_MAX) and not frame.error:
+        raise ValueError(f"id 0x{frame.can_id:X} is not a CAN id")
+    return frame
 
 
 def _unreadable(file: Path, count: int, error: Exception) -> InputError:

@@ -1,0 +1,220 @@
+"""A recording is readable whatever ends it."""
+
+import signal
+import struct
+import subprocess
+import sys
+import time
+import uuid
+from pathlib import Path
+
+import pytest
+
+from eps_hil.bus import record, replay
+from eps_hil.bus.frame import Frame
+from eps_hil.bus.port import BusState, Deliver, OnLost, PortCounts, open_port
+from eps_hil.cli.main import main
+from eps_hil.errors import BusError, InputError
+
+GROUP = "239.74.163.2"
+SUFFIXES = pytest.mark.parametrize("suffix", [".log", ".blf"])
+
+
+class Source:
+    """A port that receives prepared batches, then nothing, or the end of the bus."""
+
+    name = "source"
+    state = BusState.UNKNOWN
+    counts = PortCounts(lost_in_kernel=3, error_frames=1)
+
+    def __init__(self, batches: list[list[Frame]], end: str = "") -> None:
+        self._batches, self._end = list(batches), end
+
+    @property
+    def empty(self) -> bool:
+        return not self._batches
+
+    def recv(self, timeout_s: float) -> list[Frame]:
+        if self._batches:
+            return self._batches.pop(0)
+        if self._end:
+            raise BusError(self._end)
+        return []
+
+    def send(self, frame: Frame) -> bool:
+        raise NotImplementedError
+
+    def start(self, loop: object, deliver: Deliver, on_lost: OnLost | None = None) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        raise NotImplementedError
+
+
+EPOCH_NS = 1_757_617_431_000_000_000
+FRAMES = [
+    Frame(EPOCH_NS, 0x123, b"\x01\x02"),
+    Frame(EPOCH_NS + 1_000_000, 0x18FF0000, b"", extended=True),
+    Frame(EPOCH_NS + 2_000_000, 0x7FF, bytes(64), fd=True, brs=True),
+    Frame(EPOCH_NS + 3_000_000, 0x7FF, b"", remote=True),
+]
+
+
+@SUFFIXES
+def test_what_is_received_is_read_back(tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"x{suffix}"
+    source = Source([FRAMES[:2], [], FRAMES[2:]])
+    log = record.open_log(out, "239.74.163.2")
+    report = record.record(source, log, out, stop=lambda: source.empty)
+    assert (report.frames, report.lost, report.error_frames) == (4, 3, 1)
+    assert report.file_bytes == out.stat().st_size
+    back = list(replay.read_log(out))
+    for sent, got in zip(FRAMES, back, strict=True):
+        assert (got.can_id, got.data, got.extended, got.fd, got.remote, got.brs) == (
+            sent.can_id,
+            sent.data,
+            sent.extended,
+            sent.fd,
+            sent.remote,
+            sent.brs,
+        )
+        assert abs(got.t_ns - sent.t_ns) <= 1_000  # candump's microsecond
+
+
+def test_blf_keeps_what_an_error_frame_says(tmp_path: Path) -> None:
+    out = tmp_path / "x.blf"
+    error = Frame(EPOCH_NS, 0x004, bytes([0, 8, 0, 0, 0, 0, 96, 0]), error=True)
+    source = Source([[error]])
+    record.record(source, record.open_log(out, "can0"), out, stop=lambda: source.empty)
+    (got,) = replay.read_log(out)
+    assert (got.error, got.can_id, got.data) == (True, error.can_id, error.data)
+
+
+@SUFFIXES
+def test_a_bus_that_ends_leaves_a_whole_file(tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"x{suffix}"
+    source = Source([FRAMES], end="vcan0: the interface went down")
+    with pytest.raises(record.RecordError, match=r"went down; .* holds the 4 frames") as caught:
+        record.record(source, record.open_log(out, "can0"), out)
+    assert caught.value.exit_status == 1
+    assert len(list(replay.read_log(out))) == 4
+
+
+@SUFFIXES
+def test_a_full_disk_ends_in_one_line_and_a_readable_file(tmp_path: Path, suffix: str) -> None:
+    """A limit on the file's size stands in for the disk: the same refusal, from the kernel."""
+    out = tmp_path / f"x{suffix}"
+    script = (
+        "import resource, signal, sys\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
+        "from eps_hil.bus import record\n"
+        "from eps_hil.bus.port import PortCounts\n"
+        "from eps_hil.bus.frame import Frame\n"
+        "import os\n"
+        "record.FLUSH_S = 0.0\n"
+        "class Source:\n"
+        "    counts = PortCounts()\n"
+        "    k = 0\n"
+        "    def recv(self, timeout_s):\n"
+        "        self.k += 100\n"
+        "        return [Frame((self.k + j) * 1000, j, os.urandom(8)) for j in range(100)]\n"
+        "log = record.open_log(sys.argv[1], 'can0')\n"
+        "try: record.record(Source(), log, sys.argv[1], duration_s=30.0)\n"
+        "except record.RecordError as error: print(error)\n"
+    )
+    words = [sys.executable, "-c", script, str(out)]
+    run = subprocess.run(words, check=False, capture_output=True, text=True, timeout=60)
+    assert run.stderr == ""
+    assert "cannot write on: File too large; the file holds the first" in run.stdout
+    assert run.stdout.count("\n") == 1
+    kept = int(run.stdout.split("the first ")[1].split()[0])
+    assert kept > 1_000
+    assert len(list(replay.read_log(out))) == kept
+
+
+@SUFFIXES
+def test_a_killed_recorder_loses_under_a_second(tmp_path: Path, suffix: str, udp_port: int) -> None:
+    out = tmp_path / f"x{suffix}"
+    recorder = start_recorder(out, udp_port)
+    sender = open_port("udp_multicast", GROUP, options={"port": udp_port})
+    started_s = time.monotonic()
+    sent_at_s: list[float] = []
+    while time.monotonic() - started_s < 2.0:
+        sender.send(Frame(0, 0x10, struct.pack("<I", len(sent_at_s))))
+        sent_at_s.append(time.monotonic())
+        time.sleep(0.001)
+    recorder.kill()
+    killed_s = time.monotonic()
+    recorder.wait(10)
+    sender.close()
+    got = [struct.unpack("<I", f.data)[0] for f in replay.read_log(out)]
+    assert got == list(range(len(got)))
+    assert killed_s - sent_at_s[got[-1]] < 1.2
+    first = next(replay.read_log(out))
+    assert abs(first.t_ns - time.time_ns()) < 60_000_000_000  # dated, though never closed
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_cleanly(tmp_path: Path, udp_port: int, number: signal.Signals) -> None:
+    out = tmp_path / "x.blf"
+    recorder = start_recorder(out, udp_port)
+    sender = open_port("udp_multicast", GROUP, options={"port": udp_port})
+    for k in range(300):
+        sender.send(Frame(0, 0x10, struct.pack("<I", k)))
+    sender.close()
+    time.sleep(0.3)
+    recorder.send_signal(number)
+    said, error = recorder.communicate(timeout=20)
+    assert recorder.returncode == 0, error
+    assert "recorded 300 frames in" in said
+    assert "lost in the kernel 0" in said
+    assert len(list(replay.read_log(out))) == 300
+
+
+def start_recorder(out: Path, udp_port: int) -> "subprocess.Popen[str]":
+    words = [sys.executable, "-m", "eps_hil.cli", "record", str(out)]
+    words += ["--interface", "udp_multicast", "--option", f"port={udp_port}"]
+    recorder = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert recorder.stderr is not None
+    assert recorder.stderr.readline().startswith("recording udp_multicast")
+    return recorder
+
+
+def test_the_verb_stops_after_its_duration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # this process keeps its handlers
+    out = tmp_path / "x.log"
+    words = ["record", str(out), "--interface", "virtual", "--channel", uuid.uuid4().hex]
+    assert main([*words, "--duration", "0.1"]) == 0
+    assert "recorded 0 frames" in capsys.readouterr().out
+
+
+def test_the_bus_may_come_from_a_configuration_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    config = tmp_path / "c.yaml"
+    config.write_text(f"bus: {{interface: virtual, channel: '{uuid.uuid4().hex}'}}\n")
+    words = ["record", str(tmp_path / "x.log"), "--config", str(config), "--duration", "0.1"]
+    assert main(words) == 0
+    assert "recording virtual:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("x.mf4", "name the file .log (candump) or .blf"),
+        ("nowhere/x.log", "no such folder"),
+        ("old.log", "exists already; choose another name, or add --overwrite"),
+    ],
+)
+def test_a_target_that_will_not_do_is_refused(name: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "old.log").write_text("measured data\n")
+    with pytest.raises(InputError) as caught:
+        record.open_log(tmp_path / name, "can0")
+    assert said in str(caught.value)
+    assert (tmp_path / "old.log").read_text() == "measured data\n"
+    record.open_log(tmp_path / "old.log", "can0", overwrite=True).close()
+    assert (tmp_path / "old.log").read_bytes() == b""

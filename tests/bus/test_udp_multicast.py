@@ -1,0 +1,182 @@
+"""The bus of machines without CAN: python-can's wire format, our own sockets."""
+
+import asyncio
+import os
+import shutil
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import pytest
+
+from eps_hil.bus.frame import Frame
+from eps_hil.bus.port import BusState, Port, PortCounts, open_port
+from eps_hil.errors import BusError
+
+GROUP = "239.74.163.2"
+Collect = Callable[[Port, int], list[Frame]]
+
+
+def opened(port: int, **more: object) -> Port:
+    options = {"port": port, "hop_limit": 0} | dict(more)
+    return open_port("udp_multicast", GROUP, fd=True, options=options)
+
+
+ECHO = """
+import sys
+from eps_hil.bus.frame import Frame
+from eps_hil.bus.port import open_port
+port = open_port("udp_multicast", sys.argv[1], fd=True,
+                 options={"port": int(sys.argv[2]), "hop_limit": 0})
+print("ready", flush=True)
+seen = 0
+while seen < 200:
+    for frame in port.recv(5.0) or sys.exit("nothing came"):
+        assert frame.can_id < 0x300, "an own frame came back"
+        seen += 1
+        port.send(Frame(0, frame.can_id + 0x200, frame.data))
+print(port.counts.received, flush=True)
+"""
+
+
+def test_two_processes_see_each_other_and_not_themselves(udp_port: int, collect: Collect) -> None:
+    ours = opened(udp_port)
+    words = [sys.executable, "-c", ECHO, GROUP, str(udp_port)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "ready\n"
+        for k in range(200):
+            assert ours.send(Frame(0, 0x100 + k % 8, struct.pack("<I", k)))
+        got = collect(ours, 200)
+        assert other.stdout.readline() == "200\n"
+    assert [(f.can_id, f.data) for f in got] == [
+        (0x300 + k % 8, struct.pack("<I", k)) for k in range(200)
+    ]
+    assert ours.counts == PortCounts(received=200, sent=200)
+    ours.close()
+
+
+def test_python_can_is_a_peer_both_ways(udp_port: int, collect: Collect) -> None:
+    import can
+
+    ours = opened(udp_port)
+    with can.Bus(interface="udp_multicast", channel=GROUP, port=udp_port, hop_limit=0) as bus:
+        before_ns = time.time_ns()
+        ours.send(Frame(0, 0x18FF1234, bytes(range(64)), extended=True, fd=True, brs=True))
+        message = bus.recv(2.0)
+        assert message is not None
+        assert (message.arbitration_id, bytes(message.data)) == (0x18FF1234, bytes(range(64)))
+        assert message.is_fd
+        assert message.bitrate_switch
+        bus.send(can.Message(arbitration_id=0x77, data=b"to us", is_extended_id=False))
+        (frame,) = collect(ours, 1)
+    assert (frame.can_id, frame.data, frame.extended) == (0x77, b"to us", False)
+    assert before_ns <= frame.t_ns <= time.time_ns()
+    ours.close()
+
+
+def test_the_loop_gets_batches_only_of_the_ids_asked_for(udp_port: int) -> None:
+    batches: list[list[Frame]] = []
+
+    async def run() -> None:
+        options = {"port": udp_port, "hop_limit": 0}
+        ours = open_port("udp_multicast", GROUP, receive_ids=[0x10], options=options)
+        other = opened(udp_port)
+        ours.start(asyncio.get_running_loop(), batches.append)
+        for k in range(100):
+            other.send(Frame(0, 0x10 + k % 2, bytes([k])))
+        other.send(Frame(0, 0x10, bytes(12), fd=True))  # ours is not open for FD
+        other.send(Frame(0, 0x10, b"end"))
+        for _ in range(100):
+            await asyncio.sleep(0.02)
+            if batches and batches[-1][-1].data == b"end":
+                break
+        assert ours.state is BusState.UNKNOWN
+        ours.close()
+        ours.close()
+        other.close()
+
+    asyncio.run(run())
+    got = [frame.data for batch in batches for frame in batch]
+    assert got == [bytes([k]) for k in range(0, 100, 2)] + [b"end"]
+
+
+def test_loss_in_the_kernel_is_counted_to_the_frame(udp_port: int) -> None:
+    slow, fast = opened(udp_port, receive_buffer_bytes=20_000), opened(udp_port)
+    for _ in range(500):
+        fast.send(Frame(0, 1, bytes(8)))
+    got = len(slow.recv(0.5))
+    assert 0 < got < 500
+    assert slow.counts.lost_in_kernel == 500 - got
+    slow.close()
+    fast.close()
+    assert slow.counts.lost_in_kernel == 500 - got  # still told after closing
+
+
+@pytest.mark.parametrize("junk", [b"", b"\x00", b"\x80", b"\x81\xa1a\x01", os.urandom(200)])
+def test_datagrams_that_are_no_can_frames_are_left_aside(
+    udp_port: int, collect: Collect, junk: bytes
+) -> None:
+    ours, other = opened(udp_port), opened(udp_port)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+        stranger.sendto(junk, (GROUP, udp_port))
+    other.send(Frame(0, 5, b"fine"))
+    assert [f.data for f in collect(ours, 1)] == [b"fine"]
+    ours.close()
+    other.close()
+
+
+def test_only_configured_ids_are_sent(udp_port: int) -> None:
+    options = {"port": udp_port, "hop_limit": 0}
+    port = open_port("udp_multicast", GROUP, send_ids=[1], options=options)
+    assert port.send(Frame(0, 1, b""))
+    with pytest.raises(BusError, match="not configured to send id 0x2"):
+        port.send(Frame(0, 2, b""))
+    with pytest.raises(BusError, match="fd: true"):
+        port.send(Frame(0, 1, bytes(12), fd=True))
+    port.close()
+    with pytest.raises(BusError, match="closed"):
+        port.send(Frame(0, 1, b""))
+    with pytest.raises(BusError, match="closed"):
+        port.recv(0.0)
+
+
+@pytest.mark.parametrize(
+    ("channel", "options", "said"),
+    [
+        ("vcan0", {}, "not a multicast address"),
+        ("10.0.0.1", {}, "not a multicast address"),
+        (GROUP, {"bitrate": 500_000}, "no option 'bitrate'; known: hop_limit, port"),
+        (GROUP, {"port": "x"}, "does not fit"),
+        (GROUP, {"port": 99_999}, "does not fit"),
+    ],
+)
+def test_what_cannot_be_opened_names_the_remedy(
+    channel: str, options: dict[str, object], said: str
+) -> None:
+    with pytest.raises(BusError, match=said):
+        open_port("udp_multicast", channel, options=options)
+
+
+NO_NETWORK = """
+from eps_hil.bus.frame import Frame
+from eps_hil.bus.port import open_port
+a, b = (open_port("udp_multicast", "239.74.163.2", options={"port": 43113}) for _ in "ab")
+a.send(Frame(0, 1, b"x"))
+print([f.data for f in b.recv(2.0)], a.recv(0.1))
+"""
+
+
+def test_loopback_serves_where_there_is_no_network() -> None:
+    cage = ["unshare", "--net", "--map-root-user"]
+    if shutil.which("unshare") is None or subprocess.run([*cage, "true"], check=False).returncode:
+        pytest.skip("no rights to make a network namespace (unshare --net); run as root")
+    script = f"ip link set lo up && exec {sys.executable} -c '{NO_NETWORK}'"
+    run = subprocess.run(
+        [*cage, "sh", "-c", script], check=False, capture_output=True, text=True, timeout=60
+    )
+    assert run.stdout == "[b'x'] []\n", run.stderr
