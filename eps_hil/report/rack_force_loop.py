@@ -7,6 +7,7 @@ below for comparison: the loop is what the estimate makes of them.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -161,6 +162,26 @@ def enclosed_work_j(loop: Loop, rack_m_per_deg: float) -> float:
     """
     force = 0.5 * (loop.rack_force_n[1:] + loop.rack_force_n[:-1])
     return float(np.nansum(force * np.diff(loop.angle_deg)) * rack_m_per_deg)
+
+
+def strokes(t_s: Floats, angle_deg: Floats, *, least_deg: float = 30.0) -> list[slice]:
+    """From one turning point of the wheel to the next, where it turned more than ``least_deg``
+    and in less than 1.5 s (a rest is no stroke)."""
+    turns, direction = [0], 1.0
+    for k, angle in enumerate(angle_deg):
+        if (angle - angle_deg[turns[-1]]) * direction > 0:
+            turns[-1] = k
+        elif (angle_deg[turns[-1]] - angle) * direction > least_deg:
+            turns.append(k)
+            direction = -direction
+    return [slice(a, b) for a, b in pairwise(turns) if t_s[b] - t_s[a] < 1.5]
+
+
+def sliding_force_n(angle_deg: Floats, rack_force_n: Floats) -> float:
+    """Median force against the motion over the last 40 % of a stroke, where the tyres slide."""
+    way = np.sign(angle_deg[-1] - angle_deg[0])
+    travelled = (angle_deg - angle_deg[0]) * way
+    return float(np.median(rack_force_n[travelled > 0.6 * travelled.max()]) * way)
 
 
 def draw(trace: SteeringTrace, loops: list[Loop], path: str | Path, *, title: str) -> Path:

@@ -1,6 +1,5 @@
 """A real car: what a parked steering must look like, whatever the rough model's numbers are."""
 
-import itertools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +21,8 @@ from eps_hil.report.rack_force_loop import (
     enclosed_work_j,
     loops_by_mode,
     read_steering,
+    sliding_force_n,
+    strokes,
 )
 from eps_hil.service.setup import derived_settings
 
@@ -48,16 +49,7 @@ class Drive:
 
     def strokes(self) -> list[slice]:
         """From one turning point of the wheel to the next, where it turned more than 30 deg."""
-        turns = [0]
-        direction = 1.0
-        for k, angle in enumerate(self.angle_deg):
-            if (angle - self.angle_deg[turns[-1]]) * direction > 0:
-                turns[-1] = k
-            elif (self.angle_deg[turns[-1]] - angle) * direction > 30.0:
-                turns.append(k)
-                direction = -direction
-        pairs = itertools.pairwise(turns)
-        return [slice(a, b) for a, b in pairs if self.t_s[b] - self.t_s[a] < 1.5]
+        return strokes(self.t_s, self.angle_deg)
 
 
 @pytest.fixture(scope="module")
@@ -130,14 +122,9 @@ def test_the_estimate_is_valid_and_finite(drive: Drive) -> None:
 
 def test_sliding_tyres_push_back_with_kilonewtons(drive: Drive) -> None:
     """Two tyres of this car scrubbing on the spot: 2 to 3 kN at the rack, by Gough's formula."""
-    strokes = drive.strokes()
-    assert len(strokes) >= 25
-    for stroke in strokes:
-        angle = drive.angle_deg[stroke]
-        way = np.sign(angle[-1] - angle[0])
-        travelled = (angle - angle[0]) * way
-        sliding = travelled > 0.6 * travelled.max()
-        push_back = float(np.median(drive.estimates.rack_force_n[stroke][sliding])) * way
+    assert len(drive.strokes()) >= 25
+    for stroke in drive.strokes():
+        push_back = sliding_force_n(drive.angle_deg[stroke], drive.estimates.rack_force_n[stroke])
         assert 1_500 < push_back < 6_000, f"at {drive.t_s[stroke.start]:.2f} s"
     assert np.abs(drive.estimates.rack_force_n).max() < 10_000
 
