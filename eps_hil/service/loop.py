@@ -64,6 +64,7 @@ class Service:
         self._parts, self._core = parts, parts.core
         self._say, self._show, self._log, self._opener = say, show, log, opener
         self.ready = False
+        self._done = asyncio.Event()
         self._port: Port | None = None
         self._past = PortCounts()
         self._publishing = False
@@ -83,7 +84,6 @@ class Service:
         """
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(self._on_exception)
-        self._done = asyncio.Event()
         self._memory_locked = realtime.quieten(self._parts.config.service.realtime)
         self._began_s = time.monotonic()
         try:
@@ -96,6 +96,10 @@ class Service:
         if self._failure is not None:
             raise self._failure
         return self.summary()
+
+    def stop(self) -> None:
+        """End the run cleanly; to be called in the loop's thread."""
+        self._done.set()
 
     def summary(self) -> Summary:
         """What the run came to so far."""
@@ -259,7 +263,7 @@ class Service:
             caught.append(signal.SIGHUP)
 
         def stop() -> None:
-            self._done.set()
+            self.stop()
             self._loop.remove_signal_handler(signal.SIGINT)
             signal.signal(signal.SIGINT, signal.SIG_DFL)
 

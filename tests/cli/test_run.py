@@ -1,0 +1,211 @@
+"""``eps-hil run`` as a user meets it: a process on a bus, signals, exit status, one-line errors."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from eps_hil.bus.codec import FrameEncoder
+from eps_hil.bus.database import load_database
+from eps_hil.bus.frame import Frame
+from eps_hil.bus.port import open_port
+from eps_hil.cli.main import main
+
+ROOT = Path(__file__).parents[2]
+DATABASE = load_database([ROOT / "dbc" / "eps_rig.dbc"])
+CHANNEL = "239.74.163.78"
+OPTIONS = {"port": 43178, "hop_limit": 0}
+CONFIG = f"""bus: {{interface: udp_multicast, channel: {CHANNEL}, fd: true,
+      options: {{port: 43178, hop_limit: 0}}}}
+dbc: {ROOT}/dbc/eps_rig.dbc
+signals: {ROOT}/configs/eps_rig_signals.yaml
+model: {ROOT}/configs/reference_rig.yaml
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "c.yaml"
+    path.write_text(CONFIG)
+    return path
+
+
+class Feed(threading.Thread):
+    """A rotor at rest with a constant torque, until stopped; keeps what the service sends."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[Frame] = []
+        self._stopped = threading.Event()
+
+    def run(self) -> None:
+        values = {"MotorTorque": 0.2, "TorsionBarTorque": 0.0, "RackForce": 500.0}
+        values |= {"MotorSpeed": 0.0, "MotorAngle": 0.0, "RackPosition": 0.0}
+        names = ("EPS_Torques", "RIG_State", "EPS_MotorState")
+        encoders = [FrameEncoder(DATABASE, name) for name in names]
+        port = open_port("udp_multicast", CHANNEL, fd=True, options=OPTIONS)
+        start = time.monotonic()
+        for k in range(60_000):
+            for encoder in encoders:
+                port.send(encoder.frame(values))
+            self.seen += port.recv(0.0)
+            time.sleep(max(0.0, start + k * 1e-3 - time.monotonic()))
+            if self._stopped.is_set():
+                break
+        end = time.monotonic() + 0.2
+        while time.monotonic() < end:
+            self.seen += port.recv(0.05)
+        port.close()
+
+    def stop(self) -> None:
+        self._stopped.set()
+        self.join()
+
+
+@contextmanager
+def feeding() -> Iterator[Feed]:
+    feed = Feed()
+    feed.start()
+    try:
+        yield feed
+    finally:
+        feed.stop()
+
+
+def start(config: Path, *options: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "eps_hil.cli", "run", "--config", str(config), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+
+
+def wait_ready(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    said = ""
+    for line in process.stdout:
+        said += line
+        if line == "READY\n":
+            return said
+    raise AssertionError(f"ended before READY: {said} {process.communicate()[1]}")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_runs_until_a_signal_and_stops_cleanly(config: Path, number: signal.Signals) -> None:
+    with feeding() as feed:
+        process = start(config)
+        said = wait_ready(process)
+        time.sleep(0.8)
+        process.send_signal(number)
+        out, err = process.communicate(timeout=10)
+    assert process.returncode == 0
+    assert err == ""  # no live line in a pipe
+    assert "listen     0x100 EPS_MotorState" in said
+    assert "send       0x120 EPSHIL_Estimate" in said
+    assert out.startswith("steps ")
+    assert "lateness   p50" in out
+    estimates = [f for f in feed.seen if f.can_id == 0x120]
+    assert len(estimates) > 300
+    told = [DATABASE.decode_message(0x120, f.data, decode_choices=False) for f in estimates]
+    assert 2 in [each["EstimateStatus"] for each in told]
+    assert told[-1]["EstimateStatus"] == 0
+    assert {f.can_id for f in feed.seen} == {0x120, 0x400}
+
+
+def test_duration_log_and_a_live_line_on_request(config: Path, tmp_path: Path) -> None:
+    log = tmp_path / "e.csv"
+    with feeding():
+        process = start(config, "--duration", "0.6", "--status-line", "--log-estimates", str(log))
+        out, err = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert "steps " in out
+    assert "rack force" in err
+    assert "load cell     +500 N" in err
+    assert len(log.read_text().splitlines()) > 400
+
+
+def test_the_second_service_on_a_bus_is_refused(config: Path) -> None:
+    with feeding():
+        first = start(config)
+        wait_ready(first)
+        second = start(config)
+        _, err = second.communicate(timeout=30)
+        first.terminate()
+        out, _ = first.communicate(timeout=10)
+    assert second.returncode == 1
+    assert err.startswith("eps-hil: udp_multicast")
+    assert "another transmitter sends our ids" in err
+    assert err.count("\n") == 1
+    assert first.returncode == 0
+    assert "somebody else" not in out
+
+
+def test_killed_it_goes_silent(config: Path) -> None:
+    with feeding() as feed:
+        process = start(config)
+        wait_ready(process)
+        time.sleep(0.3)
+        process.kill()
+        process.communicate()
+        time.sleep(0.1)
+        before = len(feed.seen)
+        time.sleep(0.3)
+        after = len(feed.seen)
+    assert before > 100
+    assert after == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("eps_rig.dbc", "eps_rog.dbc", "no such file"),
+        ("signals:", "signal:", "signal: is not a known field"),
+        ("fd: true", "fd: maybe", "line 1: bus.fd"),
+        (CONFIG, CONFIG + "publish: {message: None_Such}\n", "has no message None_Such"),
+        (CONFIG, "bus: [\n", "not valid YAML"),
+    ],
+)
+def test_bad_configuration_is_status_2_and_one_line(
+    config: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, said: str
+) -> None:
+    config.write_text(config.read_text().replace(old, new))
+    assert main(["run", "--config", str(config)]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert str(config) in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["run"], ["run", "--config", "no_such.yaml"]])
+def test_without_a_configuration(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_bus_that_is_not_there_is_status_1_and_one_line(
+    config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = config.read_text().replace("udp_multicast", "socketcan").replace(CHANNEL, "can77")
+    config.write_text(text.replace("options: {port: 43178, hop_limit: 0}", "options: {}"))
+    assert main(["run", "--config", str(config)]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_an_unwritable_log_is_status_2(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--config", str(config), "--log-estimates", "/no/such/e.csv"]) == 2
+    assert "/no/such/e.csv" in capsys.readouterr().err
+
+
+def test_schema(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--schema"]) == 0
+    assert "publish" in json.loads(capsys.readouterr().out)["properties"]

@@ -1,0 +1,124 @@
+"""What the service refuses before it opens a bus, and what it says that it will do."""
+
+from pathlib import Path
+
+import pytest
+
+from eps_hil.errors import InputError
+from eps_hil.service.config import load_config
+from eps_hil.service.setup import Parts, describe, prepare
+
+from .conftest import MAPPING, ROOT
+
+
+def refused(tmp_path: Path, text: str) -> str:
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        prepare(load_config(path), path)
+    return str(caught.value)
+
+
+def mapped(tmp_path: Path, text: str, old: str, new: str) -> str:
+    """The configuration with a mapping of its own, in which ``old`` is ``new``."""
+    source = (ROOT / "configs" / "eps_rig_signals.yaml").read_text()
+    assert old in source
+    (tmp_path / "s.yaml").write_text(source.replace(old, new))
+    return text.replace(f"{ROOT}/configs/eps_rig_signals.yaml", "s.yaml")
+
+
+def test_says_what_it_listens_to_and_sends(parts: Parts) -> None:
+    said = "\n".join(describe(parts))
+    assert "listen     0x100 EPS_MotorState every 1 ms, the estimator steps on it" in said
+    assert "0x101 EPS_Torques every 1 ms: motor_torque_nm, torque_sensor_nm" in said
+    assert "send       0x120 EPSHIL_Estimate with every sync frame" in said
+    assert "send       0x400 EPSHIL_Health every 0.1 s" in said
+    assert f"{parts.estimator.latency_s * 1e3:.1f} ms" in said
+
+
+def test_reads_only_what_the_estimator_needs(parts: Parts) -> None:
+    assert "rack_force_estimate_n" in MAPPING.signals  # for recorders, of the same file
+    assert parts.decoder.receive_ids == (0x100, 0x101, 0x110)
+    assert parts.send_ids == (0x120, 0x400)
+
+
+def test_listen_only(config_file: Path, config_text: str) -> None:
+    config_file.write_text(config_text + "publish: {enabled: false, message: Nonsense}\n")
+    parts = prepare(load_config(config_file), config_file)
+    assert parts.send_ids == ()
+    assert "send       nothing" in "\n".join(describe(parts))
+
+
+def test_publish_message_must_be_in_the_dbc(tmp_path: Path, config_text: str) -> None:
+    said = refused(tmp_path, config_text + "publish: {message: EPSHIL_Estimat}\n")
+    assert "c.yaml: publish.message: eps_rig.dbc has no message EPSHIL_Estimat" in said
+    assert "EPSHIL_Estimate" in said
+
+
+def test_publish_message_must_be_able_to_carry_an_estimate(
+    tmp_path: Path, config_text: str
+) -> None:
+    said = refused(tmp_path, config_text + "publish: {message: VEH_Motion}\n")
+    assert "VEH_Motion has no signal RackForceEstimate, EstimateStatus" in said
+
+
+def test_never_sends_an_id_that_it_listens_to(tmp_path: Path, config_text: str) -> None:
+    text = mapped(
+        tmp_path,
+        config_text,
+        "rack_force_n: {message: RIG_State, signal: RackForce}",
+        "rack_force_n: {message: EPSHIL_Estimate, signal: RackForceEstimate}",
+    )
+    assert "id 0x120: is both listened to and sent" in refused(tmp_path, text)
+    path = tmp_path / "c.yaml"
+    path.write_text(text + "publish: {enabled: false}\n")
+    assert prepare(load_config(path), path).send_ids == ()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("MotorTorque}", "MotorTorqe}", "nearest: MotorTorque"),
+        ("motor_torque_nm: {message: EPS_Torques, signal: MotorTorque}", "", "motor_torque_nm"),
+    ],
+)
+def test_mapping_that_does_not_fit(
+    tmp_path: Path, config_text: str, old: str, new: str, said: str
+) -> None:
+    text = mapped(tmp_path, config_text, old, new)
+    refusal = refused(tmp_path, text)
+    assert said in refusal
+    assert "s.yaml" in refusal
+
+
+def test_a_message_without_a_cycle_time_is_refused(tmp_path: Path, config_text: str) -> None:
+    dbc = (ROOT / "dbc" / "eps_rig.dbc").read_text()
+    line = 'BA_ "GenMsgCycleTime" BO_ 272 1;\n'
+    assert line in dbc
+    (tmp_path / "a.dbc").write_text(dbc.replace(line, ""))
+    text = mapped(tmp_path, config_text, ", clock: counter", "")
+    said = refused(tmp_path, text.replace(f"{ROOT}/dbc/eps_rig.dbc", "a.dbc"))
+    assert "a.dbc: RIG_State: has no cycle time, which rack_force_n needs" in said
+
+
+def test_a_derived_speed_is_derived_over_the_window_of_the_mapping(
+    tmp_path: Path, config_text: str
+) -> None:
+    text = mapped(
+        tmp_path,
+        config_text,
+        "motor_speed_rad_s: {message: EPS_MotorState, signal: MotorSpeed}",
+        "motor_speed_rad_s: {derive_from: motor_angle_rad, window_s: 0.03}",
+    )
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    parts = prepare(load_config(path), path)
+    assert parts.estimator.settings.speed_window_s == 0.03
+    assert "derive     motor_speed_rad_s from motor_angle_rad" in "\n".join(describe(parts))
+    assert parts.core.decoder.sync.__self__.sync_id == 0x100  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", ["demo_udp.yaml", "demo_vcan.yaml"])
+def test_shipped_configurations_are_good(name: str) -> None:
+    path = ROOT / "configs" / name
+    assert prepare(load_config(path), path).send_ids == (0x120, 0x400)
