@@ -10,6 +10,7 @@ from eps_hil.estimation.setup import (
     ACCELERATION,
     ANGLE,
     BRISTLE,
+    CLOCK,
     DRIVE,
     DRIVE_BEFORE,
     DRIVE_NOISE,
@@ -17,15 +18,19 @@ from eps_hil.estimation.setup import (
     NOISE,
     OMEGA,
     PATH,
+    PHI,
     SLOPE,
     SPEED,
     SPEED_BEFORE,
     STEP_S,
     Constants,
     Inputs,
+    Physics,
 )
+from eps_hil.physics.effects import added
+from eps_hil.physics.effects.effect import Instant
 from eps_hil.physics.friction import (
-    FrictionLaw,
+    SMALLEST_LEVEL_NM,
     bristle_step,
     friction_torque_nm,
     static_level_nm,
@@ -33,51 +38,108 @@ from eps_hil.physics.friction import (
 
 
 @njit
-def friction_step(c: Constants, law: FrictionLaw, s: npt.NDArray[np.float64], u: Inputs) -> float:
-    """Dead zone → friction model → limiter (eq. 2, 3, 4a): T̂_f in Nm at the rotor."""
+def instant_of(c: Constants, s: npt.NDArray[np.float64], u: Inputs) -> Instant:
+    """What the physics is told of this millisecond; T_fs and effects need the load.
+
+    The load is the last estimate, led by its own lag (the loop of PAPER's second trap); the angle
+    is the measured one, else the observer's integrated one.
+    """
+    load = s[FORCE] + s[SLOPE] * (c.observer_lag_s + STEP_S)
+    if c.known_force:
+        load = u.rack_force_n
+    angle = u.motor_angle_rad if c.angle_seen else s[PHI]
+    return Instant(
+        s[CLOCK],
+        u.motor_speed_rad_s,
+        angle,
+        angle / c.ratio,
+        load,
+        angle * c.sensor_to_rotor,
+        u.motor_torque_nm,
+    )
+
+
+@njit
+def drive_torque_nm(c: Constants, x: Physics, i: Instant, u: Inputs) -> float:
+    """T_1m of eq. 1a (Nm, at the rotor), with what is known to be wrong with its two sensors."""
+    motor = added.motor_nm(x.effects, i, u.motor_torque_nm)
+    return motor + c.sensor_to_rotor * added.sensor_nm(x.effects, i, u.torque_sensor_nm)
+
+
+@njit
+def friction_step(
+    c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs, i: Instant, torque: float
+) -> float:
+    """Dead zone → friction model → limiter (eq. 2, 3, 4a): T̂_f in Nm at the rotor.
+
+    ``torque`` is T_1m of this instant.
+    """
+    resting = _is_resting(c, s, u.motor_speed_rad_s, torque)
+    travel, slip = _path(c, s, u, resting)
     speed = u.motor_speed_rad_s
+    moving = 0.0 if resting else speed
+    s[ACCELERATION] += c.acceleration_low_pass * ((speed - s[SPEED]) / STEP_S - s[ACCELERATION])
+    s[SPEED_BEFORE], s[SPEED] = s[SPEED], speed
+    direction = moving if moving != 0.0 else s[BRISTLE]
+    level = static_level_nm(direction, i.rack_force_n, x.law)
+    now = _at_speed(i, moving)
+    level = max(added.level_nm(x.effects, now, level), SMALLEST_LEVEL_NM)
+    added.advance(x.effects, now, STEP_S)
+    before = abs(s[BRISTLE])
+    s[BRISTLE] = bristle_step(s[BRISTLE], travel, slip, level, x.law.sigma0_nm_per_rad)
+    if resting:  # no further than it can bend; but a noisy level must not ratchet it back
+        limit = max(level / x.law.sigma0_nm_per_rad, before)
+        s[BRISTLE] = min(max(s[BRISTLE], -limit), limit)
+    friction = friction_torque_nm(s[BRISTLE], moving, level, x.law)
+    if c.limit and abs(speed) < c.limiter_speed and abs(s[ACCELERATION]) < c.limiter_acceleration:
+        friction = math.copysign(min(abs(friction), abs(torque)), friction)
+    return friction + added.torque_nm(x.effects, i, 0.0)
+
+
+@njit
+def _at_speed(i: Instant, speed: float) -> Instant:
+    """The same instant with the dead zone's word on the speed."""
+    return Instant(
+        i.time_s,
+        speed,
+        i.angle_rad,
+        i.position_m,
+        i.rack_force_n,
+        i.pinion_rad,
+        i.motor_torque_nm,
+    )
+
+
+@njit
+def _is_resting(c: Constants, s: npt.NDArray[np.float64], speed: float, torque: float) -> bool:
+    """Whether the observed speed is no more than the noise that is there would make it."""
     bend = speed - 2.0 * s[SPEED] + s[SPEED_BEFORE]  # six times the variance of white noise
     s[NOISE] += c.noise_memory * (bend * bend / 6.0 - s[NOISE])
-    torque = u.motor_torque_nm + c.sensor_to_rotor * u.torque_sensor_nm
     bend = torque - 2.0 * s[DRIVE] + s[DRIVE_BEFORE]
     s[DRIVE_BEFORE], s[DRIVE] = s[DRIVE], torque
     s[DRIVE_NOISE] += c.noise_memory * (bend * bend / 6.0 - s[DRIVE_NOISE])
     sigma = math.sqrt(c.speed_noise_gain * s[NOISE] + c.torque_noise_gain * s[DRIVE_NOISE])
-    threshold = max(c.dead_zone, c.dead_zone_sigma * sigma)
-    resting = c.use_dead_zone and abs(s[OMEGA]) < threshold
-    travel = 0.5 * (speed + s[SPEED]) * STEP_S
-    slip = abs(travel)
-    if resting:
-        # Noise would wear a resting bristle down, and integrated noise would let it wander. A
-        # measured angle still shows how far the rotor creeps, with an error that does not grow;
-        # without one, the recent path is kept and counted once the rotor is seen to move.
-        slip = 0.0
-        if c.angle_seen:
-            creep = c.angle_low_pass * (u.motor_angle_rad - s[ANGLE])
-            s[ANGLE] += creep
-            travel = creep
-        else:
-            s[PATH] += travel - c.path_forgetting * s[PATH]
-            travel = 0.0
-    else:
-        s[ANGLE] = u.motor_angle_rad
-        travel += s[PATH]
-        slip += abs(s[PATH])
-        s[PATH] = 0.0
-    moving = 0.0 if resting else speed
-    s[ACCELERATION] += c.acceleration_low_pass * ((speed - s[SPEED]) / STEP_S - s[ACCELERATION])
-    s[SPEED_BEFORE], s[SPEED] = s[SPEED], speed
-    # T_fs needs the load: the last estimate, led by its own lag (the loop of PAPER's second trap).
-    load = s[FORCE] + s[SLOPE] * (c.observer_lag_s + STEP_S)
-    if c.known_force:
-        load = u.rack_force_n
-    level = static_level_nm(moving if moving != 0.0 else s[BRISTLE], load, law)
-    before = abs(s[BRISTLE])
-    s[BRISTLE] = bristle_step(s[BRISTLE], travel, slip, level, law.sigma0_nm_per_rad)
-    if resting:  # no further than it can bend; but a noisy level must not ratchet it back
-        limit = max(level / law.sigma0_nm_per_rad, before)
-        s[BRISTLE] = min(max(s[BRISTLE], -limit), limit)
-    friction = friction_torque_nm(s[BRISTLE], moving, level, law)
-    if c.limit and abs(speed) < c.limiter_speed and abs(s[ACCELERATION]) < c.limiter_acceleration:
-        friction = math.copysign(min(abs(friction), abs(torque)), friction)
-    return friction
+    return c.use_dead_zone and abs(s[OMEGA]) < max(c.dead_zone, c.dead_zone_sigma * sigma)
+
+
+@njit
+def _path(
+    c: Constants, s: npt.NDArray[np.float64], u: Inputs, resting: bool
+) -> tuple[float, float]:
+    """Displacement of the step that bends the bristle, and the path that wears it down (rad).
+
+    Noise would wear a resting bristle down, and integrated noise would let it wander. A measured
+    angle still shows how far the rotor creeps, with an error that does not grow; without one, the
+    recent path is kept and counted once the rotor is seen to move.
+    """
+    travel = 0.5 * (u.motor_speed_rad_s + s[SPEED]) * STEP_S
+    if not resting:
+        kept = s[PATH]
+        s[ANGLE], s[PATH] = u.motor_angle_rad, 0.0
+        return travel + kept, abs(travel) + abs(kept)
+    if c.angle_seen:
+        creep = c.angle_low_pass * (u.motor_angle_rad - s[ANGLE])
+        s[ANGLE] += creep
+        return creep, 0.0
+    s[PATH] += travel - c.path_forgetting * s[PATH]
+    return 0.0, 0.0

@@ -13,13 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
-from eps_hil.estimation.compensation import friction_step
+from eps_hil.estimation.compensation import drive_torque_nm, friction_step, instant_of
 from eps_hil.estimation.observer import observer_step
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import (
     ACCELERATION,
     ANGLE,
     BRISTLE,
+    CLOCK,
     DRIVE,
     DRIVE_BEFORE,
     DRIVE_NOISE,
@@ -44,11 +45,14 @@ from eps_hil.estimation.setup import (
     TORQUE,
     Constants,
     Inputs,
+    Physics,
     constants,
     new_state,
+    physics_of,
 )
 from eps_hil.estimation.validity import Reason
-from eps_hil.physics.friction import FrictionLaw, friction_law, static_level_nm
+from eps_hil.physics.effects.catalogue import with_model_effects
+from eps_hil.physics.friction import static_level_nm
 from eps_hil.physics.model import Model
 
 _SETTLING = int(Reason.SETTLING)
@@ -65,9 +69,10 @@ class Output(NamedTuple):
 
 
 @njit
-def start(c: Constants, law: FrictionLaw, s: npt.NDArray[np.float64], u: Inputs) -> None:
+def start(c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs) -> None:
     """Begin, or begin again after a gap, from the inputs of one instant."""
-    torque = u.motor_torque_nm + c.sensor_to_rotor * u.torque_sensor_nm
+    law = x.law
+    torque = drive_torque_nm(c, x, instant_of(c, s, u), u)
     s[PHI], s[OMEGA] = u.motor_angle_rad, u.motor_speed_rad_s
     s[SPEED] = s[SPEED_BEFORE] = u.motor_speed_rad_s
     s[ANGLE] = u.motor_angle_rad
@@ -97,19 +102,22 @@ def start(c: Constants, law: FrictionLaw, s: npt.NDArray[np.float64], u: Inputs)
 
 @njit
 def estimator_step(
-    c: Constants, law: FrictionLaw, s: npt.NDArray[np.float64], u: Inputs, reason: int
+    c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs, reason: int
 ) -> int:
     """One millisecond: updates the state vector ``s`` (shape (80,)); returns the reason bits.
 
     ``reason`` says what is wrong with the inputs; anything but 0 holds the last estimate.
     """
     if reason != 0:
+        s[CLOCK] += STEP_S if s[CLOCK] > 0.0 else 0.0
         s[RUNNING] = min(s[RUNNING], 0.0)
         return reason
     if s[RUNNING] <= 0.0:
-        start(c, law, s, u)
-    friction = friction_step(c, law, s, u)
-    torque = u.motor_torque_nm + c.sensor_to_rotor * u.torque_sensor_nm
+        start(c, x, s, u)
+    i = instant_of(c, s, u)
+    torque = drive_torque_nm(c, x, i, u)
+    friction = friction_step(c, x, s, u, i, torque)
+    s[CLOCK] += STEP_S
     if c.compensate:
         torque -= friction
     if c.known_force:
@@ -150,12 +158,13 @@ class RackForceEstimator:
     """The estimator for inputs that are aligned already: one :meth:`step` a millisecond."""
 
     constants: Constants
-    law: FrictionLaw
+    physics: Physics
     state: npt.NDArray[np.float64]
 
     def __init__(self, model: Model, settings: EstimatorSettings | None = None) -> None:
+        model = with_model_effects(model)
         self.constants = constants(model, settings or EstimatorSettings())
-        self.law = friction_law(model.friction)
+        self.physics = physics_of(model)
         self.state = new_state()
 
     @property
@@ -167,9 +176,10 @@ class RackForceEstimator:
         """Take the inputs of the next millisecond; hold the last estimate if they are bad."""
         if reason == Reason.FINE and not all(map(math.isfinite, inputs)):
             reason = Reason.BAD_SAMPLE
-        bits = estimator_step(self.constants, self.law, self.state, inputs, int(reason))
+        bits = estimator_step(self.constants, self.physics, self.state, inputs, int(reason))
         return Output(self.state[OUT_FORCE], self.state[OUT_FRICTION], Reason(bits))
 
     def reset(self) -> None:
         """Forget everything."""
         self.state[:] = new_state()
+        self.physics.effects.state[:] = 0.0

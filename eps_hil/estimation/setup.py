@@ -8,6 +8,8 @@ import numpy.typing as npt
 
 from eps_hil.estimation import observer_design
 from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.physics.effects.added import Added, added
+from eps_hil.physics.friction import FrictionLaw, friction_law
 from eps_hil.physics.model import Model
 
 STEP_S = 1e-3
@@ -16,8 +18,8 @@ STEP_NS = 1_000_000
 # Places in the state vector. Everything that the estimator remembers is here.
 PHI, OMEGA, FORCE, BRISTLE, SPEED, ANGLE, ACCELERATION, TORQUE = range(8)
 SLOPE, LP1, LP2, RUNNING, SETTLE, OUT_FORCE, OUT_FRICTION, HEAD = range(8, 16)
-SPEED_BEFORE, NOISE, PATH, DRIVE, DRIVE_BEFORE, DRIVE_NOISE = range(16, 22)
-LINE = 22
+SPEED_BEFORE, NOISE, PATH, DRIVE, DRIVE_BEFORE, DRIVE_NOISE, CLOCK = range(16, 23)
+LINE = 23
 LINE_LENGTH = 64
 STATES = LINE + LINE_LENGTH
 
@@ -57,6 +59,18 @@ class Constants(NamedTuple):
     limit: bool
     angle_measured: bool
     known_force: bool
+
+
+class Physics(NamedTuple):
+    """The model as compiled code takes it: the friction law, and what a diagnosis added to it."""
+
+    law: FrictionLaw
+    effects: Added
+
+
+def physics_of(model: Model) -> Physics:
+    """Friction law and added effects of a model whose own numbers are worked in already."""
+    return Physics(friction_law(model.friction), added(model))
 
 
 class Inputs(NamedTuple):

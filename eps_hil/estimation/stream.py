@@ -16,9 +16,9 @@ import numpy.typing as npt
 from eps_hil.compiled import njit
 from eps_hil.estimation import alignment, rack_force, setup
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.setup import STEP_NS, Constants, Inputs
+from eps_hil.estimation.setup import STEP_NS, Constants, Inputs, Physics
 from eps_hil.estimation.validity import Reason
-from eps_hil.physics.friction import FrictionLaw, friction_law
+from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.signals import ESTIMATOR_INPUTS
 
@@ -131,7 +131,7 @@ def _gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int]:
 
 
 @njit
-def advance(m: Memory, timing: Timing, c: Constants, law: FrictionLaw, t: int) -> int:
+def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     """Step the grid up to sync stamp ``t``; results in m.t_ns, m.estimate, m.reason [0:n]."""
     extra = 0
     if m.grid[1] == 0:
@@ -142,6 +142,7 @@ def advance(m: Memory, timing: Timing, c: Constants, law: FrictionLaw, t: int) -
         m.filled[:] = 0
         m.state[:] = 0.0
         m.state[setup.RUNNING] = -1.0
+        x.effects.state[:] = 0.0
         extra = _TIME
     lag = int(round(c.output_lag_s * 1e9))
     n = 0
@@ -150,7 +151,7 @@ def advance(m: Memory, timing: Timing, c: Constants, law: FrictionLaw, t: int) -
         at = m.grid[0] - timing.lookback
         inputs, reason = _gather(m, timing, at)
         reason |= extra
-        m.reason[n] = rack_force.estimator_step(c, law, m.state, inputs, reason)
+        m.reason[n] = rack_force.estimator_step(c, x, m.state, inputs, reason)
         m.t_ns[n] = at - lag
         m.estimate[n, 0] = m.state[setup.OUT_FORCE]
         m.estimate[n, 1] = m.state[setup.OUT_FRICTION]
@@ -164,7 +165,7 @@ def run(
     m: Memory,
     timing: Timing,
     c: Constants,
-    law: FrictionLaw,
+    x: Physics,
     signal: npt.NDArray[np.int8],
     t_ns: Int64,
     value: Float64,
@@ -183,7 +184,7 @@ def run(
         if signal[k] >= 0:
             push(m, timing, signal[k], t_ns[k], value[k])
         else:
-            n = advance(m, timing, c, law, t_ns[k])
+            n = advance(m, timing, c, x, t_ns[k])
             out_t[rows : rows + n] = m.t_ns[:n]
             out[rows : rows + n] = m.estimate[:n]
             out_reason[rows : rows + n] = m.reason[:n]
@@ -203,9 +204,10 @@ class StreamEstimator:
         self, model: Model, settings: EstimatorSettings, periods_s: Mapping[str, float]
     ) -> None:
         self.settings = settings
+        model = with_model_effects(model)
         angle_seen = "motor_angle_rad" in periods_s
         self.constants = setup.constants(model, settings, angle_seen)
-        self.law = friction_law(model.friction)
+        self.physics = setup.physics_of(model)
         self.timing = _timing(model, settings, periods_s)
         self._places = {name: i for i, name in enumerate(SIGNALS) if name in periods_s}
         self.memory = _new_memory()
@@ -224,7 +226,7 @@ class StreamEstimator:
 
     def advance(self, t_ns: int) -> int:
         """A sync frame with stamp ``t_ns``: run what is due, return the number of estimates."""
-        n = int(advance(self.memory, self.timing, self.constants, self.law, t_ns))
+        n = int(advance(self.memory, self.timing, self.constants, self.physics, t_ns))
         self._latest = n - 1 if n else self._latest
         return n
 
@@ -240,7 +242,9 @@ class StreamEstimator:
     def warm_up(self) -> None:
         """Compile (or load) all machine code now, so that no frame waits for it."""
         twin = StreamEstimator.__new__(StreamEstimator)
-        twin.constants, twin.law, twin.timing = self.constants, self.law, self.timing
+        twin.constants, twin.timing = self.constants, self.timing
+        effects = self.physics.effects._replace(state=self.physics.effects.state.copy())
+        twin.physics = self.physics._replace(effects=effects)
         twin.settings, twin._places, twin._latest = self.settings, self._places, 0
         twin.memory = _new_memory()
         for name in self._places:
@@ -256,7 +260,7 @@ class StreamEstimator:
         out_reason = np.empty(size, np.int64)
         while since < len(signal):
             since, n = run(
-                self.memory, self.timing, self.constants, self.law,
+                self.memory, self.timing, self.constants, self.physics,
                 signal, t_ns, value, out_t, out, out_reason, since,
             )  # fmt: skip
             blocks.append((out_t[:n].copy(), out[:n].copy(), out_reason[:n].copy()))

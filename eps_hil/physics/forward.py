@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.physics.simulate import simulate
 from eps_hil.series import Series
@@ -42,6 +43,7 @@ def forward(model: Model, series: Mapping[str, Series], *, physical: bool = Fals
         if name not in series
     ]
     t_ns = series["motor_torque_nm"].t_ns
+    model = with_model_effects(model)
     motor, sensor, force = (
         _physical(series, name, t_ns, model)
         for name in ("motor_torque_nm", "torque_sensor_nm", "rack_force_n")
@@ -50,7 +52,8 @@ def forward(model: Model, series: Mapping[str, Series], *, physical: bool = Fals
     motion = simulate(
         model,
         seconds,
-        motor + model.sensor_to_rotor * sensor,
+        motor,
+        sensor,
         force,
         speed_rad_s=float(_physical(series, "motor_speed_rad_s", t_ns[:1], model)[0]),
         angle_rad=float(_physical(series, "motor_angle_rad", t_ns[:1], model)[0]),

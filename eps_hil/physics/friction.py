@@ -10,7 +10,7 @@ from typing import NamedTuple
 from eps_hil.compiled import njit
 from eps_hil.physics.model import Friction
 
-_SMALLEST_LEVEL_NM = 1e-6
+SMALLEST_LEVEL_NM = 1e-6
 
 
 class FrictionLaw(NamedTuple):
@@ -44,7 +44,7 @@ def static_level_nm(speed_rad_s: float, rack_force_n: float, law: FrictionLaw) -
         level = (
             law.offset_neg_nm + law.viscous_neg_nm_s_per_rad * speed + law.load_neg_nm_per_n * load
         )
-    return max(level, _SMALLEST_LEVEL_NM)
+    return max(level, SMALLEST_LEVEL_NM)
 
 
 @njit(inline="always")

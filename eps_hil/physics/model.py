@@ -36,9 +36,7 @@ class Delays:
         """Delay of a canonical signal in seconds; 0 for one without an entry."""
         return {
             "motor_speed_rad_s": self.motor_speed,
-            "motor_angle_rad": (
-                self.motor_speed if self.motor_angle is None else self.motor_angle
-            ),
+            "motor_angle_rad": (self.motor_speed if self.motor_angle is None else self.motor_angle),
             "motor_torque_nm": self.motor_torque,
             "torque_sensor_nm": self.torque_sensor,
             "rack_force_n": self.rack_force,
@@ -90,13 +88,14 @@ def load_model(path: str | Path) -> Model:
     """Read a model file; :class:`InputError` names line and field of the first mistake."""
     model = yaml_file.load(path, Model, section="model")
     if model.effects:
-        names = ", ".join(str(effect.get("effect", "?")) for effect in model.effects)
-        raise InputError(
-            path,
-            "model.effects",
-            f"added effects ({names}) are not supported by this version",
-            "use a model with 'effects: []'",
-        )
+        from eps_hil.physics.effects.catalogue import values_of
+
+        for k, entry in enumerate(model.effects):
+            try:
+                values_of(entry, model)
+            except ValueError as error:
+                place = f"model.effects[{k}]"
+                raise InputError(path, place, str(error), "see docs/reference-effects.md") from None
     return model
 
 

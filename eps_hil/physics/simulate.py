@@ -11,7 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
+from eps_hil.physics.effects import added
+from eps_hil.physics.effects.catalogue import with_model_effects
+from eps_hil.physics.effects.effect import Instant
 from eps_hil.physics.friction import (
+    SMALLEST_LEVEL_NM,
     FrictionLaw,
     bristle_step,
     friction_law,
@@ -26,11 +30,13 @@ Floats = npt.NDArray[np.float64]
 
 
 class Drive(NamedTuple):
-    """The 1-mass model as compiled code takes it."""
+    """The 1-mass model as compiled code takes it, effects included."""
 
     inertia: float
     ratio: float
+    sensor_to_rotor: float
     law: FrictionLaw
+    effects: added.Added
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,39 +48,67 @@ class Motion:
     friction_torque_nm: Floats
 
 
+def drive_of(model: Model) -> Drive:
+    """The compiled form of a model; ``ValueError`` if one of its effects is wrong."""
+    worked_in = with_model_effects(model)
+    return Drive(
+        worked_in.inertia_kg_m2,
+        worked_in.rack_to_rotor_ratio_rad_per_m,
+        worked_in.sensor_to_rotor,
+        friction_law(worked_in.friction),
+        added.added(worked_in),
+    )
+
+
 def simulate(
     model: Model,
     time_s: Floats,
-    drive_torque_nm: Floats,
+    motor_torque_nm: Floats,
+    torque_sensor_nm: Floats,
     rack_force_n: Floats,
     *,
     speed_rad_s: float = 0.0,
     angle_rad: float = 0.0,
     bristle_rad: float = 0.0,
 ) -> Motion:
-    """Run the model from the given state through inputs sampled at ``time_s``, all shape (n,).
+    """Run the model, effects included, from the given state; all arrays shape (n,).
 
-    ``drive_torque_nm`` is T_1m of eq. 1a (motor plus torsion bar over the ratio), at the rotor.
-    Inputs are straight lines between samples; each interval is cut into steps of 50 µs or less.
+    ``motor_torque_nm`` (rotor) and ``torque_sensor_nm`` (column) are what is reported, at its
+    physical instants; ``time_s`` counts from the start of the recording (warm-up needs it). Inputs
+    are straight lines between samples; each interval is cut into steps of 50 µs or less.
     """
-    drive = Drive(
-        model.inertia_kg_m2, model.rack_to_rotor_ratio_rad_per_m, friction_law(model.friction)
-    )
+    inputs = np.column_stack([motor_torque_nm, torque_sensor_nm, rack_force_n])
     out = np.empty((len(time_s), 3))
     start = np.array([speed_rad_s, angle_rad, bristle_rad])
-    _integrate(drive, time_s, drive_torque_nm, rack_force_n, start, out)
+    _integrate(drive_of(model), time_s, inputs, start, out)
     return Motion(out[:, 0], out[:, 1], out[:, 2])
 
 
 @njit
-def _integrate(
-    drive: Drive, time_s: Floats, torque: Floats, force: Floats, start: Floats, out: Floats
-) -> None:
+def _instant(drive: Drive, t: float, speed: float, angle: float, row: Floats) -> Instant:
+    position = angle / drive.ratio
+    return Instant(t, speed, angle, position, row[2], angle * drive.sensor_to_rotor, row[0])
+
+
+@njit
+def _friction(drive: Drive, u: Instant, bristle: float, after: float) -> tuple[float, float]:
+    """Friction and added torque (Nm) with the bristle half way, and T_fs."""
+    level = max(
+        added.level_nm(drive.effects, u, static_level_nm(u.speed_rad_s, u.rack_force_n, drive.law)),
+        SMALLEST_LEVEL_NM,
+    )
+    torque = friction_torque_nm(0.5 * (bristle + after), u.speed_rad_s, level, drive.law)
+    return torque + added.torque_nm(drive.effects, u, 0.0), level
+
+
+@njit
+def _integrate(drive: Drive, time_s: Floats, inputs: Floats, start: Floats, out: Floats) -> None:
     speed, angle, bristle = start[0], start[1], start[2]
+    row = np.empty(3)
     for k in range(len(time_s)):
-        level = static_level_nm(speed, force[k], drive.law)
+        u = _instant(drive, time_s[k], speed, angle, inputs[k])
         out[k, 0], out[k, 1] = speed, angle
-        out[k, 2] = friction_torque_nm(bristle, speed, level, drive.law)
+        out[k, 2] = _friction(drive, u, bristle, bristle)[0]
         if k + 1 == len(time_s):
             break
         interval = time_s[k + 1] - time_s[k]
@@ -82,27 +116,33 @@ def _integrate(
         dt = interval / steps
         for j in range(steps):
             part = (j + 0.5) / steps
-            torque_now = torque[k] + part * (torque[k + 1] - torque[k])
-            force_now = force[k] + part * (force[k + 1] - force[k])
-            middle, bristle = _middle(drive, speed, bristle, torque_now, force_now, dt)
+            for i in range(3):
+                row[i] = inputs[k, i] + part * (inputs[k + 1, i] - inputs[k, i])
+            t = time_s[k] + part * interval
+            middle, bristle = _middle(drive, t, speed, angle, bristle, row, dt)
+            u = _instant(drive, t, middle, angle + 0.5 * dt * middle, row)
+            added.advance(drive.effects, u, dt)
             angle += dt * middle
             speed = 2.0 * middle - speed
 
 
 @njit
 def _middle(
-    drive: Drive, speed: float, bristle: float, torque: float, force: float, dt: float
+    drive: Drive, t: float, speed: float, angle: float, bristle: float, row: Floats, dt: float
 ) -> tuple[float, float]:
     """Speed in the middle of a step (implicit midpoint rule) and the bristle at its end."""
     law = drive.law
     middle, after = speed, bristle
-    push = torque - force / drive.ratio
+    # The friction's stiffness over the step makes the iteration contract at any speed.
+    stiff = law.sigma1_nm_s_per_rad + 0.5 * dt * law.sigma0_nm_per_rad
+    weight = drive.inertia / (0.5 * dt)
     for _ in range(4):
-        level = static_level_nm(middle, force, law)
+        u = _instant(drive, t, middle, angle + 0.5 * dt * middle, row)
+        motor = added.motor_nm(drive.effects, u, row[0])
+        sensor = added.sensor_nm(drive.effects, u, row[1])
+        push = motor + drive.sensor_to_rotor * sensor - row[2] / drive.ratio
+        level = _friction(drive, u, bristle, after)[1]
         after = bristle_step(bristle, middle * dt, abs(middle) * dt, level, law.sigma0_nm_per_rad)
-        friction = friction_torque_nm(0.5 * (bristle + after), middle, level, law)
-        # The friction's stiffness over the step makes the iteration contract at any speed.
-        stiff = law.sigma1_nm_s_per_rad + 0.5 * dt * law.sigma0_nm_per_rad
-        weight = drive.inertia / (0.5 * dt)
+        friction = _friction(drive, u, bristle, after)[0]
         middle = (weight * speed + push - friction + stiff * middle) / (weight + stiff)
     return middle, after

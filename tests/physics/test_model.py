@@ -48,7 +48,8 @@ def test_angle_is_as_late_as_the_speed_unless_told_otherwise() -> None:
         ("motor_speed: 0.004", "motor_speed: soon", ("delays_s.motor_speed", "soon")),
         ("model:", "modell:", ("model", "section is missing")),
         ("effects: []", "effects: [", ("line", "YAML")),
-        ("effects: []", "effects: [{effect: stribeck}]", ("effects", "stribeck")),
+        ("effects: []", "effects: [{effect: stribek}]", ("effects[0]", "mean 'stribeck'")),
+        ("effects: []", "effects: [{effect: stribeck}]", ("stribeck needs level_nm",)),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, old: str, new: str, said: tuple[str, ...]) -> None:

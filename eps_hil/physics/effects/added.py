@@ -1,0 +1,120 @@
+"""The effects of one model as compiled code runs them: one function a slot, fused at import.
+
+Each slot's function walks through all effects of that slot; one that is not there costs a branch,
+not a recompile, so the machine code is the same for every model.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.physics.effects.catalogue import catalogue, values_of
+from eps_hil.physics.effects.effect import STATES, WIDTH, Effect, Floats, Instant, Slot
+from eps_hil.physics.model import Model
+
+_KERNELS = [e for e in catalogue().values() if e.kernel is not None and e.simulated]
+_ROW = {effect.id: row for row, effect in enumerate(_KERNELS)}
+
+
+class Added(NamedTuple):
+    """What is added to the model: on (n,), parameters (n, WIDTH), state (n, STATES)."""
+
+    on: npt.NDArray[np.bool_]
+    parameters: Floats
+    state: Floats
+
+
+def added(model: Model) -> Added:
+    """The kernels' table for a model; ``ValueError`` for an entry that is wrong."""
+    table = Added(
+        np.zeros(len(_KERNELS), np.bool_),
+        np.zeros((len(_KERNELS), WIDTH)),
+        np.zeros((len(_KERNELS), STATES)),
+    )
+    for entry in model.effects:
+        effect, values = values_of(entry, model)
+        if effect.id not in _ROW:
+            continue
+        row = _ROW[effect.id]
+        if table.on[row]:
+            raise ValueError(f"'{effect.id}' stands twice among the effects")
+        table.on[row] = True
+        numbers = _numbers(values)
+        table.parameters[row, : len(numbers)] = numbers
+    return table
+
+
+def _numbers(values: dict[str, Any]) -> list[float]:
+    """Parameters in the kernel's order; a curve as its length and then its knots."""
+    if "curve" in values:
+        knots = values["curve"]
+        return [float(len(knots)), *(number for knot in knots for number in knot)]
+    return [float(value) for value in values.values()]
+
+
+def _fused(effects: list[Effect]) -> Callable[[Added, Instant, float], float]:
+    """One compiled function that passes a value through the kernels of ``effects`` in order."""
+
+    def build(k: int) -> Callable[[Added, Instant, float], float]:
+        if k < 0:
+
+            @njit
+            def unchanged(_a: Added, _u: Instant, value: float) -> float:
+                return value
+
+            return unchanged
+        before, kernel, row = build(k - 1), effects[k].kernel, _ROW[effects[k].id]
+        assert kernel is not None
+
+        @njit
+        def through(a: Added, u: Instant, value: float) -> float:
+            value = before(a, u, value)
+            if a.on[row]:
+                value = kernel(a.parameters[row], a.state[row], u, value)
+            return value
+
+        return through
+
+    return build(len(effects) - 1)
+
+
+def _fused_advance(effects: list[Effect]) -> Callable[[Added, Instant, float], None]:
+    def build(k: int) -> Callable[[Added, Instant, float], None]:
+        if k < 0:
+
+            @njit
+            def nothing(_a: Added, _u: Instant, _dt: float) -> None:
+                return None
+
+            return nothing
+        before, move, row = build(k - 1), effects[k].advance, _ROW[effects[k].id]
+        assert move is not None
+
+        @njit
+        def through(a: Added, u: Instant, dt: float) -> None:
+            before(a, u, dt)
+            if a.on[row]:
+                move(a.parameters[row], a.state[row], u, dt)
+
+        return through
+
+    return build(len(effects) - 1)
+
+
+def _of(slot: Slot) -> list[Effect]:
+    return [effect for effect in _KERNELS if effect.slot is slot]
+
+
+level_nm = _fused(_of(Slot.LEVEL) + _of(Slot.LEVEL_FACTOR))
+"""T_fs (Nm) with the added terms: ``level_nm(added, instant, level of eq. 3)``."""
+torque_nm = _fused(_of(Slot.TORQUE))
+"""Torque that opposes the drive beside friction and load: ``torque_nm(added, instant, 0.0)``."""
+motor_nm = _fused(_of(Slot.MOTOR))
+"""Shaft torque of the motor from the reported one."""
+sensor_nm = _fused(_of(Slot.SENSOR))
+"""True torsion-bar torque from the reported one, at the column."""
+advance = _fused_advance([effect for effect in _KERNELS if effect.advance is not None])
+"""Moves what effects remember (rest times, …) on by one step."""

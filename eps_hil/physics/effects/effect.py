@@ -1,0 +1,97 @@
+"""What one file of this folder says about one effect: the whole of what the tool knows of it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
+
+WIDTH = 26
+"""Parameters that one effect may have (a curve takes one plus two a knot)."""
+STATES = 4
+"""Numbers that one effect may remember between steps."""
+
+
+class Instant(NamedTuple):
+    """One physical instant as a kernel sees it; torques and angles at the rotor (CONTRACT 1)."""
+
+    time_s: float
+    speed_rad_s: float
+    angle_rad: float
+    position_m: float
+    rack_force_n: float
+    pinion_rad: float
+    motor_torque_nm: float
+
+
+class Slot(StrEnum):
+    """Where in the simulator an effect acts; within a slot effects act in this order of files."""
+
+    MODEL = "model"
+    """On the model file's own numbers, before anything runs."""
+    LEVEL = "level"
+    """On T_fs (Nm), inside the friction model; additive terms."""
+    LEVEL_FACTOR = "level_factor"
+    """On T_fs, after all additive terms."""
+    TORQUE = "torque"
+    """On the torque sum that opposes the drive (Nm at the rotor), beside friction and load."""
+    MOTOR = "motor"
+    """From the reported motor torque to that on the shaft (Nm)."""
+    SENSOR = "sensor"
+    """From the reported torsion-bar torque to the true one (Nm, at the column)."""
+    DATA = "data"
+    """In the recording only: nothing in the simulator changes."""
+
+
+class Kind(StrEnum):
+    """CONTRACT 7."""
+
+    STRUCTURE = "structure"
+    PARAMETER = "parameter"
+    INSTRUMENT = "instrument"
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number of an effect: name with unit, bounds inside which it makes physical sense."""
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    meaning: str
+    default: float | None = None
+    """Used where the model file leaves the parameter out; None if it has to be given."""
+
+
+Kernel = Callable[[Floats, Floats, Instant, float], float]
+"""(parameters (WIDTH,), state (STATES,), instant, value) -> new value of the slot."""
+Advance = Callable[[Floats, Floats, Instant, float], None]
+"""(parameters, state, instant, Δt in s): moves the state on, once a step."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """An entry of the catalogue (CONTRACT 8)."""
+
+    id: str
+    kind: Kind
+    slot: Slot
+    equation: str
+    parameters: tuple[Parameter, ...]
+    sentence: str
+    """One sentence that a rig engineer understands; {parameter} places are filled in."""
+    twins: Mapping[str, str] = field(default_factory=dict)
+    """Effects that recordings may not tell from this one -> the experiment that does."""
+    kernel: Kernel | None = None
+    advance: Advance | None = None
+    change: Callable[[Model, Mapping[str, Any]], Model] | None = None
+    """For ``Slot.MODEL``: the model with the effect's numbers worked in."""
+    simulated: bool = True
+    """Whether simulator and estimator can use it (a model file may then hold it)."""

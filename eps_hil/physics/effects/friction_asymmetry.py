@@ -1,0 +1,37 @@
+"""Friction that differs between the two directions of movement (eq. 3, k0+ against k0−)."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Slot
+from eps_hil.physics.model import Model
+
+
+def _change(model: Model, values: Mapping[str, float]) -> Model:
+    half, friction = values["half_difference_nm"], model.friction
+    return replace(
+        model,
+        friction=replace(
+            friction,
+            offset_pos_nm=friction.offset_pos_nm + half,
+            offset_neg_nm=friction.offset_neg_nm - half,
+        ),
+    )
+
+
+EFFECT = Effect(
+    id="friction_asymmetry",
+    kind=Kind.STRUCTURE,
+    slot=Slot.MODEL,
+    equation="T_fs += sign(ω) · half_difference",
+    parameters=(
+        Parameter("half_difference_nm", "Nm", -0.3, 0.3, "half of positive less negative level"),
+    ),
+    sentence="Friction differs between the directions by 2 × {half_difference_nm:.3g} Nm more than "
+    "the model says.",
+    twins={
+        "motor_torque_offset": "rest at zero torque: an offset is still there, asymmetry is not",
+        "torque_sensor_offset": "hands off, motor off: an offset is still read",
+    },
+    change=_change,
+)

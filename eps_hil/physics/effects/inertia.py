@@ -1,0 +1,23 @@
+"""The inertia J_1m off by a factor (eq. 1b)."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Slot
+from eps_hil.physics.model import Model
+
+
+def _change(model: Model, values: Mapping[str, float]) -> Model:
+    return replace(model, inertia_kg_m2=model.inertia_kg_m2 * values["scale"])
+
+
+EFFECT = Effect(
+    id="inertia",
+    kind=Kind.PARAMETER,
+    slot=Slot.MODEL,
+    equation="J · scale",
+    parameters=(Parameter("scale", "1", 0.2, 5.0, "true per modelled inertia"),),
+    sentence="The inertia is {scale:.3g} times what the model says.",
+    twins={"motor_torque_gain": "standstill under a known load"},
+    change=_change,
+)

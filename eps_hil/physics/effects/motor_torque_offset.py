@@ -1,0 +1,24 @@
+"""A constant error of the reported motor torque."""
+
+from eps_hil.compiled import njit
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+
+
+@njit
+def _torque_nm(p: Floats, _s: Floats, _u: Instant, torque: float) -> float:
+    return torque + p[0]
+
+
+EFFECT = Effect(
+    id="motor_torque_offset",
+    kind=Kind.INSTRUMENT,
+    slot=Slot.MOTOR,
+    equation="T_em + offset",
+    parameters=(Parameter("offset_nm", "Nm", -0.5, 0.5, "true less reported motor torque"),),
+    sentence="The motor gives {offset_nm:.3g} Nm more than it reports.",
+    twins={
+        "torque_sensor_offset": "hands off: only one of the two sensors then reads other than zero",
+        "friction_asymmetry": "rest at zero torque: an offset is still there",
+    },
+    kernel=_torque_nm,
+)

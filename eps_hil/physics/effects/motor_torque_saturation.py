@@ -1,0 +1,22 @@
+"""A motor whose torque falls behind its current at high torque."""
+
+from eps_hil.compiled import njit
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+
+
+@njit
+def _torque_nm(p: Floats, _s: Floats, _u: Instant, torque: float) -> float:
+    return torque / (1.0 + p[0] * torque * torque)
+
+
+EFFECT = Effect(
+    id="motor_torque_saturation",
+    kind=Kind.STRUCTURE,
+    slot=Slot.MOTOR,
+    equation="T_em / (1 + curvature · T_em²)",
+    parameters=(Parameter("curvature_per_nm2", "1/Nm²", -0.05, 1.0, "curvature"),),
+    sentence="The motor gives less than it reports at high torque (curvature "
+    "{curvature_per_nm2:.3g} /Nm²): saturation.",
+    twins={"motor_torque_gain": "the same manoeuvre at half the torque"},
+    kernel=_torque_nm,
+)

@@ -1,0 +1,33 @@
+"""A static torque over rack position that is no spring, stop or ripple: gravity, imbalance."""
+
+from eps_hil.compiled import njit
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+
+
+@njit
+def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
+    n = int(p[0])  # knots: p[1], p[2] = position and torque of the first, and so on
+    if n == 0:
+        return torque
+    if u.position_m <= p[1]:
+        return torque + p[2]
+    for k in range(1, n):
+        x0, x1 = p[2 * k - 1], p[2 * k + 1]
+        if u.position_m <= x1:
+            part = (u.position_m - x0) / (x1 - x0)
+            return torque + p[2 * k] + part * (p[2 * k + 2] - p[2 * k])
+    return torque + p[2 * n]
+
+
+EFFECT = Effect(
+    id="position_torque",
+    kind=Kind.STRUCTURE,
+    slot=Slot.TORQUE,
+    equation="+ curve(x), straight between its knots",
+    parameters=(
+        Parameter("curve", "m, Nm", -10.0, 10.0, "knots [[x_m, torque_nm], …], at most 12"),
+    ),
+    sentence="A static torque over rack position is missing.",
+    twins={"unmodelled_spring": "slow passes over the whole travel"},
+    kernel=_torque_nm,
+)

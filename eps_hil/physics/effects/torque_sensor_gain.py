@@ -1,0 +1,21 @@
+"""A wrong scale of the torsion-bar torque."""
+
+from eps_hil.compiled import njit
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+
+
+@njit
+def _torque_nm(p: Floats, _s: Floats, _u: Instant, torque: float) -> float:
+    return torque / p[0]
+
+
+EFFECT = Effect(
+    id="torque_sensor_gain",
+    kind=Kind.INSTRUMENT,
+    slot=Slot.SENSOR,
+    equation="reported = gain · true",
+    parameters=(Parameter("gain", "1", 0.3, 3.0, "reported per true torque"),),
+    sentence="The torque sensor reads {gain:.3g} times the true torque.",
+    twins={"cardan_joint": "a turn of the pinion or more under a constant hand torque"},
+    kernel=_torque_nm,
+)

@@ -1,0 +1,26 @@
+"""A constant error of the torsion-bar torque."""
+
+from eps_hil.compiled import njit
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+
+
+@njit
+def _torque_nm(p: Floats, _s: Floats, _u: Instant, torque: float) -> float:
+    return torque - p[0]
+
+
+EFFECT = Effect(
+    id="torque_sensor_offset",
+    kind=Kind.INSTRUMENT,
+    slot=Slot.SENSOR,
+    equation="T_sen = reported − offset",
+    parameters=(
+        Parameter("offset_nm", "Nm", -3.0, 3.0, "reported less true torque, at the column"),
+    ),
+    sentence="The torque sensor reads {offset_nm:.3g} Nm too much.",
+    twins={
+        "motor_torque_offset": "hands off: only one of the two sensors then reads other than zero",
+        "friction_asymmetry": "rest at zero torque: an offset is still there",
+    },
+    kernel=_torque_nm,
+)

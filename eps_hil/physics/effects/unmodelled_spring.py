@@ -1,0 +1,21 @@
+"""A spring on the rotor (or the rack) that the model does not have: a boot, a hose, a cable."""
+
+from eps_hil.compiled import njit
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+
+
+@njit
+def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
+    return torque + p[0] * u.angle_rad
+
+
+EFFECT = Effect(
+    id="unmodelled_spring",
+    kind=Kind.STRUCTURE,
+    slot=Slot.TORQUE,
+    equation="stiffness · φ",
+    parameters=(Parameter("stiffness_nm_per_rad", "Nm/rad", -0.1, 0.1, "stiffness at the rotor"),),
+    sentence="A spring of {stiffness_nm_per_rad:.3g} Nm/rad pulls the rotor to the middle.",
+    twins={"position_torque": "slow passes over the whole travel"},
+    kernel=_torque_nm,
+)

@@ -1,0 +1,59 @@
+"""Write docs/reference-effects.md from the catalogue; ``--check`` fails where the two differ."""
+
+import sys
+from pathlib import Path
+
+from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.effects.effect import Slot
+
+PAGE = Path(__file__).parents[1] / "docs" / "reference-effects.md"
+
+HEAD = """# Effects that a model file may add
+
+Written by `scripts/effects_reference.py` from `eps_hil/physics/effects/`, one file an effect.
+A model file takes them as `effects: [{effect: stribeck, level_nm: 0.045, speed_rad_s: 12.0}]`;
+`eps-hil simulate`, `eps-hil estimate` and the live service then use them. Torques and angles are
+at the rotor, ω is its speed, φ its angle, x the rack position, F the rack force, ψ the pinion angle.
+"""
+
+WHERE = {
+    Slot.MODEL: "the model's own numbers",
+    Slot.LEVEL: "inside T_fs",
+    Slot.LEVEL_FACTOR: "inside T_fs, after the rest",
+    Slot.TORQUE: "beside friction and load",
+    Slot.MOTOR: "between reported and shaft torque",
+    Slot.SENSOR: "between reported and true torsion-bar torque",
+    Slot.DATA: "in the recording only",
+}
+
+
+def page() -> str:
+    """The whole page as text."""
+    parts = [HEAD]
+    for effect in catalogue().values():
+        used = "" if effect.simulated else " It can be named, but not yet be simulated."
+        parts.append(f"## `{effect.id}`\n\n{effect.equation} — {effect.kind}, acts "
+                     f"{WHERE[effect.slot]}.{used}\n")  # fmt: skip
+        rows = ["| parameter | unit | between | meaning |", "|---|---|---|---|"]
+        for p in effect.parameters:
+            default = "" if p.default is None else " (may be left out)"
+            rows.append(
+                f"| `{p.name}` | {p.unit} | {p.lower:g} … {p.upper:g} | {p.meaning}{default} |"
+            )
+        parts.append("\n".join(rows) + "\n")
+        for twin, experiment in effect.twins.items():
+            parts.append(f"Told from `{twin}` by: {experiment}.\n")
+    return "\n".join(parts)
+
+
+def main() -> int:
+    """Write the page, or compare it."""
+    text = page()
+    if "--check" in sys.argv:
+        return 0 if PAGE.read_text(encoding="utf-8") == text else 1
+    PAGE.write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,264 @@
+"""The catalogue: its ids are the contract's, and an effect written once works everywhere."""
+
+import dataclasses
+import math
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.estimation.batch import estimate
+from eps_hil.physics import effects
+from eps_hil.physics.effects import added
+from eps_hil.physics.effects.catalogue import catalogue, values_of, with_model_effects
+from eps_hil.physics.effects.effect import Instant, Slot
+from eps_hil.physics.forward import forward
+from eps_hil.physics.model import Model
+from eps_hil.physics.simulate import simulate
+from eps_hil.series import Series
+
+CONTRACT_8 = {
+    "stribeck", "viscous_friction", "quadratic_drag", "load_dependent_friction",
+    "friction_asymmetry", "presliding_hysteresis", "position_dependent_friction",
+    "breakaway_dwell", "friction_warmup", "screw_ripple", "cogging_torque", "torque_ripple",
+    "cardan_joint", "motor_torque_saturation", "motor_torque_delay", "speed_sensor_delay",
+    "motor_torque_offset", "torque_sensor_offset", "torque_sensor_gain",
+    "torque_sensor_hysteresis", "motor_torque_gain", "coulomb_level", "inertia", "rack_ratio",
+    "backlash", "belt_compliance", "end_stop", "unmodelled_spring", "position_torque",
+    "clock_drift", "dropped_frames",
+}  # fmt: skip
+
+EXAMPLES: Mapping[str, Mapping[str, Any]] = {
+    "stribeck": {"level_nm": 0.08, "speed_rad_s": 15.0},
+    "viscous_friction": {"coefficient_nm_s_per_rad": 2e-3},
+    "quadratic_drag": {"coefficient_nm_s2_per_rad2": 3e-5},
+    "load_dependent_friction": {"gain_nm_per_n": 5e-5},
+    "friction_asymmetry": {"half_difference_nm": 0.03},
+    "presliding_hysteresis": {"sigma0_nm_per_rad": 0.2},
+    "position_dependent_friction": {"level_nm": 0.1, "centre_m": 0.001, "width_m": 0.003},
+    "breakaway_dwell": {"level_nm": 0.1, "time_s": 0.05, "release_rad": 1.0},
+    "friction_warmup": {"amplitude": 0.8, "time_s": 5.0},
+    "screw_ripple": {"amplitude_nm": 0.05, "phase_rad": 0.7},
+    "cogging_torque": {"amplitude_nm": 0.05, "order": 3.0, "phase_rad": 0.2},
+    "torque_ripple": {"fraction": 0.2, "phase_rad": 0.1, "pole_pairs": 1},
+    "cardan_joint": {"fraction": 0.3, "phase_rad": 0.5},
+    "motor_torque_saturation": {"curvature_per_nm2": 0.5},
+    "motor_torque_delay": {"delay_s": 0.01},
+    "speed_sensor_delay": {"delay_s": 0.008},
+    "motor_torque_offset": {"offset_nm": 0.05},
+    "torque_sensor_offset": {"offset_nm": 0.8},
+    "torque_sensor_gain": {"gain": 1.5},
+    "motor_torque_gain": {"gain": 1.15},
+    "coulomb_level": {"scale": 1.6},
+    "inertia": {"scale": 1.5},
+    "rack_ratio": {"scale": 0.2},
+    "end_stop": {"position_m": 0.004, "stiffness_n_per_m": 3e5},
+    "unmodelled_spring": {"stiffness_nm_per_rad": 0.01},
+    "position_torque": {"curve": [[-0.01, -0.1], [0.0, 0.05], [0.01, 0.1]]},
+}
+
+
+def model_with(model: Model, *entries: Mapping[str, Any]) -> Model:
+    """The reference rig on a spring (so that it stays in the middle), with effects added."""
+    base = dataclasses.replace(
+        model.friction, viscous_pos_nm_s_per_rad=1e-3, viscous_neg_nm_s_per_rad=1e-3
+    )
+    return dataclasses.replace(model, friction=base, effects=tuple(entries))
+
+
+def inputs() -> dict[str, Series]:
+    t = np.linspace(0.0, 8.0, 8001)
+    t_ns = np.round(t * 1e9).astype(np.int64)
+    columns = {
+        "motor_torque_nm": 0.5 * np.sin(2 * math.pi * 1.0 * t)
+        + 0.25 * np.sin(2 * math.pi * 2.7 * t),
+        "torque_sensor_nm": 2.0 * np.sin(2 * math.pi * 0.6 * t + 1.0),
+        "rack_force_n": 350.0 * np.sin(2 * math.pi * 0.45 * t),
+    }
+    return {name: Series(t_ns, column) for name, column in columns.items()}
+
+
+SPRING = {"effect": "unmodelled_spring", "stiffness_nm_per_rad": 0.03}
+
+
+def recorded(model: Model) -> dict[str, Series]:
+    """A recording of ``model`` as its sensors would report it."""
+    result = forward(model, inputs())
+    return {
+        name: Series(result.t_ns, result.columns[name])
+        for name in (
+            "motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "motor_angle_rad",
+            "rack_force_n",
+        )
+    }  # fmt: skip
+
+
+def rms_error(series: Mapping[str, Series], model: Model) -> float:
+    """Rack-force error in N while moving, the estimate made with ``model``."""
+    ins = {name: one for name, one in series.items() if name != "rack_force_n"}
+    trace = estimate(ins, model)
+    time_s = trace.t_ns * 1e-9
+    force, speed = (
+        np.interp(time_s, series[name].t_ns * 1e-9, series[name].value)
+        for name in ("rack_force_n", "motor_speed_rad_s")
+    )
+    rows = trace.valid & (np.abs(speed) > 2) & (time_s > 0.5)
+    return float(np.sqrt(np.mean((trace.rack_force_n[rows] - force[rows]) ** 2)))
+
+
+def test_ids_are_the_contracts() -> None:
+    assert set(catalogue()) == CONTRACT_8
+
+
+def test_a_file_is_known_by_its_name() -> None:
+    folder = Path(next(iter(effects.__path__)))
+    files = {file.stem for file in folder.glob("*.py")}
+    assert files - {"__init__", "effect", "catalogue", "added"} == set(catalogue())
+
+
+def test_every_simulated_effect_has_an_example_here() -> None:
+    assert set(EXAMPLES) == {e.id for e in catalogue().values() if e.simulated}
+
+
+@pytest.mark.parametrize("name", sorted(CONTRACT_8))
+def test_every_entry_says_what_it_has_to(name: str) -> None:
+    effect = catalogue()[name]
+    assert effect.equation
+    assert effect.sentence.endswith(".")
+    filled = {p.name: 0.5 * (p.lower + p.upper) for p in effect.parameters}
+    assert "{" not in effect.sentence.format(**filled)
+    assert set(effect.twins) <= CONTRACT_8
+    for parameter in effect.parameters:
+        assert parameter.lower < parameter.upper
+        assert parameter.meaning
+
+
+@pytest.mark.parametrize("name", sorted(EXAMPLES))
+def test_simulated_with_it_estimated_with_it(reference_model: Model, name: str) -> None:
+    """The simulator and the estimator agree on every effect; the model without it is worse."""
+    entry = {"effect": name, **EXAMPLES[name]}
+    plain = [] if name == "unmodelled_spring" else [SPRING]
+    spring = {"effect": name, "stiffness_nm_per_rad": 0.045}
+    truth = model_with(reference_model, *plain, spring if not plain else entry)
+    lacking = model_with(reference_model, *(plain or [SPRING]))
+    recording = recorded(truth)
+    with_it, without = rms_error(recording, truth), rms_error(recording, lacking)
+    assert with_it < 25, f"{name}: {with_it:.1f} N with the effect"
+    assert without > 1.5 * with_it, f"{name}: {without:.1f} N without, {with_it:.1f} N with"
+
+
+@pytest.mark.parametrize(
+    "name", sorted(n for n in EXAMPLES if catalogue()[n].slot is not Slot.MODEL)
+)
+def test_a_kernel_does_its_equation(reference_model: Model, name: str) -> None:
+    """Each slot's fused function against CONTRACT 8 written out again in plain Python."""
+    effect = catalogue()[name]
+    model = dataclasses.replace(reference_model, effects=({"effect": name, **EXAMPLES[name]},))
+    table = added.added(model)
+    phi, w, t, force = 7.3, -12.0, 1.7, 400.0
+    x, psi = phi / 2513.0, phi * 125.7 / 2513.0
+    u = Instant(t, w, phi, x, force, psi, 0.6)
+    curve = [(-0.01, -0.1), (0.0, 0.05), (0.01, 0.1)]
+    written_out = {
+        "stribeck": lambda v: v + 0.08 * math.exp(-((w / 15) ** 2)),
+        "viscous_friction": lambda v: v + 2e-3 * w,
+        "quadratic_drag": lambda v: v + 3e-5 * w * abs(w),
+        "position_dependent_friction": lambda v: v + 0.1 * math.exp(-(((x - 0.001) / 0.003) ** 2)),
+        "breakaway_dwell": lambda v: v,
+        "friction_warmup": lambda v: v * (1 + 0.8 * math.exp(-t / 5)),
+        "screw_ripple": lambda v: v + 0.05 * math.sin(phi / 2.8 + 0.7),
+        "cogging_torque": lambda v: v + 0.05 * math.sin(3 * phi + 0.2),
+        "torque_ripple": lambda v: v * (1 + 0.2 * math.sin(6 * phi + 0.1)),
+        "cardan_joint": lambda v: v * (1 + 0.3 * math.cos(2 * psi + 0.5)),
+        "motor_torque_saturation": lambda v: v / (1 + 0.5 * v * v),
+        "motor_torque_offset": lambda v: v + 0.05,
+        "motor_torque_gain": lambda v: v * 1.15,
+        "torque_sensor_offset": lambda v: v - 0.8,
+        "torque_sensor_gain": lambda v: v / 1.5,
+        "unmodelled_spring": lambda v: v + 0.01 * phi,
+        "position_torque": lambda v: v + np.interp(x, [k[0] for k in curve], [k[1] for k in curve]),
+        "end_stop": lambda v: v,
+    }
+    slots = {
+        Slot.LEVEL: added.level_nm,
+        Slot.LEVEL_FACTOR: added.level_nm,
+        Slot.TORQUE: added.torque_nm,
+        Slot.MOTOR: added.motor_nm,
+        Slot.SENSOR: added.sensor_nm,
+    }
+    got = slots[effect.slot](table, u, 0.3)
+    assert got == pytest.approx(written_out[name](0.3), rel=1e-12)
+
+
+def test_end_stop_pushes_back_on_both_sides(reference_model: Model) -> None:
+    entry = {"effect": "end_stop", "position_m": 0.004, "stiffness_n_per_m": 1e6}
+    table = added.added(dataclasses.replace(reference_model, effects=(entry,)))
+    for side in (1, -1):
+        x = side * 0.005
+        u = Instant(0.0, 0.0, x * 2513.0, x, 0.0, 0.0, 0.0)
+        assert added.torque_nm(table, u, 0.0) == pytest.approx(side * 1e6 * 0.001 / 2513.0)
+
+
+def test_dwell_grows_at_rest_and_is_lost_by_sliding(reference_model: Model) -> None:
+    entry = {"effect": "breakaway_dwell", "level_nm": 0.1, "time_s": 1.0, "release_rad": 0.5}
+    table = added.added(dataclasses.replace(reference_model, effects=(entry,)))
+    rest, slide = Instant(0, 0, 0, 0, 0, 0, 0), Instant(0, 10.0, 0, 0, 0, 0, 0)
+    for _ in range(2000):
+        added.advance(table, rest, 1e-3)
+    assert added.level_nm(table, rest, 0.0) == pytest.approx(0.1 * (1 - math.exp(-2.0)), rel=1e-3)
+    for _ in range(100):  # 1 rad at 10 rad/s: two release lengths
+        added.advance(table, slide, 1e-3)
+    left = 0.1 * (1 - math.exp(-2.0)) * math.exp(-2.0)
+    assert added.level_nm(table, slide, 0.0) == pytest.approx(left, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ({"effect": "stribeck", "level_nm": 0.1, "speed_rad_s": 0.0}, "0.5 to 200 rad/s"),
+        ({"effect": "stribeck", "level_nm": "high", "speed_rad_s": 3}, "a number was expected"),
+        ({"effect": "stribeck", "level_nm": math.nan, "speed_rad_s": 3}, "level_nm is nan"),
+        ({"effect": "stribeck", "level": 0.1, "speed_rad_s": 3}, "no parameter 'level'"),
+        ({"effect": "unknown"}, "no effect"),
+        ({"effect": "backlash", "gap_rad": 0.1}, "not yet be simulated"),
+        ({"effect": "position_torque", "curve": [[0, 1]]}, "2 to 12 knots"),
+        ({"effect": "position_torque", "curve": [[1, 1], [0, 2]]}, "rising"),
+        ({"effect": "position_torque", "curve": "steep"}, "pairs"),
+    ],
+)
+def test_wrong_entries_are_named(reference_model: Model, entry: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        values_of(entry, reference_model)
+
+
+def test_an_effect_twice_is_refused(reference_model: Model) -> None:
+    entry = {"effect": "motor_torque_offset", "offset_nm": 0.1}
+    with pytest.raises(ValueError, match="twice"):
+        added.added(dataclasses.replace(reference_model, effects=(entry, entry)))
+
+
+def test_model_effects_are_worked_in_once(reference_model: Model) -> None:
+    entry = {"effect": "inertia", "scale": 2.0}
+    once = with_model_effects(dataclasses.replace(reference_model, effects=(entry,)))
+    assert once.inertia_kg_m2 == 2 * reference_model.inertia_kg_m2
+    assert with_model_effects(once) == once
+
+
+def test_no_effects_change_nothing(reference_model: Model) -> None:
+    zero = {"effect": "motor_torque_offset", "offset_nm": 0.0}
+    t = np.linspace(0.0, 1.0, 1001)
+    plain = simulate(reference_model, t, 0.3 * np.sin(9 * t), 0 * t, 0 * t)
+    same = simulate(
+        dataclasses.replace(reference_model, effects=(zero,)), t, 0.3 * np.sin(9 * t), 0 * t, 0 * t
+    )
+    assert np.array_equal(plain.speed_rad_s, same.speed_rad_s)
+
+
+def test_the_reference_page_is_in_step() -> None:
+    script = Path(__file__).parents[2] / "scripts" / "effects_reference.py"
+    done = subprocess.run([sys.executable, str(script), "--check"], check=False)
+    assert done.returncode == 0, "run scripts/effects_reference.py"
