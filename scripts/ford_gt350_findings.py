@@ -67,6 +67,12 @@ def say_supply(trace: loop.SteeringTrace, volts: Series) -> None:
     angle_t = (trace.angle_deg.t_ns - trace.angle_deg.t_ns[0]) * 1e-9
     slope = np.gradient(np.radians(trace.angle_deg.value), angle_t)
     speed = np.interp(t_s, angle_t, np.convolve(slope, np.full(7, 1 / 7), "same"))
+    for a, b in STRETCHES_S:
+        rows_here = (t_s > a) & (t_s < b)
+        pushing = rows_here & (np.abs(speed) > 2) & (torque * speed > 0)
+        print(f"{a:.1f} to {b:.1f} s: driver {np.median(np.abs(torque[pushing])):.1f} Nm, wheel up "
+              f"to {np.abs(speed[rows_here]).max():.1f} rad/s, current up to "
+              f"{amps[rows_here].max():.0f} A")  # fmt: skip
     for lag_ms in range(0, 52, 4):
         power = np.interp(t_s + lag_ms * 1e-3, t_s, amps * volts.value) - STANDBY_W
         rows = [_fit(power, torque * speed, (t_s > a) & (t_s < b)) for a, b in STRETCHES_S]
@@ -115,6 +121,13 @@ def say_force(log: Path, trace: loop.SteeringTrace, volts: Series) -> None:
     every = [f for rows in forces.values() for f in rows]
     print(f"sliding: {min(every) / 1e3:.2f} to {max(every) / 1e3:.2f} kN in {len(every)} strokes, "
           f"at most {np.abs(estimates.rack_force_n).max() / 1e3:.2f} kN")  # fmt: skip
+    angle: Floats = np.interp(estimates.t_ns, trace.angle_deg.t_ns, trace.angle_deg.value)
+    crossings = []
+    for stroke in loop.strokes(estimates.t_ns.astype(np.float64) * 1e-9, angle)[1:]:
+        turned = angle[stroke] - angle[stroke.start]
+        way = np.sign(turned[-1])
+        crossings.append(turned[np.argmax(estimates.rack_force_n[stroke] * way > 0)] * way)
+    print(f"force crosses zero {min(crossings):.0f} to {max(crossings):.0f} deg after a reversal")
     m_per_deg = np.radians(1) / model.pinion_ratio_rad_per_m
     rack_j = sum(loop.enclosed_work_j(x, m_per_deg) for x in loop.loops_by_mode(trace, estimates))
     power = trace.current_a.value * volts.value - STANDBY_W
