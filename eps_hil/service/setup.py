@@ -60,6 +60,13 @@ def prepare(config: ServiceConfig, file: str | Path) -> Parts:
             )  # fmt: skip
     estimator = _estimator(config, mapping, decoder, file)
     core = ServiceCore(decoder, estimator, encoders[0], send_ids)
+    sync_period_s = _sync_period_s(mapping, decoder)
+    if config.service.no_input_after_s <= sync_period_s:
+        raise InputError(
+            file, "service.no_input_after_s",
+            f"{config.service.no_input_after_s} s is no silence: the sync frame "
+            f"{mapping.sync_message} comes every {sync_period_s} s", "set several cycles",
+        )  # fmt: skip
     return Parts(
         config=config,
         database=database,
@@ -69,7 +76,7 @@ def prepare(config: ServiceConfig, file: str | Path) -> Parts:
         core=core,
         silent=encoders[1],
         health=encoders[2],
-        sync_period_s=_sync_period_s(mapping, decoder),
+        sync_period_s=sync_period_s,
     )
 
 

@@ -1,11 +1,13 @@
 """What the service refuses before it opens a bus, and what it says that it will do."""
 
+from dataclasses import MISSING, fields
 from pathlib import Path
 
 import pytest
 
+from eps_hil.bus.config import BusConfig
 from eps_hil.errors import InputError
-from eps_hil.service.config import load_config
+from eps_hil.service.config import PublishConfig, RuntimeConfig, load_config
 from eps_hil.service.setup import Parts, describe, prepare
 
 from .conftest import MAPPING, ROOT
@@ -116,6 +118,25 @@ def test_a_derived_speed_is_derived_over_the_window_of_the_mapping(
     assert parts.estimator.settings.speed_window_s == 0.03
     assert "derive     motor_speed_rad_s from motor_angle_rad" in "\n".join(describe(parts))
     assert parts.core.decoder.sync.__self__.sync_id == 0x100  # type: ignore[attr-defined]
+
+
+def test_silence_must_be_longer_than_a_cycle(tmp_path: Path, config_text: str) -> None:
+    text = config_text.replace("realtime: off", "no_input_after_s: 0.001")
+    assert "EPS_MotorState comes every 0.001 s" in refused(tmp_path, text)
+
+
+def test_the_document_names_every_key_with_its_default() -> None:
+    document = (ROOT / "docs" / "reference-config.md").read_text(encoding="utf-8")
+    for block, kind in (("bus", BusConfig), ("publish", PublishConfig), ("service", RuntimeConfig)):
+        for each in fields(kind):
+            (row,) = [r for r in document.splitlines() if r.startswith(f"| `{block}.{each.name}` ")]
+            default = row.split("|")[2].strip().strip("`")
+            if each.default is MISSING:
+                assert default in {"–", "none"}
+            else:
+                assert default == str(each.default).replace("False", "false").replace(
+                    "True", "true"
+                )
 
 
 @pytest.mark.parametrize("name", ["demo_udp.yaml", "demo_vcan.yaml"])
