@@ -6,6 +6,7 @@ is reported, has arrived. Nothing depends on wall time or on how frames were bun
 replayed as fast as possible give bit for bit what the live loop published.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from eps_hil.compiled import njit
 from eps_hil.estimation import alignment, rack_force, setup
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.setup import STEP_NS, Constants, Inputs, Physics
+from eps_hil.estimation.setup import STEP_NS, STEP_S, Constants, Inputs, Physics
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
@@ -312,8 +313,8 @@ def _timing(model: Model, settings: EstimatorSettings, periods_s: Mapping[str, f
     delays = [model.delays_s.of(name) for name in SIGNALS]
     if derive:
         periods[_SPEED], delays[_SPEED] = periods[_ANGLE], delays[_ANGLE]
-        window = max(settings.speed_window_s, 2 * periods[_ANGLE])
-    ahead = [d + p for d, p in zip(delays, periods, strict=True)]
+        window = max(settings.speed_window_s, 2.5 * periods[_ANGLE])  # three samples, surely
+    ahead = [d + p + _margin_s(p) for d, p in zip(delays, periods, strict=True)]
     ahead[_SPEED] += window / 2
     lookback = max(a for a, use in zip(ahead, used, strict=True) if use)
     stale = [max(settings.stale_after_s, 3 * p) + window * (i == _SPEED)
@@ -325,3 +326,12 @@ def _timing(model: Model, settings: EstimatorSettings, periods_s: Mapping[str, f
         round(lookback * 1e9),
         round(window * 1e9) if derive else 0,
     )
+
+
+def _margin_s(period_s: float) -> float:
+    """How much later than its period a sample may arrive without being missed; whole steps.
+
+    Signals at the estimator's own rate come in the sender's cycle and need none; slower ones are
+    stamped on arrival, behind whatever else the bus carried.
+    """
+    return math.ceil(period_s / 4 / STEP_S) * STEP_S if period_s > 2 * STEP_S else 0.0
