@@ -25,6 +25,9 @@ fail() {
 # Whether $1 runs (a pyenv shim may be there and not run) and is Python 3.11 or newer.
 _is_suitable() { "$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; }
 
+# An environment that was moved has programs that start a Python which is no longer there.
+_is_in_place() { head -n 3 "$VENV/bin/pip" 2>/dev/null | grep -qF "$VENV/bin/"; }
+
 _has_pip() { "$1" -m pip --version >/dev/null 2>&1; }
 
 # Debian's python3 has `venv` but, without the package python3-venv, not what puts pip into it.
@@ -101,8 +104,8 @@ _install() { # extra, digest
 
 _prepare_venv() { # extra
     local digest
-    if ! _is_suitable "$VENV/bin/python" || ! _has_pip "$VENV/bin/python"; then
-        [[ ! -e $VENV ]] || say ".venv is broken or older than Python 3.11, making it anew"
+    if ! _is_suitable "$VENV/bin/python" || ! _has_pip "$VENV/bin/python" || ! _is_in_place; then
+        [[ ! -e $VENV ]] || say ".venv is broken, moved, or older than Python 3.11: making it anew"
         _make_venv
     fi
     digest="$(_digest)"

@@ -1,0 +1,109 @@
+"""README and docs: links lead somewhere, commands exist, example files are accepted."""
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from eps_hil import yaml_file
+from eps_hil.bus.mapping import load_mapping
+from eps_hil.cli.main import app
+from eps_hil.signals import CANONICAL
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
+COMMANDS: dict[str, Any] = vars(typer.main.get_command(app))["commands"]
+PROMISED_FOR_LATER = re.compile(r"^Not there yet:.*?\n\n", re.MULTILINE | re.DOTALL)
+
+
+def _names(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def _anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    plain = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings)
+    return {heading.replace(" ", "-") for heading in plain}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_names)
+def test_links_lead_somewhere(page: Path) -> None:
+    links = re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8"))
+    for link in links:
+        if link.startswith(("http://", "https://")):
+            continue
+        target, _, anchor = link.partition("#")
+        file = (page.parent / target) if target else page
+        assert file.exists(), f"{_names(page)}: {link}"
+        if anchor:
+            assert anchor in _anchors(file), f"{_names(page)}: {link}"
+
+
+def _commands(page: Path) -> list[list[str]]:
+    """Every ``eps-hil VERB …`` of a page, continued lines joined, as words."""
+    text = PROMISED_FOR_LATER.sub("", page.read_text(encoding="utf-8")).replace("\\\n", " ")
+    found = re.findall(r"`(eps-hil [a-z][^`]*)`|^ {4,}(eps-hil [a-z].*)$", text, re.MULTILINE)
+    lines = (one or other for one, other in found)
+    return [shlex.split(line, comments=True)[1:] for line in lines]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_names)
+def test_commands_and_their_options_exist(page: Path) -> None:
+    for words in _commands(page):
+        assert words[0] in COMMANDS, f"{_names(page)}: eps-hil {words[0]}"
+        parameters = COMMANDS[words[0]].params
+        known = {word for each in parameters for word in (*each.opts, *each.secondary_opts)}
+        used = {word.partition("=")[0].rstrip("]") for word in words if word.startswith("--")}
+        assert used <= known, f"{_names(page)}: eps-hil {words[0]} {used - known}"
+
+
+def test_readme_shows_commands() -> None:
+    assert len(_commands(ROOT / "README.md")) > 5
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_names)
+def test_files_of_the_project_that_are_named_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    pattern = r"(?<![\w/{}.])((?:scripts|configs|dbc|eps_hil|docs|tests|\.ci)/[\w./-]*[\w/])"
+    for name in re.findall(pattern, text):
+        assert (ROOT / name).exists(), f"{_names(page)}: {name}"
+
+
+def test_every_page_is_in_the_index() -> None:
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    missing = [page.name for page in (ROOT / "docs").glob("*.md") if f"({page.name})" not in index]
+    assert missing == ["index.md"]
+
+
+def test_every_signal_is_in_the_reference() -> None:
+    text = (ROOT / "docs" / "reference-files.md").read_text(encoding="utf-8")
+    for signal in CANONICAL.values():
+        assert f"| `{signal.name}` | {signal.unit} | {signal.description} |" in text
+
+
+def test_every_verb_is_in_the_readme() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for verb in COMMANDS:
+        assert f"`eps-hil {verb} " in text, verb
+
+
+def test_the_mapping_that_is_shown_is_a_mapping(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "howto-connect-my-rig.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    mapping, config = blocks
+    file = tmp_path / "my_signals.yaml"
+    file.write_text(mapping, encoding="utf-8")
+    loaded = load_mapping(file)
+    assert loaded.sync_message == "MotorStatus"
+    assert loaded.signals["motor_speed_rad_s"].scale < 0
+    (tmp_path / "run.yaml").write_text(config, encoding="utf-8")
+    assert set(yaml_file.read(tmp_path / "run.yaml")) == {"bus", "dbc", "signals", "model"}
+
+
+def test_the_picture_is_small() -> None:
+    (picture,) = (ROOT / "docs" / "images").glob("rack_force.*")
+    assert 10_000 < picture.stat().st_size < 200_000

@@ -1,0 +1,109 @@
+"""The shell scripts: clean under shellcheck, run from anywhere, and say what is wrong."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCRIPTS = [ROOT / "scripts" / name for name in ("_environment.sh", "test", "demo")]
+
+
+@pytest.mark.skipif(shutil.which("shellcheck") is None, reason="shellcheck is not installed")
+def test_shellcheck_has_nothing_to_say() -> None:
+    found = subprocess.run(
+        ["shellcheck", "-x", *SCRIPTS], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert found.returncode == 0, found.stdout
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_bash_can_read_it(script: Path) -> None:
+    subprocess.run(["bash", "-n", script], check=True)
+
+
+def test_the_demo_refuses_an_unknown_bus(tmp_path: Path) -> None:
+    found = subprocess.run(
+        [ROOT / "scripts" / "demo", "flexray"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert found.returncode == 1
+    assert found.stderr == "error: 'flexray' is no bus: write scripts/demo [udp|vcan]\n"
+
+
+def _copy_of_scripts(folder: Path) -> Path:
+    shutil.copytree(ROOT / "scripts", folder / "scripts")
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    return folder / "scripts" / "demo"
+
+
+def _path_with(folder: Path, **programs: str) -> dict[str, str]:
+    """An environment whose PATH has the shell's usual tools, and for Python only ``programs``."""
+    tools = folder / "bin"
+    tools.mkdir()
+    for name in ("bash", "dirname", "cut", "cat", "flock", "tail", "rm", "env"):
+        where = shutil.which(name)
+        if where is not None:
+            (tools / name).symlink_to(where)
+    for name, text in programs.items():
+        (tools / name).write_text(text, encoding="utf-8")
+        (tools / name).chmod(0o755)
+    return {"PATH": str(tools), "HOME": str(folder)}
+
+
+def test_no_suitable_python_is_said_in_one_line(tmp_path: Path) -> None:
+    demo = _copy_of_scripts(tmp_path)
+    shim = "#!/bin/sh\necho 'python3: command not found in this version' >&2\nexit 127\n"
+    found = subprocess.run(
+        [demo],
+        env=_path_with(tmp_path, python3=shim),
+        cwd="/",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert found.returncode == 1
+    assert found.stderr.startswith("error: no Python 3.11 or newer found; install one")
+    assert found.stderr.count("\n") == 1
+
+
+def test_a_python_without_venv_is_said_in_one_line(tmp_path: Path) -> None:
+    """As Debian's python3 without python3-venv and without pip."""
+    demo = _copy_of_scripts(tmp_path)
+    python = """#!/bin/sh
+case "$*" in
+    *version_info*) exit 0 ;;
+    *python_version*) echo 3.12.4 ;;
+    *) exit 1 ;;
+esac
+"""
+    found = subprocess.run(
+        [demo],
+        env=_path_with(tmp_path, python3=python),
+        cwd="/",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert found.returncode == 1
+    assert "sudo apt install python3.12-venv" in found.stderr
+    assert found.stderr.count("\n") == 1
+
+
+def test_a_python_of_ones_own_must_have_the_package(tmp_path: Path) -> None:
+    demo = _copy_of_scripts(tmp_path)
+    found = subprocess.run(
+        [demo],
+        env=os.environ | {"EPS_HIL_PYTHON": "/bin/false"},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert found.returncode == 1
+    assert "EPS_HIL_PYTHON=/bin/false cannot import eps_hil" in found.stderr
