@@ -1,1 +1,1 @@
-"""Everything that touches a CAN bus or its description: ports, codec, mapping, end-to-end protection."""
+"""What touches a CAN bus or its description: ports, codec, mapping, end-to-end protection."""
