@@ -18,7 +18,7 @@ _LABELS = {
     "w/o FC": "without friction compensation",
 }
 _STYLES = {
-    "w/o FC": {"color": figures.COLOURS[4], "linewidth": 1.0},
+    "w/o FC": {"color": figures.COLOURS[2], "linewidth": 1.0},
     "no exten": {"color": figures.COLOURS[1], "linewidth": 1.0},
     "2Q-fa": {"color": figures.COLOURS[0], "linewidth": 1.3},
     LIVE: {"color": figures.COLOURS[0], "linewidth": 1.3},
@@ -76,7 +76,7 @@ def _shrink(path: Path) -> None:
     from PIL import Image
 
     with Image.open(path) as picture:
-        small = picture.convert("RGB").quantize(64)
+        small = picture.convert("RGB").quantize(256)
     small.save(path, optimize=True)
 
 
