@@ -1,0 +1,236 @@
+"""Cases: which effects are hidden at which strength, and the recordings that result.
+
+``singles`` at effect-to-noise 0.3, 0.6 and 1.5, ``pairs`` with a weak effect masked by one five
+times as strong, ``crowds`` of ten small effects and one larger, ``decoys`` with nothing hidden,
+``aliens`` from outside the catalogue, ``poor`` singles with hardly any excitation.
+Development and proof draw from seeds that never meet.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from eps_hil.proof import manoeuvres
+from eps_hil.proof.effects import ALIENS, CATALOGUED, HiddenEffect, drawn_sign, find
+from eps_hil.proof.sensors import measured, reported
+from eps_hil.proof.strength import Strength, noise_rms, strength
+from eps_hil.proof.truth import Drive, Floats
+from eps_hil.proof.world import World
+
+LEVELS = (0.3, 0.6, 1.5)
+STRONG, MASKED = 3.0, 0.6
+KINDS = ("singles", "pairs", "crowds", "decoys", "aliens", "poor")
+DECOYS = ("nothing", "noise_x3", "heavy_tails", "coarse_encoder", "parameters_off")
+PARAMETERS = (
+    "coulomb_level",
+    "inertia",
+    "friction_asymmetry",
+    "load_dependent_friction",
+    "viscous_friction",
+    "presliding_hysteresis",
+)
+"""What a rig whose parameters are merely off may rightly be said to have."""
+_PROOF_SEEDS = 1_000_000
+_ROUNDS = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What one case shall hold: effects with the effect-to-noise ratio that each shall have."""
+
+    kind: str
+    seed: int
+    wanted: tuple[tuple[str, float], ...]
+    decoy: str = ""
+    simple: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Recordings by file name (canonical columns), and the answer that belongs to them."""
+
+    recordings: Mapping[str, Mapping[str, Floats]]
+    answer: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class _Hidden:
+    effect: HiddenEffect
+    strength: float
+    shape: Mapping[str, float]
+    measured: Strength
+    wanted: float
+
+    @property
+    def ratio(self) -> float:
+        return self.measured.raw_ratio if self.effect.free else self.measured.ratio
+
+
+def plans(
+    kind: str, seed: int, count: int, *, simple: bool = False, proof: bool = False
+) -> Iterator[Plan]:
+    """``count`` plans of one of :data:`KINDS`, reproducible by ``seed``.
+
+    Effects and levels take turns, so that every effect comes at every level as often as any.
+    ``proof`` takes the seeds that development never sees.
+    """
+    first = seed * 1000 + (_PROOF_SEEDS if proof else 0)
+    rng = np.random.default_rng([first, KINDS.index(kind)])
+    names = list(ALIENS if kind == "aliens" else CATALOGUED)
+    order = rng.permutation(len(names))
+    for k in range(count):
+        name, level = names[order[k % len(names)]], LEVELS[(k + k // len(names)) % len(LEVELS)]
+        wanted: tuple[tuple[str, float], ...] = ((name, level),)
+        decoy = ""
+        if kind == "decoys":
+            wanted, decoy = (), DECOYS[k % len(DECOYS)]
+        elif kind == "pairs":
+            wanted = ((_stranger(name, rng), STRONG), (name, MASKED))
+        elif kind == "crowds":
+            others = [n for n in rng.permutation(names).tolist() if n != name][:10]
+            wanted = (*((other, 0.15) for other in others), (name, 1.5))
+        elif kind == "aliens":
+            wanted = ((name, LEVELS[1 + k % 2]),)
+        yield Plan(kind, first + k, wanted, decoy, simple)
+
+
+def make(plan: Plan) -> Case:
+    """Simulate the recordings of a plan and measure what is hidden in them."""
+    rng = np.random.default_rng([plan.seed, KINDS.index(plan.kind)])
+    train = manoeuvres.poor(rng) if plan.kind == "poor" else manoeuvres.training(rng)
+    last = manoeuvres.holdout(rng)
+    world = _with_decoy(World(plan.simple), plan.decoy, rng)
+    noise = _noise(world, train, rng)
+    form = _measure(world, train, noise)
+    # strengths are set on the model file's own form, so that what the form leaves over is no part
+    same_form = replace(world, simple=True)
+    base = _measure(same_form, train, noise)
+    hidden = [_hide(same_form, find(name), ratio, train, base, rng) for name, ratio in plan.wanted]
+    for one in hidden:
+        world = one.effect.apply(world, one.strength, one.shape)
+    recordings = {
+        name: measured(_clean(world, program), world.instruments, rng)
+        for name, program in zip(
+            ("train_1.csv", "train_2.csv", "holdout.csv"), (*train, last), strict=True
+        )
+    }
+    return Case(recordings, _answer(plan, hidden, form, _measure(world, train, noise)))
+
+
+def _stranger(name: str, rng: np.random.Generator) -> str:
+    """An effect that is no twin of ``name``, nor of one of its twins."""
+    near = {name, *find(name).twins, *(n for n, e in CATALOGUED.items() if name in e.twins)}
+    return str(rng.choice(sorted(set(CATALOGUED) - near)))
+
+
+def _clean(world: World, program: Floats) -> dict[str, Floats]:
+    columns = reported(world.run(program), world.instruments)
+    if world.simple:  # without a steering wheel of its own there is no angle to measure
+        return {name: c for name, c in columns.items() if not name.startswith("steering_wheel")}
+    return columns
+
+
+def _noise(world: World, train: Sequence[Floats], rng: np.random.Generator) -> float:
+    rms = []
+    for program in train:
+        clean = _clean(world, program)
+        rms.append(noise_rms(Drive(), clean, measured(clean, world.instruments, rng)))
+    return float(np.sqrt(np.mean(np.square(rms))))
+
+
+def _measure(world: World, train: Sequence[Floats], noise_nm: float) -> Strength:
+    return strength(Drive(), [_clean(world, program) for program in train], noise_nm)
+
+
+def _beyond(found: Strength, base: Strength) -> Strength:
+    """What an effect adds to what the form of the plant leaves over without it."""
+    return Strength(
+        math.sqrt(max(found.effect_nm**2 - base.effect_nm**2, 0.0)),
+        math.sqrt(max(found.raw_nm**2 - base.raw_nm**2, 0.0)),
+        found.noise_nm,
+    )
+
+
+def _hide(
+    world: World,
+    effect: HiddenEffect,
+    wanted: float,
+    train: Sequence[Floats],
+    base: Strength,
+    rng: np.random.Generator,
+) -> _Hidden:
+    """The strength at which the effect, alone, has the wanted effect-to-noise ratio.
+
+    The ratio grows with strength; secant steps in the logarithms of both, kept between what was
+    too weak and what was too strong.
+    """
+    shape, sign = effect.draw(rng), drawn_sign(effect, rng)
+    value, power, weak, strong = effect.start, 1.0, 0.0, effect.limit
+    before: tuple[float, float] | None = None
+    for _ in range(_ROUNDS):
+        changed = effect.apply(world, sign * value, shape)
+        found = _beyond(_measure(changed, train, base.noise_nm), base)
+        ratio = max(found.raw_ratio if effect.free else found.ratio, 1e-3)
+        if abs(ratio - wanted) < 0.05 * wanted or (value == strong and ratio < wanted):
+            break
+        weak, strong = (value, strong) if ratio < wanted else (weak, value)
+        if before is not None:
+            slope = math.log(ratio / before[1]) / math.log(value / before[0])
+            power = min(max(slope, 0.5), 8.0)
+        before = (value, ratio)
+        value *= min(max((wanted / ratio) ** (1.0 / power), 0.1), 5.0)
+        if not weak < value < strong:
+            at_limit = strong == effect.limit and value >= strong
+            value = strong if at_limit else math.sqrt(max(weak, 0.02 * strong) * strong)
+    return _Hidden(effect, sign * value, shape, found, wanted)
+
+
+def _with_decoy(world: World, decoy: str, rng: np.random.Generator) -> World:
+    i, d = world.instruments, world.drive
+    if decoy == "noise_x3":
+        return replace(world, instruments=replace(i, noise=3.0))
+    if decoy == "heavy_tails":
+        return replace(world, instruments=replace(i, heavy_tails=True))
+    if decoy == "coarse_encoder":
+        return replace(world, instruments=replace(i, encoder_step_rad=2 * math.pi / 4096))
+    if decoy == "parameters_off":
+        names = ("inertia_kg_m2", "k0_pos", "k0_neg", "kw_pos", "kr_pos", "kr_neg", "sigma0")
+        off = {name: getattr(d, name) * float(1 + 0.12 * rng.standard_normal()) for name in names}
+        return replace(world, drive=d._replace(**off))
+    return world
+
+
+def _answer(plan: Plan, hidden: list[_Hidden], form: Strength, total: Strength) -> dict[str, Any]:
+    tolerated = [] if plan.simple else ["presliding_hysteresis"]
+    if plan.decoy == "parameters_off":
+        tolerated = sorted({*tolerated, *PARAMETERS})
+    return {
+        "kind": plan.kind,
+        "form": "simple" if plan.simple else "full",
+        "seed": plan.seed,
+        "decoy": plan.decoy,
+        "effects": [_told(one) for one in hidden],
+        "tolerated": tolerated,
+        "noise_nm": form.noise_nm,
+        "form_to_noise": form.ratio,
+        "total_to_noise": total.ratio,
+        "oracle_nrmse_gain": 1.0 - 1.0 / math.hypot(1.0, total.ratio),
+    }
+
+
+def _told(one: _Hidden) -> dict[str, Any]:
+    world = World(True)
+    return {
+        "effect": one.effect.id,
+        "kind": one.effect.kind,
+        "alien": one.effect.alien,
+        "twins": list(one.effect.twins),
+        "parameters": one.effect.tell(one.strength, one.shape, world),
+        "effect_to_noise": one.ratio,
+        "wanted": one.wanted,
+        "projected": not one.effect.free,
+        "reached": bool(one.ratio > 0.8 * one.wanted),
+    }

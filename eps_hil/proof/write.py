@@ -1,0 +1,111 @@
+"""Write cases to a folder: recordings and model file under opaque ids, the answers sealed.
+
+    python -m eps_hil.proof.write OUT_DIR --kind singles --seed 1 --count 30 [--simple]
+
+makes OUT_DIR/<id>/{train_1,train_2,holdout}.csv and model.yaml, OUT_DIR/answers.json and its
+hash, answers.json.sha256, which is also printed.
+"""
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import yaml
+
+from eps_hil.proof.cases import KINDS, Case, make, plans
+from eps_hil.proof.seal import opaque_id, seal
+from eps_hil.proof.sensors import SENSORS, SPEED_LATE_S, TORQUE_LATE_S
+from eps_hil.proof.truth import Drive, Floats
+
+_DECIMALS = {"time_s": 3, **{name: sensor.decimals for name, sensor in SENSORS.items()}}
+
+
+def model_yaml(drive: Drive) -> str:
+    """The nominal model file (CONTRACT 4) that goes with every case."""
+    friction = {
+        "offset_pos_nm": drive.k0_pos,
+        "offset_neg_nm": drive.k0_neg,
+        "viscous_pos_nm_s_per_rad": drive.kw_pos,
+        "viscous_neg_nm_s_per_rad": drive.kw_neg,
+        "load_pos_nm_per_n": drive.kr_pos,
+        "load_neg_nm_per_n": drive.kr_neg,
+        "sigma0_nm_per_rad": drive.sigma0,
+        "sigma1_nm_s_per_rad": drive.sigma1,
+        "sigma1_speed_rad_s": drive.sigma1_speed,
+    }
+    delays = {
+        "motor_speed": SPEED_LATE_S,
+        "motor_torque": TORQUE_LATE_S,
+        "torque_sensor": 0.0,
+        "rack_force": 0.0,
+    }
+    model = {
+        "inertia_kg_m2": drive.inertia_kg_m2,
+        "pinion_ratio_rad_per_m": drive.pinion_rad_per_m,
+        "rack_to_rotor_ratio_rad_per_m": drive.rack_rad_per_m,
+        "belt_ratio": drive.belt_ratio,
+        "pole_pairs": int(drive.pole_pairs),
+        "delays_s": delays,
+        "friction": friction,
+        "effects": [],
+    }
+    return str(yaml.safe_dump({"model": model}, sort_keys=False))
+
+
+def write_csv(path: Path, columns: Mapping[str, Floats]) -> None:
+    """Canonical columns as the bus would have carried them: no more digits than its steps."""
+    texts = [
+        [f"{value:.{_DECIMALS[name]}f}" for value in column.tolist()]
+        for name, column in columns.items()
+    ]
+    with path.open("w") as file:
+        file.write(",".join(columns) + "\n")
+        file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+
+
+def write_case(folder: Path, case: Case) -> None:
+    """One case's recordings and model file; nothing in them or their names tells the answer."""
+    folder.mkdir(parents=True)
+    for name, columns in case.recordings.items():
+        write_csv(folder / name, columns)
+    (folder / "model.yaml").write_text(model_yaml(Drive()))
+
+
+def write(
+    out: Path, kind: str, seed: int, count: int, *, simple: bool = False, proof: bool = False
+) -> str:
+    """Write ``count`` cases and seal their answers; returns the hash."""
+    out.mkdir(parents=True, exist_ok=True)
+    cases = {}
+    for plan in plans(kind, seed, count, simple=simple, proof=proof):
+        id, case = opaque_id(), make(plan)
+        write_case(out / id, case)
+        cases[id] = case.answer
+        if sys.stderr.isatty():
+            sys.stderr.write(f"\r{len(cases)}/{count} cases")
+    return seal(out / "answers.json", cases)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; 2 for an OUT_DIR that already holds answers."""
+    parser = argparse.ArgumentParser(prog="python -m eps_hil.proof.write", description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--kind", choices=KINDS, default="singles")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=30)
+    parser.add_argument("--simple", action="store_true", help="one mass, LuGre friction")
+    parser.add_argument("--proof", action="store_true", help="seeds that development never sees")
+    chosen = parser.parse_args(arguments)
+    if (chosen.out / "answers.json").exists():
+        sys.stderr.write(f"{chosen.out}: holds answers already; give an empty folder\n")
+        return 2
+    value = write(
+        chosen.out, chosen.kind, chosen.seed, chosen.count, simple=chosen.simple, proof=chosen.proof
+    )
+    sys.stdout.write(f"answers sealed: sha256 {value}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
