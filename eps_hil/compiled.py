@@ -64,6 +64,6 @@ def njit(
     function: F | None = None, /, *, inline: Literal["never", "always"] = "never"
 ) -> F | Callable[[F], F]:
     """:func:`numba.njit`, cached on disk in the folder that this package's sources name."""
-    decorate: Any = numba.njit(cache=True, inline=inline)
+    decorate: Any = numba.njit(cache=True, nogil=True, inline=inline)
     chosen: F | Callable[[F], F] = decorate if function is None else decorate(function)
     return chosen

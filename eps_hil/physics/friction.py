@@ -11,6 +11,7 @@ from eps_hil.compiled import njit
 from eps_hil.physics.model import Friction
 
 SMALLEST_LEVEL_NM = 1e-6
+_FADED = 60.0  # exp(−60) of the bristle damping is nothing, and smaller ones are slow to compute
 
 
 class FrictionLaw(NamedTuple):
@@ -59,8 +60,9 @@ def bristle_step(
     """
     decay = slip_rad * sigma0 / level_nm
     # (1 − e^−d)/d tends to 1 − d/2: the bristle then simply follows the rotor.
-    share = -math.expm1(-decay) / decay if decay > 1e-9 else 1.0 - 0.5 * decay
-    return bristle_rad * math.exp(-decay) + travel_rad * share
+    lost = -math.expm1(-decay)
+    share = lost / decay if decay > 1e-9 else 1.0 - 0.5 * decay
+    return bristle_rad * (1.0 - lost) + travel_rad * share
 
 
 @njit(inline="always")
@@ -69,6 +71,8 @@ def friction_torque_nm(
 ) -> float:
     """T_f of eq. 2d (Nm, opposes positive speed): σ0 z + σ1(ω) ż with ż of eq. 2a, σ1 of eq. 2c."""
     ratio = speed_rad_s / law.sigma1_speed_rad_s
+    if ratio * ratio > _FADED:
+        return law.sigma0_nm_per_rad * bristle_rad
     sigma1 = law.sigma1_nm_s_per_rad * math.exp(-ratio * ratio)
     rate = speed_rad_s - abs(speed_rad_s) * law.sigma0_nm_per_rad * bristle_rad / level_nm
     return law.sigma0_nm_per_rad * bristle_rad + sigma1 * rate

@@ -67,3 +67,12 @@ def test_all_verbs_have_a_sentence() -> None:
     group = typer.main.get_command(command.app)
     for name, verb in group.commands.items():  # type: ignore[attr-defined]
         assert verb.help, name
+
+
+def test_several_files_may_follow_one_option() -> None:
+    words = ["diagnose", "--recording", "a", "b", "--holdout", "c", "d", "--json", "x"]
+    assert command.spread(words) == [
+        "diagnose", "--recording", "a", "--recording", "b", "--holdout", "c", "--holdout", "d",
+        "--json", "x",
+    ]  # fmt: skip
+    assert command.spread(["estimate", "a", "b", "--model", "m"])[1:3] == ["a", "b"]

@@ -8,7 +8,7 @@ length (``release_rad``) in the time constant.
 import math
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -39,4 +39,10 @@ EFFECT = Effect(
     twins={"stribeck": "holds of 0.1 s to 30 s before each break-away"},
     kernel=_level_nm,
     advance=_advance,
+    probe=Probe(
+        "level_nm",
+        0.0,
+        0.01,
+        tuple({"time_s": t, "release_rad": r} for t in (0.15, 0.6, 2.5) for r in (0.3, 2.0)),
+    ),
 )

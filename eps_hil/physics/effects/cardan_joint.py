@@ -3,7 +3,7 @@
 import math
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -24,4 +24,5 @@ EFFECT = Effect(
     "turn: a cardan joint.",
     twins={"torque_sensor_gain": "a turn of the pinion or more under a constant hand torque"},
     kernel=_torque_nm,
+    probe=Probe("fraction", 0.0, 0.01, phase="phase_rad"),
 )

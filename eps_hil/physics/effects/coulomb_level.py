@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Probe, Slot
 from eps_hil.physics.model import Model
 
 
@@ -28,4 +28,5 @@ EFFECT = Effect(
     sentence="The friction offsets are {scale:.3g} times what the model says.",
     twins={"friction_warmup": "record the same manoeuvre again, cold and warm"},
     change=_change,
+    probe=Probe("scale", 1.0, 0.01),
 )

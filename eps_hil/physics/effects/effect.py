@@ -18,6 +18,10 @@ STATES = 4
 """Numbers that one effect may remember between steps."""
 
 
+OF_MODEL = float("nan")
+"""As a probe's neutral value: the model file's own value of that parameter."""
+
+
 class Instant(NamedTuple):
     """One physical instant as a kernel sees it; torques and angles at the rotor (CONTRACT 1)."""
 
@@ -70,6 +74,24 @@ class Parameter:
     """Used where the model file leaves the parameter out; None if it has to be given."""
 
 
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """How a diagnosis looks for an effect: where it vanishes, and what shapes it may have."""
+
+    amplitude: str
+    """The parameter that the residual depends on (nearly) linearly."""
+    neutral: float
+    """Its value at which the effect is not there."""
+    step: float
+    """A change of it that is small, and large against rounding."""
+    shapes: tuple[Mapping[str, float], ...] = ({},)
+    """Starting values of the other parameters that between them cover what is plausible."""
+    phase: str | None = None
+    """A phase: the probe then looks at two quadratures at once."""
+    scan: str = ""
+    """A parameter whose starting values come from the data: 'order' or 'centre_m'."""
+
+
 Kernel = Callable[[Floats, Floats, Instant, float], float]
 """(parameters (WIDTH,), state (STATES,), instant, value) -> new value of the slot."""
 Advance = Callable[[Floats, Floats, Instant, float], None]
@@ -93,5 +115,7 @@ class Effect:
     advance: Advance | None = None
     change: Callable[[Model, Mapping[str, Any]], Model] | None = None
     """For ``Slot.MODEL``: the model with the effect's numbers worked in."""
+    probe: Probe | None = None
+    """None: this tool cannot look for it yet."""
     simulated: bool = True
     """Whether simulator and estimator can use it (a model file may then hold it)."""

@@ -3,7 +3,7 @@
 import math
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -22,9 +22,12 @@ EFFECT = Effect(
     equation="F += stiffness · (|x| − position) · sign(x) beyond the position",
     parameters=(
         Parameter("position_m", "m", 0.001, 0.2, "rack position where the stop begins"),
-        Parameter("stiffness_n_per_m", "N/m", 1e4, 1e9, "stiffness at the rack"),
+        Parameter("stiffness_n_per_m", "N/m", 0.0, 1e9, "stiffness at the rack"),
     ),
     sentence="Beyond ±{position_m:.4g} m the rack meets a stop of {stiffness_n_per_m:.3g} N/m.",
     twins={"position_torque": "drive into the stop slowly, twice"},
     kernel=_torque_nm,
+    probe=Probe(
+        "stiffness_n_per_m", 0.0, 1e4, tuple({"position_m": x} for x in (0.01, 0.02, 0.04, 0.06))
+    ),
 )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Probe, Slot
 from eps_hil.physics.model import Model
 
 
@@ -34,4 +34,5 @@ EFFECT = Effect(
         "torque_sensor_offset": "hands off, motor off: an offset is still read",
     },
     change=_change,
+    probe=Probe("half_difference_nm", 0.0, 2e-3),
 )

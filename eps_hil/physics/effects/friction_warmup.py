@@ -3,7 +3,7 @@
 import math
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -26,4 +26,5 @@ EFFECT = Effect(
         "coulomb_level": "record the same manoeuvre again, cold and warm",
     },
     kernel=_level_nm,
+    probe=Probe("amplitude", 0.0, 0.02, tuple({"time_s": t} for t in (8.0, 30.0, 120.0))),
 )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Probe, Slot
 from eps_hil.physics.model import Model
 
 
@@ -20,4 +20,5 @@ EFFECT = Effect(
     sentence="The inertia is {scale:.3g} times what the model says.",
     twins={"motor_torque_gain": "standstill under a known load"},
     change=_change,
+    probe=Probe("scale", 1.0, 5e-3),
 )

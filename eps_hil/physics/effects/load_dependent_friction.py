@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Probe, Slot
 from eps_hil.physics.model import Model
 
 
@@ -31,4 +31,5 @@ EFFECT = Effect(
         "rack_ratio": "both directions at one preload: friction changes sign, load does not",
     },
     change=_change,
+    probe=Probe("gain_nm_per_n", 0.0, 1e-6),
 )

@@ -1,7 +1,7 @@
 """A wrong scale of the reported motor torque (torque constant)."""
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -21,4 +21,5 @@ EFFECT = Effect(
         "inertia": "standstill under a known load",
     },
     kernel=_torque_nm,
+    probe=Probe("gain", 1.0, 5e-3),
 )

@@ -1,7 +1,7 @@
 """A constant error of the reported motor torque."""
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -21,4 +21,5 @@ EFFECT = Effect(
         "friction_asymmetry": "rest at zero torque: an offset is still there",
     },
     kernel=_torque_nm,
+    probe=Probe("offset_nm", 0.0, 2e-3),
 )

@@ -1,7 +1,7 @@
 """A motor whose torque falls behind its current at high torque."""
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -19,4 +19,5 @@ EFFECT = Effect(
     "{curvature_per_nm2:.3g} /Nm²): saturation.",
     twins={"motor_torque_gain": "the same manoeuvre at half the torque"},
     kernel=_torque_nm,
+    probe=Probe("curvature_per_nm2", 0.0, 0.01),
 )

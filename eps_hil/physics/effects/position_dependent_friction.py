@@ -3,7 +3,7 @@
 import math
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -29,4 +29,5 @@ EFFECT = Effect(
         "position_torque": "pass in both directions: friction changes sign, a static torque not",
     },
     kernel=_level_nm,
+    probe=Probe("level_nm", 0.0, 0.01, scan="centre_m"),
 )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import OF_MODEL, Effect, Kind, Parameter, Probe, Slot
 from eps_hil.physics.model import Model
 
 
@@ -27,4 +27,5 @@ EFFECT = Effect(
         "stribeck": "reversals at several speeds",
     },
     change=_change,
+    probe=Probe("sigma0_nm_per_rad", OF_MODEL, 0.1),
 )

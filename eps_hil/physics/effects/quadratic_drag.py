@@ -1,7 +1,7 @@
 """Drag with the square of the speed: churning grease or oil, windage."""
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -21,4 +21,5 @@ EFFECT = Effect(
     "missing.",
     twins={"viscous_friction": "a sweep to at least twice the speed"},
     kernel=_torque_nm,
+    probe=Probe("coefficient_nm_s2_per_rad2", 0.0, 1e-6),
 )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Probe, Slot
 from eps_hil.physics.model import Model
 
 
@@ -23,4 +23,5 @@ EFFECT = Effect(
         "motor_torque_gain": "count rotor turns over a measured rack travel",
     },
     change=_change,
+    probe=Probe("scale", 0.0, 2e-3),
 )

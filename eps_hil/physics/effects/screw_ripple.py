@@ -3,7 +3,7 @@
 import math
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -25,4 +25,5 @@ EFFECT = Effect(
     sentence="A torque of {amplitude_nm:.3g} Nm repeats with every turn of the ball nut.",
     twins={"cogging_torque": "orders that belt ratio and pole pairs make equal: another gear"},
     kernel=_torque_nm,
+    probe=Probe("amplitude_nm", 0.0, 5e-3, phase="phase_rad"),
 )

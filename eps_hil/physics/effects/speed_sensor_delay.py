@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Kind, Parameter, Probe, Slot
 from eps_hil.physics.model import Model
 
 
@@ -25,4 +25,5 @@ EFFECT = Effect(
     sentence="Speed and angle are reported {delay_s:.3g} s later than the model file says.",
     twins={"motor_torque_delay": "a third signal with a known clock (load cell, rack position)"},
     change=_change,
+    probe=Probe("delay_s", 0.0, 2e-4),
 )

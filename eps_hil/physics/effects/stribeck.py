@@ -3,7 +3,7 @@
 import math
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -30,4 +30,5 @@ EFFECT = Effect(
         "speed",
     },
     kernel=_level_nm,
+    probe=Probe("level_nm", 0.0, 0.01, tuple({"speed_rad_s": v} for v in (2.0, 5.0, 12.0, 30.0))),
 )

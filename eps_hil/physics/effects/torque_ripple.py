@@ -3,7 +3,7 @@
 import math
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -24,4 +24,5 @@ EFFECT = Effect(
     sentence="The motor's torque ripples by {fraction:.2%} six times an electrical turn.",
     twins={"cogging_torque": "slow passes at two different motor torques"},
     kernel=_torque_nm,
+    probe=Probe("fraction", 0.0, 0.01, phase="phase_rad"),
 )

@@ -1,7 +1,7 @@
 """A wrong scale of the torsion-bar torque."""
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -18,4 +18,5 @@ EFFECT = Effect(
     sentence="The torque sensor reads {gain:.3g} times the true torque.",
     twins={"cardan_joint": "a turn of the pinion or more under a constant hand torque"},
     kernel=_torque_nm,
+    probe=Probe("gain", 1.0, 5e-3),
 )

@@ -1,7 +1,7 @@
 """A spring on the rotor (or the rack) that the model does not have: a boot, a hose, a cable."""
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -18,4 +18,5 @@ EFFECT = Effect(
     sentence="A spring of {stiffness_nm_per_rad:.3g} Nm/rad pulls the rotor to the middle.",
     twins={"position_torque": "slow passes over the whole travel"},
     kernel=_torque_nm,
+    probe=Probe("stiffness_nm_per_rad", 0.0, 1e-4),
 )

@@ -1,7 +1,7 @@
 """Drag in proportion to speed, the same in both directions."""
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -18,4 +18,5 @@ EFFECT = Effect(
     sentence="A drag of {coefficient_nm_s_per_rad:.3g} Nm s/rad in proportion to speed is missing.",
     twins={"quadratic_drag": "a sweep to at least twice the speed"},
     kernel=_torque_nm,
+    probe=Probe("coefficient_nm_s_per_rad", 0.0, 1e-4),
 )

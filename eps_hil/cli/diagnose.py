@@ -1,0 +1,133 @@
+"""``eps-hil diagnose``: what physics does the model lack? (CONTRACT 6, 7)."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from eps_hil.cli._files import write_json
+from eps_hil.cli._inputs import (
+    Channel,
+    Dbc,
+    Gaps,
+    GapsOption,
+    IgnoreUnknown,
+    Signals,
+    progress,
+    read_recordings,
+)
+from eps_hil.cli.estimate import ModelPath
+
+if TYPE_CHECKING:
+    from eps_hil.series import Series
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("diagnose")(diagnose)
+
+
+def diagnose(
+    model: ModelPath,
+    recording: Annotated[
+        list[Path], typer.Option("--recording", help="Recording to explain; may repeat.")
+    ],
+    more: Annotated[
+        list[Path] | None, typer.Argument(metavar="[REC...]", help="Further recordings.")
+    ] = None,
+    holdout: Annotated[
+        list[Path] | None,
+        typer.Option("--holdout", help="Recording kept from the fit, to judge it; may repeat."),
+    ] = None,
+    json: Annotated[Path | None, typer.Option("--json", help="The result as JSON.")] = None,
+    write_model: Annotated[
+        Path | None, typer.Option("--write-model", help="Model file with the effects added.")
+    ] = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    gaps: GapsOption = Gaps.REFUSE,
+    ignore_unknown: IgnoreUnknown = False,
+    channel: Channel = None,
+) -> None:
+    """Locate where recordings and model differ, name the missing physics, and show the gain.
+
+    Needs motor torque, rotor speed or angle, and the rack force; torsion-bar torque where a driver
+    or robot turns the wheel. Without --holdout a part of the recordings is kept from the fit.
+    """
+    from eps_hil.diagnosis.diagnose import diagnose as run
+    from eps_hil.errors import InputError
+    from eps_hil.physics.model import dump_model, load_model
+    from eps_hil.recordings.files import replacing
+
+    rig = load_model(model)
+    options: dict[str, Any] = {
+        "dbc": dbc,
+        "signals": signals,
+        "gaps": gaps,
+        "ignore_unknown": ignore_unknown,
+        "channel": channel,
+    }
+    fitted = _read([*recording, *(more or [])], options)
+    judged = _read(holdout or [], options)
+    with progress("diagnosing") as bar:
+        try:
+            result = run(rig, fitted, judged, (lambda _what, part: bar(part)) if bar else None)
+        except ValueError as error:
+            raise InputError(", ".join([*fitted, *judged]), "", str(error)) from None
+    _say(result.content)
+    if json:
+        write_json(json, result.content)
+    if write_model:
+        with replacing(write_model) as temporary:
+            temporary.write_text(dump_model(result.model), encoding="utf-8")
+        typer.echo(f"model with {len(result.model.effects)} effects written to {write_model}")
+
+
+def _read(paths: list[Path], options: Mapping[str, Any]) -> "dict[str, Mapping[str, Series]]":
+    from eps_hil.errors import InputError
+
+    found: dict[str, Mapping[str, Series]] = {}
+    for path, recording in zip(paths, read_recordings(paths, **options), strict=True):
+        if "rack_force_n" not in recording.series:
+            raise InputError(
+                path,
+                "rack_force_n",
+                "is missing; this version diagnoses only with a measured rack force",
+                "record the load cell",
+            )
+        if str(path) in found:
+            raise InputError(path, "", "is given twice", "name each recording once")
+        found[str(path)] = recording.series
+    return found
+
+
+def _say(content: Mapping[str, Any]) -> None:
+    words = {
+        "no_mismatch": "Nothing is missing: what differs is sensor noise.",
+        "explained": "The mismatch is explained:",
+        "partly_explained": "The mismatch is explained in part:",
+        "unknown_effect": "Something is missing that the catalogue does not hold:",
+    }
+    typer.echo(words[content["verdict"]])
+    for finding in content["findings"]:
+        typer.echo(f"  {finding['effect']} ({100 * finding['confidence']:.0f} %): "
+                   f"{finding['summary']}")  # fmt: skip
+        for region in finding["where"]:
+            typer.echo(
+                f"    {100 * region['share_of_excess']:.0f} % of it at {region['signal']} "
+                f"{region['from']:.4g} to {region['to']:.4g}"
+            )
+        if finding["confusable_with"]:
+            typer.echo(f"    could also be {', '.join(finding['confusable_with'])}; "
+                       f"{finding['next_experiment']}")  # fmt: skip
+    holdout = content["fit"]["holdout"]
+    for name, unit in (
+        ("torque_nrmse", ""),
+        ("speed_fit_percent", " %"),
+        ("rack_force_rmse_n", " N"),
+    ):
+        if name in holdout["baseline"]:
+            typer.echo(f"  on hold-outs, {name}: {holdout['baseline'][name]:.4g}{unit} before, "
+                       f"{holdout['augmented'][name]:.4g}{unit} after")  # fmt: skip
+    typer.echo(f"  sensor noise alone: torque_nrmse {holdout['noise_floor']['torque_nrmse']:.4g}")

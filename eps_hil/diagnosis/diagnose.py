@@ -1,0 +1,263 @@
+"""The whole way from recordings to a verdict (CONTRACT 7)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis import locate
+from eps_hil.diagnosis.fit import Fit
+from eps_hil.diagnosis.leftover import Leftover, leftover
+from eps_hil.diagnosis.prepare import Prepared, prepare
+from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
+from eps_hil.diagnosis.select import LEAST_DELAY_S, Say, Selection, select, threshold
+from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.effects.effect import Effect
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+Floats = npt.NDArray[np.float64]
+
+SCHEMA = "eps-hil/diagnosis/1"
+RIVAL = 0.97
+"""Reaching this share of a finding's gain makes another effect its confusable twin…"""
+RIVAL_GAIN = 60.0
+"""…and so does missing it by less than this many noise variances."""
+_INTERNAL = ("belt_ratio", "pole_pairs", "harmonic")
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The result as JSON-ready ``content``, and the model with the effects added."""
+
+    content: dict[str, Any]
+    model: Model
+
+
+def diagnose(
+    model: Model,
+    recordings: Mapping[str, Mapping[str, Series]],
+    holdouts: Mapping[str, Mapping[str, Series]],
+    say: Say | None = None,
+) -> Diagnosis:
+    """Find what physics ``model`` lacks to explain the recordings.
+
+    Without hold-outs the last recording (of several), or the last third (of one), is kept from
+    the fit. ``ValueError`` where a recording lacks what a diagnosis needs.
+    """
+    fitted, kept = _split(recordings, holdouts)
+    problem = Problem([prepare(name, one) for name, one in fitted.items()], model)
+    if np.sum(problem.sliding) < 500:
+        raise ValueError("moves for less than 4 s; a diagnosis needs a rotor that slides")
+    judged = [Holdout(prepare(name, one), one) for name, one in kept.items()]
+    selection = select(problem, say)
+    findings = _held_out(problem, selection, judged)
+    if say:
+        say("looking at what is left", 0.9)
+    left = leftover(problem, selection.found.residual)
+    content = _content(problem, selection, findings, left, judged)
+    augmented = problem.with_entries([_entry(selection.found.entries[k]) for k in findings])
+    return Diagnosis(content, augmented)
+
+
+def _split(
+    recordings: Mapping[str, Mapping[str, Series]], holdouts: Mapping[str, Mapping[str, Series]]
+) -> tuple[Mapping[str, Mapping[str, Series]], Mapping[str, Mapping[str, Series]]]:
+    if holdouts:
+        return recordings, holdouts
+    names = list(recordings)
+    if len(names) > 2:
+        return {n: recordings[n] for n in names[:-1]}, {names[-1]: recordings[names[-1]]}
+    first: dict[str, Mapping[str, Series]] = {}
+    last: dict[str, Mapping[str, Series]] = {}
+    for name, series in recordings.items():
+        start = min(int(one.t_ns[0]) for one in series.values())
+        end = max(int(one.t_ns[-1]) for one in series.values())
+        cut = start + (end - start) * 2 // 3
+        first[name] = {key: _part(one, start, cut) for key, one in series.items()}
+        last[name] = {key: _part(one, cut, end) for key, one in series.items()}
+    return first, last
+
+
+def _part(one: Series, start: int, end: int) -> Series:
+    keep = (one.t_ns >= start) & (one.t_ns <= end)
+    return Series(one.t_ns[keep], one.value[keep])
+
+
+def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> list[int]:
+    """Places of the entries that improve recordings which were not used to fit them."""
+    keep = []
+    entries = selection.found.entries
+    test = Problem([one.prepared for one in judged], problem.model)
+    full = test.residual(test.with_entries(entries))
+    cost = float(np.sum(np.clip(full, -8, 8) ** 2))
+    for k, entry in enumerate(entries):
+        if entry["effect"] not in selection.gains:
+            continue
+        if k == 0 and abs(entry["delay_s"]) < LEAST_DELAY_S:
+            continue
+        without = test.residual(test.with_entries([e for i, e in enumerate(entries) if i != k]))
+        loss = float(np.sum(np.clip(without, -8, 8) ** 2)) - cost
+        if loss > 0.3 * threshold(test, cost):
+            keep.append(k)
+    return keep
+
+
+def _content(
+    problem: Problem,
+    selection: Selection,
+    findings: Sequence[int],
+    left: Leftover | None,
+    judged: Sequence[Holdout],
+) -> dict[str, Any]:
+    found = selection.found
+    listed = [_finding(problem, selection, k) for k in findings]
+    listed.sort(key=lambda one: -selection.gains[one["effect"]])
+    if left is not None:
+        listed.append(_unknown(left))
+    verdict = {
+        (False, False): "no_mismatch",
+        (True, False): "explained",
+        (True, True): "partly_explained",
+        (False, True): "unknown_effect",
+    }[bool(findings), left is not None]
+    excess = selection.null.residual**2 - (found.residual**2 if findings else 1.0)
+    return {
+        "schema": SCHEMA,
+        "verdict": verdict,
+        "findings": listed,
+        "time_segments": [
+            {"recording": name, "from_s": start, "to_s": end, "share_of_excess": share}
+            for name, start, end, share in locate.time_segments(
+                problem, np.where(problem.sliding, excess, 0.0)
+            )
+        ]
+        if listed
+        else [],
+        "fit": {"holdout": _proof(problem, found, findings, judged)},
+    }
+
+
+def _proof(
+    problem: Problem, found: Fit, findings: Sequence[int], judged: Sequence[Holdout]
+) -> dict[str, Any]:
+    model = problem.model
+    augmented = problem.with_entries([_entry(found.entries[k]) for k in findings])
+    before = measures(judged, model, model)
+    return {
+        "baseline": before,
+        "augmented": measures(judged, model, augmented) if findings else before,
+        "noise_floor": noise_floor(judged, model),
+    }
+
+
+def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
+    found = selection.found
+    entry = found.entries[k]
+    effect = catalogue()[entry["effect"]]
+    gain = selection.gains[effect.id]
+    rivals = selection.rivals.get(effect.id, [])
+    twins = [name for name, part in rivals if part > RIVAL or (1 - part) * gain < RIVAL_GAIN]
+    others = [e for i, e in enumerate(found.entries) if i != k]
+    without = problem.residual(problem.with_entries(others))
+    share = (without - found.residual) ** 2
+    regions = locate.where(problem, np.where(problem.sliding, share, 0.0))
+    return {
+        "effect": effect.id,
+        "kind": str(effect.kind),
+        "confidence": _confidence(gain, threshold(problem, found.cost), rivals),
+        "equation": effect.equation,
+        "summary": effect.sentence.format(**entry),
+        "parameters": _parameters(found, k, effect),
+        "where": [
+            {
+                "signal": region.signal,
+                "from": region.low,
+                "to": region.high,
+                "share_of_excess": region.share,
+            }
+            for region in regions
+        ],
+        "confusable_with": twins,
+        "next_experiment": _experiment(effect, twins),
+    }
+
+
+def _parameters(found: Fit, k: int, effect: Effect) -> dict[str, Any]:
+    entry = found.entries[k]
+    result = {}
+    for parameter in effect.parameters:
+        if parameter.name not in entry or parameter.name in _INTERNAL:
+            continue
+        value = entry[parameter.name]
+        sigma = 0.0
+        if (k, parameter.name) in found.names:
+            place = found.names.index((k, parameter.name))
+            sigma = float(np.sqrt(max(found.covariance[place, place], 0.0)))
+        low, high = value - 1.96 * sigma, value + 1.96 * sigma
+        result[parameter.name] = {"value": value, "unit": parameter.unit, "ci95": [low, high]}
+    return result
+
+
+def _confidence(gain: float, least: float, rivals: Sequence[tuple[str, float]]) -> float:
+    """How sure the name is: how far above the gate, and how far above the next best name."""
+    detected = 1.0 - 0.4 * float(np.exp(-(gain / least - 1.0)))
+    against = sum(float(np.exp(-max(0.0, (1 - part) * gain) / 50.0)) for _, part in rivals)
+    return round(min(0.99, detected / (1.0 + against)), 3)
+
+
+def _experiment(effect: Effect, twins: Sequence[str]) -> str:
+    if not twins:
+        return ""
+    known = [f"against {name}: {effect.twins[name]}" for name in twins if name in effect.twins]
+    if known:
+        return "; ".join(known)
+    return (
+        f"repeat at other speeds, loads and positions, so that {effect.id} and "
+        f"{', '.join(twins)} act at different places"
+    )
+
+
+def _unknown(left: Leftover) -> dict[str, Any]:
+    signal, _, direction = left.signal.partition("|")
+    moving = {"right": " while turning in positive direction", "left": " in negative direction"}
+    size = max((abs(torque) for _, torque, _ in left.curve), default=0.0)
+    shape = (
+        f"a torque of up to {size:.3g} Nm at the rotor that follows {signal}"
+        f"{moving.get(direction, '')}, strongest from {left.low:.4g} to {left.high:.4g}"
+        if left.curve
+        else "a torque that follows no measured signal on its own (dynamic, or of two signals)"
+    )
+    return {
+        "effect": "unknown",
+        "kind": "structure",
+        "confidence": round(min(0.99, 1.0 - float(np.exp(-left.excess))), 3),
+        "equation": "",
+        "summary": f"Something is left that no effect of the catalogue explains: {shape}; "
+        f"{100 * left.excess:.0f} % more energy than sensor noise.",
+        "parameters": {},
+        "where": [
+            {"signal": signal, "from": left.low, "to": left.high, "share_of_excess": left.share}
+        ],
+        "curve": [list(point) for point in left.curve],
+        "confusable_with": [],
+        "next_experiment": "",
+    }
+
+
+def _entry(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        key: (round(float(f"{value:.6g}"), 12) if isinstance(value, float) else value)
+        for key, value in entry.items()
+    }
+
+
+def augmented_model(model: Model, entries: Sequence[Mapping[str, Any]]) -> Model:
+    """``model`` with entries added to its effects."""
+    return replace(model, effects=(*model.effects, *entries))
+
+
+__all__ = ["Diagnosis", "Prepared", "diagnose"]

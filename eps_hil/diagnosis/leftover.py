@@ -1,0 +1,101 @@
+"""What no effect of the catalogue explains: a reproducible curve over some measured coordinate."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.locate import BINS, coordinates
+from eps_hil.diagnosis.problem import Problem
+
+Floats = npt.NDArray[np.float64]
+
+LEAST_EXCESS = 0.5
+"""Residual energy beyond the sensor noise, as a share of it, below which nothing is left."""
+LEAST_SHARE = 0.05
+"""Least share of the residual energy that a curve explains on blocks it was not drawn from."""
+LARGE_EXCESS = 3.0
+"""Beyond this something is missing even if no static curve shows it."""
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """A significant remainder: over which signals, how large, and its curve (x, Nm, band Nm)."""
+
+    signal: str
+    curve: tuple[tuple[float, float, float], ...]
+    low: float
+    high: float
+    share: float
+    excess: float
+
+
+def leftover(problem: Problem, residual: Floats) -> Leftover | None:
+    """The best one-coordinate description of what is left while sliding, if it matters."""
+    use = problem.sliding
+    clipped = np.clip(residual, -8.0, 8.0)
+    energy = float(np.mean(clipped[use] ** 2))
+    excess = energy - 1.0
+    if excess < LEAST_EXCESS:
+        return None
+    best: Leftover | None = None
+    for name, values in _views(problem).items():
+        found = _curve(problem, name, values, clipped, excess)
+        if found is not None and (best is None or found.share > best.share):
+            best = found
+    if best is not None and best.share > LEAST_SHARE:
+        return best
+    if excess > LARGE_EXCESS:
+        low, high = np.percentile(coordinates(problem)["motor_speed_rad_s"], [2, 98])
+        return Leftover("motor_speed_rad_s", (), float(low), float(high), 0.0, excess)
+    return None
+
+
+def _views(problem: Problem) -> Mapping[str, Floats]:
+    """Coordinates as they are, and split by the direction of movement (``|right``, ``|left``)."""
+    plain = coordinates(problem)
+    speed = plain["motor_speed_rad_s"]
+    views = dict(plain)
+    for name, values in plain.items():
+        if name not in ("motor_speed_rad_s", "time_s"):
+            views[f"{name}|right"] = np.where(speed > 0, values, np.nan)
+            views[f"{name}|left"] = np.where(speed < 0, values, np.nan)
+    return views
+
+
+def _curve(
+    problem: Problem, name: str, values: Floats, residual: Floats, excess: float
+) -> Leftover | None:
+    use = problem.sliding & np.isfinite(values)
+    if np.sum(use) < 20 * BINS:
+        return None
+    edges = np.unique(np.quantile(values[use], np.linspace(0, 1, BINS + 1)))
+    if len(edges) < 6:
+        return None
+    index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    total, gain = float(np.sum(residual[problem.sliding] ** 2)), 0.0
+    for part in (0, 1):
+        fitted = use & (problem.block % 2 == part)
+        judged = use & (problem.block % 2 != part)
+        mean = _means(index[fitted], residual[fitted], len(edges) - 1)
+        guess = mean[index[judged]]
+        gain += float(np.sum(residual[judged] ** 2 - (residual[judged] - guess) ** 2))
+    torque = residual * problem.scale
+    mean = _means(index[use], torque[use], len(edges) - 1)
+    spread = np.sqrt(_means(index[use], torque[use] ** 2, len(edges) - 1))
+    count = np.bincount(index[use], minlength=len(edges) - 1)
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    curve = tuple(
+        (float(x), float(y), float(2 * s / np.sqrt(max(n, 1))))
+        for x, y, s, n in zip(centre, mean, spread, count, strict=True)
+    )
+    strong = np.flatnonzero(np.abs(mean) > 0.5 * np.max(np.abs(mean)))
+    low, high = float(edges[strong[0]]), float(edges[strong[-1] + 1])
+    return Leftover(name, curve, low, high, gain / max(total, 1e-300), excess)
+
+
+def _means(index: npt.NDArray[np.int64], values: Floats, n: int) -> Floats:
+    total = np.bincount(index, weights=values, minlength=n)
+    count = np.bincount(index, minlength=n)
+    return np.asarray(total / np.maximum(count, 1) * (count > 3))

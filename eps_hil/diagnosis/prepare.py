@@ -1,0 +1,219 @@
+"""A recording made ready: aligned to physical instants, motion smoothed, noise measured.
+
+Nonlinear terms are evaluated at the full 1 kHz on a lightly smoothed motion; the residual is then
+low-passed once, without phase, and thinned. The filter is linear, so residual and sensitivities all
+pass the same one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.physics.balance import Motion, residual_nm
+from eps_hil.physics.effects.catalogue import with_model_effects
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+Floats = npt.NDArray[np.float64]
+
+STEP_S = 1e-3
+CUTOFF_HZ = 40.0
+THIN = 8
+"""Every THIN-th sample of the filtered residual is kept: 125 Hz, above twice the cut-off."""
+SMOOTH_HZ = 100.0
+"""Low-pass of the speed that friction is evaluated at."""
+REST_WINDOW_S = 0.03
+CREEP_HZ = 20.0
+"""Low-pass of the angle that shows how a resting rotor creeps."""
+EDGE_S = 0.25
+"""Left out at both ends of a recording, where a filter without phase has only one side."""
+
+_MOST_SHIFTED = 40
+_NEEDED = ("motor_torque_nm",)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """One recording on a 1 kHz grid of its own time base; ``raw`` holds signals as reported."""
+
+    name: str
+    time_s: Floats
+    raw: Mapping[str, Floats]
+    noise: Mapping[str, float]
+    speed_is_derived: bool
+    _shifted: dict[tuple[int, float], Floats] = field(default_factory=dict)
+
+    def motion(self, model: Model) -> Motion:
+        """The motion at physical instants under the delays of ``model`` (its effects included)."""
+        delays = with_model_effects(model).delays_s
+        late = delays.of("motor_angle_rad" if self.speed_is_derived else "motor_speed_rad_s")
+        late_angle = delays.of("motor_angle_rad")
+        kinematics = self._kinematics
+        angle = self._at(kinematics["angle"], late_angle)
+        if "rack_position_m" in self.raw:
+            position = self._at(self.raw["rack_position_m"], 0.0)
+        else:
+            position = angle / model.rack_to_rotor_ratio_rad_per_m
+        return Motion(
+            self.time_s,
+            self._signal("motor_torque_nm", delays.of("motor_torque_nm")),
+            self._signal("torque_sensor_nm", delays.of("torque_sensor_nm")),
+            self._signal("rack_force_n", delays.of("rack_force_n")),
+            position,
+            self._at(kinematics["speed"], late),
+            angle,
+            self._at(kinematics["travel"], late),
+            self._at(kinematics["slip"], late),
+            self._at(kinematics["acceleration"], late),
+        )
+
+    def residual(self, model: Model) -> tuple[Floats, Floats]:
+        """(residual, friction plus load torque), filtered and thinned, Nm at the rotor, (m,)."""
+        raw, torque = residual_nm(model, self.motion(model))
+        return self.thin(raw), self.thin(torque)
+
+    def thin(self, signal: Floats) -> Floats:
+        """Low-pass without phase at CUTOFF_HZ, edges off, every THIN-th sample."""
+        edge = round(EDGE_S / STEP_S)
+        return np.ascontiguousarray(low_pass(signal, CUTOFF_HZ)[edge : len(signal) - edge : THIN])
+
+    @cached_property
+    def thin_time_s(self) -> Floats:
+        """Instants of the thinned samples."""
+        edge = round(EDGE_S / STEP_S)
+        return self.time_s[edge : len(self.time_s) - edge : THIN]
+
+    def floor_nm(self, model: Model) -> float:
+        """Rms (Nm) that sensor noise alone leaves in the thinned residual."""
+        from scipy.signal import sosfreqz
+
+        frequency, response = sosfreqz(_filter(CUTOFF_HZ), 4096, fs=1 / STEP_S)
+        gain = np.abs(response) ** 4  # forward and backward
+        share = float(np.mean(gain))
+        sharpened = float(np.mean(gain * (2 * np.pi * frequency) ** 2))
+        squared = (
+            self.noise.get("motor_torque_nm", 0.0) ** 2 * share
+            + (model.sensor_to_rotor * self.noise.get("torque_sensor_nm", 0.0)) ** 2 * share
+            + (self.noise.get("rack_force_n", 0.0) / model.rack_to_rotor_ratio_rad_per_m) ** 2
+            * share
+            + (model.inertia_kg_m2 * self.noise["motor_speed_rad_s"]) ** 2 * sharpened
+        )
+        return float(np.sqrt(squared))
+
+    def _signal(self, name: str, delay_s: float) -> Floats:
+        if name not in self.raw:
+            return np.zeros(len(self.time_s))
+        return self._at(self.raw[name], delay_s)
+
+    def _at(self, values: Floats, delay_s: float) -> Floats:
+        if delay_s == 0.0:
+            return values
+        key = (id(values), delay_s)
+        if key not in self._shifted:
+            if len(self._shifted) > _MOST_SHIFTED:
+                self._shifted.clear()
+            self._shifted[key] = np.interp(self.time_s + delay_s, self.time_s, values)
+        return self._shifted[key]
+
+    @cached_property
+    def _kinematics(self) -> Mapping[str, Floats]:
+        """Smoothed speed (zero at rest), travel, slip and raw acceleration at report stamps."""
+        speed = self.raw["motor_speed_rad_s"]
+        smooth = low_pass(speed, SMOOTH_HZ)
+        resting = self._resting(speed)
+        if "motor_angle_rad" in self.raw:
+            angle = self.raw["motor_angle_rad"]
+            slow = low_pass(angle, CREEP_HZ)
+            sigma = self.noise["motor_angle_rad"] * np.sqrt(2 * CREEP_HZ * STEP_S)
+            creep = np.diff(_with_play(slow, 2.5 * sigma), prepend=slow[0])
+        else:
+            angle = np.cumsum(smooth) * STEP_S
+            creep = np.zeros(len(speed))
+        travel = np.where(resting, creep, smooth * STEP_S)
+        travel[0] = 0.0
+        return {
+            "speed": np.where(resting, 0.0, smooth),
+            "angle": angle,
+            "travel": travel,
+            "slip": np.abs(travel),
+            "acceleration": np.gradient(speed, STEP_S),
+        }
+
+    def _resting(self, speed: Floats) -> npt.NDArray[np.bool_]:
+        """Where the mean speed over a window is no more than its noise would make it."""
+        n = max(3, round(REST_WINDOW_S / STEP_S) | 1)
+        window = np.ones(n) / n
+        mean = np.convolve(np.pad(speed, n // 2, mode="edge"), window, mode="valid")
+        sigma = self.noise["motor_speed_rad_s"] / np.sqrt(n)
+        return np.asarray(np.abs(mean) < max(4.0 * sigma, 0.02))
+
+
+def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
+    """Put one recording on a 1 kHz grid; ``ValueError`` says what is missing for a diagnosis."""
+    derived = "motor_speed_rad_s" not in series
+    for needed in (*_NEEDED, "motor_angle_rad" if derived else "motor_speed_rad_s"):
+        if needed not in series:
+            raise ValueError(f"a diagnosis needs {needed}")
+    used = {name: one for name, one in series.items() if len(one.t_ns) > 1}
+    origin = max(int(one.t_ns[0]) for one in used.values())
+    end = min(int(one.t_ns[-1]) for one in used.values())
+    n = (end - origin) // 1_000_000 + 1
+    if n * STEP_S < 2.0:
+        raise ValueError("is shorter than 2 s, too short for a diagnosis")
+    t_ns = np.arange(n, dtype=np.int64) * 1_000_000
+    start = min(int(one.t_ns[0]) for one in used.values())
+    raw = {name: _on_grid(one, origin, t_ns) for name, one in used.items()}
+    if derived:
+        raw["motor_speed_rad_s"] = np.gradient(low_pass(raw["motor_angle_rad"], SMOOTH_HZ), STEP_S)
+    noise = {name: noise_of(values) for name, values in raw.items()}
+    time_s = np.asarray(t_ns * 1e-9 + (origin - start) * 1e-9, dtype=np.float64)
+    return Prepared(name, time_s, raw, noise, derived)
+
+
+def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:
+    good = np.isfinite(one.value)
+    return np.asarray(np.interp(t_ns, one.t_ns[good] - origin, one.value[good]))
+
+
+def noise_of(values: Floats) -> float:
+    """Standard deviation of white noise on a smooth signal, from its third differences.
+
+    The median makes steps and bursts of motion count little; 0 for a constant.
+    """
+    bends = np.abs(np.diff(values, n=3))
+    moving = bends[bends > 0]
+    if len(moving) < 0.2 * len(bends):
+        return float(np.sqrt(np.mean(bends**2) / 20.0))
+    return float(np.median(bends) / 0.6745 / np.sqrt(20.0))
+
+
+def low_pass(values: Floats, cutoff_hz: float) -> Floats:
+    """Fourth-order Butterworth forward and backward at 1 kHz: no phase."""
+    from scipy.signal import sosfiltfilt
+
+    return np.asarray(sosfiltfilt(_filter(cutoff_hz), values))
+
+
+@njit
+def _with_play(angle: Floats, half_width: float) -> Floats:
+    """The angle followed only past a gap: noise inside it is no path, and wears no bristle down."""
+    out = np.empty(len(angle))
+    held = angle[0]
+    for k in range(len(angle)):
+        if angle[k] > held + half_width:
+            held = angle[k] - half_width
+        elif angle[k] < held - half_width:
+            held = angle[k] + half_width
+        out[k] = held
+    return out
+
+
+@cache
+def _filter(cutoff_hz: float) -> Floats:
+    from scipy.signal import butter
+
+    return np.asarray(butter(4, cutoff_hz, fs=1 / STEP_S, output="sos"))

@@ -1,0 +1,165 @@
+"""Every effect's regressor: the sensitivity of the simulated torque balance to it."""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.problem import Problem
+from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.effects.effect import Effect, Probe
+from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
+
+_ORDERS = np.arange(0.5, 50.01, 0.05)
+_MOST_ORDERS = 4
+_FILTER_HZ = 30.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect in one shape: entries a small amplitude away, and their regressor columns."""
+
+    effect: Effect
+    shape: Mapping[str, float]
+    columns: Floats
+    """(n, 1), or (n, 2) for the two quadratures of a phase."""
+
+    def entry(self, coefficients: Floats, neutral: float) -> dict[str, Any]:
+        """A model file's entry for fitted coefficients, inside the parameters' bounds."""
+        probe = self.effect.probe
+        assert probe is not None
+        if probe.phase is not None:
+            amplitude = float(np.hypot(*coefficients))
+            phase = float(np.arctan2(coefficients[1], coefficients[0]))
+            values = {probe.amplitude: amplitude, probe.phase: phase}
+        else:
+            values = {probe.amplitude: neutral + float(coefficients[0])}
+        entry: dict[str, Any] = {"effect": self.effect.id, **self.shape, **values}
+        for parameter in self.effect.parameters:
+            if parameter.name in entry:
+                entry[parameter.name] = float(
+                    np.clip(entry[parameter.name], parameter.lower, parameter.upper)
+                )
+        return entry
+
+
+def neutral_value(probe: Probe, model: Model) -> float:
+    """The value at which the effect is not there (the model file's own where it says so)."""
+    if np.isnan(probe.neutral):
+        return float(getattr(model.friction, probe.amplitude))
+    return probe.neutral
+
+
+def candidates(
+    problem: Problem,
+    entries: Sequence[Mapping[str, Any]],
+    residual: Floats,
+    on_progress: Callable[[float], None] | None = None,
+) -> list[Candidate]:
+    """All candidates against the model with ``entries``, whose weighted residual is given."""
+    jobs = [
+        (effect, shape)
+        for effect in catalogue().values()
+        if effect.probe is not None
+        for shape in _shapes(effect, problem, residual)
+    ]
+
+    def look(job: tuple[Effect, Mapping[str, float]]) -> Candidate | None:
+        effect, shape = job
+        others = [entry for entry in entries if entry["effect"] != effect.id]
+        base = (
+            residual
+            if len(others) == len(entries)
+            else problem.residual(problem.with_entries(others))
+        )
+        columns = _columns(problem, others, effect, shape, base)
+        return None if columns is None else Candidate(effect, shape, columns)
+
+    found = []
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:  # compiled code frees the GIL
+        for k, candidate in enumerate(pool.map(look, jobs)):
+            if candidate is not None:
+                found.append(candidate)
+            if on_progress:
+                on_progress((k + 1) / len(jobs))
+    return found
+
+
+def _columns(
+    problem: Problem,
+    entries: Sequence[Mapping[str, Any]],
+    effect: Effect,
+    shape: Mapping[str, float],
+    residual: Floats,
+) -> Floats | None:
+    probe = effect.probe
+    assert probe is not None
+    neutral = neutral_value(probe, problem.model)
+    value = {probe.amplitude: neutral + probe.step}
+    turns: list[dict[str, float]] = [{}]
+    if probe.phase is not None:
+        turns = [{probe.phase: 0.0}, {probe.phase: np.pi / 2}]
+    columns = []
+    for turn in turns:
+        entry = {"effect": effect.id, **shape, **value, **turn}
+        changed = problem.residual(problem.with_entries([*entries, entry]))
+        columns.append((residual - changed) / probe.step)
+    found = np.column_stack(columns)
+    return found if np.all(np.isfinite(found)) and np.any(found) else None
+
+
+def _shapes(effect: Effect, problem: Problem, residual: Floats) -> Sequence[Mapping[str, float]]:
+    probe = effect.probe
+    assert probe is not None
+    if probe.scan == "order":
+        return [{"order": order} for order in _orders(problem, residual)]
+    if probe.scan == "centre_m":
+        position = np.concatenate([r.motion(problem.model).position_m for r in problem.recordings])
+        low, high = np.percentile(position, [3, 97])
+        span = high - low
+        if span < 1e-3:
+            return []
+        return [
+            {"centre_m": float(centre), "width_m": float(np.clip(width * span, 5e-4, 0.1))}
+            for width in (0.08, 0.25)
+            for centre in np.linspace(low + 0.08 * span, high - 0.08 * span, 8)
+        ]
+    return probe.shapes
+
+
+def _orders(problem: Problem, residual: Floats) -> list[float]:
+    """Orders per rotor turn at which the residual repeats: peaks of an angle-domain periodogram.
+
+    Only samples count at which the order's frequency passes the filter.
+    """
+    angle, speed = [], []
+    for recording in problem.recordings:
+        motion = recording.motion(problem.model)
+        at = np.interp(recording.thin_time_s, recording.time_s, np.arange(len(recording.time_s)))
+        index = at.astype(int)
+        angle.append(motion.angle_rad[index])
+        speed.append(np.abs(motion.speed_rad_s[index]))
+    phi, omega = np.concatenate(angle), np.concatenate(speed)
+    use = problem.sliding
+    power = np.zeros(len(_ORDERS))
+    for k, order in enumerate(_ORDERS):
+        inside = use & (omega * order / (2 * np.pi) < _FILTER_HZ)
+        n = int(np.sum(inside))
+        if n < 200:
+            continue
+        wave = np.exp(-1j * order * phi[inside])
+        values = residual[inside] - np.mean(residual[inside])
+        power[k] = np.abs(np.dot(wave, values)) ** 2 / n
+    found: list[float] = []
+    for k in np.argsort(power)[::-1]:
+        if all(abs(_ORDERS[k] - known) > 0.3 for known in found):
+            found.append(float(_ORDERS[k]))
+        if len(found) == _MOST_ORDERS:
+            break
+    return found

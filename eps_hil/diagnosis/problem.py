@@ -1,0 +1,80 @@
+"""All recordings of a diagnosis as one weighted residual vector, a function of the model."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.prepare import THIN, Prepared
+from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
+Masks = npt.NDArray[np.bool_]
+
+SLIDING_RAD_S = 1.0
+SETTLED_RAD = 0.2
+"""Path since the last rest or reversal after which the bristle's history is forgotten."""
+PRESLIDING_SIGMA_NM = 0.03
+"""What rest and presliding leave even in a right model: their weight is (floor/this)²."""
+BLOCK_S = 2.0
+"""Length of the blocks that take turns in fitting and judging."""
+
+
+@dataclass
+class Problem:
+    """Recordings, model and weights; residuals are in units of the sensor-noise floor."""
+
+    recordings: Sequence[Prepared]
+    model: Model
+    sliding: Masks = field(init=False)
+    scale: Floats = field(init=False)
+    block: npt.NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        masks, floors, blocks = [], [], []
+        number = 0
+        for recording in self.recordings:
+            mask = sliding(recording, self.model)
+            floor = recording.floor_nm(self.model)
+            masks.append(mask)
+            floors.append(np.where(mask, floor, np.hypot(floor, PRESLIDING_SIGMA_NM)))
+            index = (recording.thin_time_s - recording.thin_time_s[0]) // BLOCK_S
+            blocks.append(number + index.astype(np.int64))
+            number = int(blocks[-1][-1]) + 1
+        self.sliding = np.concatenate(masks)
+        self.scale = np.concatenate(floors)
+        self.block = np.concatenate(blocks)
+
+    @property
+    def independent(self) -> float:
+        """Independent samples: the filter passes 40 of the 62.5 Hz that are kept."""
+        return 0.64 * float(np.sum(self.sliding))
+
+    def residual(self, model: Model) -> Floats:
+        """Weighted residual (n,): 1 is the sensor noise."""
+        parts = [recording.residual(model)[0] for recording in self.recordings]
+        return np.concatenate(parts) / self.scale
+
+    def with_entries(self, entries: Sequence[Mapping[str, Any]]) -> Model:
+        """The model with a list of effects in place of its own added ones."""
+        return replace(self.model, effects=(*self.model.effects, *entries))
+
+
+def sliding(recording: Prepared, model: Model) -> Masks:
+    """Thinned samples at which the rotor slides and the bristle has forgotten its history."""
+    motion = recording.motion(model)
+    speed = motion.speed_rad_s
+    path, since = 0.0, np.empty(len(speed))
+    direction = np.sign(speed)
+    for k in range(len(speed)):
+        if direction[k] == 0 or (k and direction[k] != direction[k - 1]):
+            path = 0.0
+        path += motion.slip_rad[k]
+        since[k] = path
+    good = (np.abs(speed) > SLIDING_RAD_S) & (since > SETTLED_RAD)
+    # the filter spreads what happens at a reversal over its own length
+    wide = np.convolve(~good, np.ones(2 * THIN + 1), mode="same") > 0
+    edge = (len(speed) - len(recording.thin_time_s) * THIN) // 2
+    return np.asarray(~wide[edge : edge + len(recording.thin_time_s) * THIN : THIN])

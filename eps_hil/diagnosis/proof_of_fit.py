@@ -1,0 +1,98 @@
+"""Before and after on recordings that were not fitted: torque, speed and rack force."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.prepare import STEP_S, Prepared
+from eps_hil.diagnosis.problem import sliding
+from eps_hil.estimation import batch
+from eps_hil.estimation.score import score
+from eps_hil.physics.effects.catalogue import with_model_effects
+from eps_hil.physics.friction import friction_law, static_level_nm
+from eps_hil.physics.model import Model
+from eps_hil.physics.simulate import simulate
+from eps_hil.series import Series
+
+Floats = npt.NDArray[np.float64]
+
+WINDOW_S = 0.5
+"""Length of the stretches that are simulated freely from a measured state."""
+
+
+@dataclass(frozen=True)
+class Holdout:
+    """A recording kept from the fit, prepared and as it was read."""
+
+    prepared: Prepared
+    series: Mapping[str, Series]
+
+
+def measures(holdouts: Sequence[Holdout], nominal: Model, model: Model) -> dict[str, float]:
+    """torque_nrmse, speed_fit_percent, rack_force_rmse_n (CONTRACT 7) of ``model``.
+
+    ``nominal`` decides which samples count as sliding, so that before and after are the same ones.
+    """
+    residual, torque, error, speed, force = [], [], [], [], []
+    for one in holdouts:
+        mask = sliding(one.prepared, nominal)
+        left, both = one.prepared.residual(model)
+        residual.append(left[mask])
+        torque.append(both[mask])
+        simulated, measured = _free_runs(one.prepared, model)
+        error.append(simulated - measured)
+        speed.append(measured - np.mean(measured) if len(measured) else measured)
+        found = score(batch.estimate(dict(one.series), model), one.series, nominal)
+        if found is not None and np.isfinite(found.rmse_moving_n):
+            force.append(found.rmse_moving_n)
+    result = {
+        "torque_nrmse": _rms(residual) / max(_rms(torque), 1e-12),
+        "speed_fit_percent": 100.0 * (1.0 - _rms(error) / max(_rms(speed), 1e-12)),
+    }
+    if force:
+        result["rack_force_rmse_n"] = float(np.sqrt(np.mean(np.square(force))))
+    return result
+
+
+def noise_floor(holdouts: Sequence[Holdout], model: Model) -> dict[str, float]:
+    """What sensor noise alone would leave of ``torque_nrmse``."""
+    torque = [one.prepared.residual(model)[1][sliding(one.prepared, model)] for one in holdouts]
+    floors = [one.prepared.floor_nm(model) for one in holdouts]
+    return {"torque_nrmse": float(np.sqrt(np.mean(np.square(floors)))) / max(_rms(torque), 1e-12)}
+
+
+def _free_runs(prepared: Prepared, model: Model) -> tuple[Floats, Floats]:
+    """(simulated, measured) speed of stretches that start while sliding; the rest left out."""
+    model = with_model_effects(model)
+    motion = prepared.motion(model)
+    law = friction_law(model.friction)
+    simulated, measured = [], []
+    n = round(WINDOW_S / STEP_S)
+    for first in range(0, len(motion.time_s) - n, n):
+        speed = motion.speed_rad_s[first]
+        if abs(speed) < 5.0:
+            continue
+        part = slice(first, first + n)
+        level = static_level_nm(speed, motion.rack_force_n[first], law)
+        run = simulate(
+            model,
+            motion.time_s[part],
+            motion.motor_torque_nm[part],
+            motion.torque_sensor_nm[part],
+            motion.rack_force_n[part],
+            speed_rad_s=float(speed),
+            angle_rad=float(motion.angle_rad[first]),
+            bristle_rad=float(np.sign(speed) * level / law.sigma0_nm_per_rad),
+        )
+        simulated.append(run.speed_rad_s)
+        measured.append(motion.speed_rad_s[part])
+    if not simulated:
+        return np.zeros(0), np.zeros(0)
+    return np.concatenate(simulated), np.concatenate(measured)
+
+
+def _rms(parts: Sequence[Floats]) -> float:
+    values = np.concatenate(parts) if parts else np.zeros(0)
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

@@ -1,0 +1,188 @@
+"""Which effects: forward by what they explain on blocks not fitted, then backward."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.fit import Fit, ablated, fit
+from eps_hil.diagnosis.probes import Candidate, candidates, neutral_value
+from eps_hil.diagnosis.problem import Problem
+
+Floats = npt.NDArray[np.float64]
+
+LEAST_SHARE = 0.006
+"""Least share of the residual's energy that an accepted effect explains on unfitted blocks."""
+LEAST_GAIN = 30.0
+"""Least gain in units of the noise's own variance."""
+MOST_EFFECTS = 8
+LEAST_DELAY_S = 0.75e-3
+"""A smaller skew of the motor torque is how it was sampled and held, no finding."""
+
+Say = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A candidate, its held-out gain (noise variances), and the entry to start a fit from."""
+
+    candidate: Candidate
+    gain: float
+    entry: dict[str, Any]
+
+
+@dataclass
+class Selection:
+    """The accepted effects' fit, the null's, and for each effect what else was nearly as good."""
+
+    null: Fit
+    found: Fit
+    pool: list[Candidate]
+    rivals: dict[str, list[tuple[str, float]]] = field(default_factory=dict)
+    gains: dict[str, float] = field(default_factory=dict)
+
+
+TIMING: dict[str, Any] = {"effect": "motor_torque_delay", "delay_s": 0.0}
+"""Always fitted: a torque held between samples is half a sample late, and that is no finding."""
+
+
+def select(problem: Problem, say: Say | None = None) -> Selection:
+    """Forward selection with a joint refit after each step, then a backward pass.
+
+    The regressors are taken once, at the null model; each step's refit is exact.
+    """
+    null = fit(problem, [TIMING])
+    pool = candidates(
+        problem,
+        null.entries,
+        null.residual,
+        (lambda part: say("taking sensitivities", part)) if say else None,
+    )
+    found = null
+    selection = Selection(null, found, pool)
+    for step in range(MOST_EFFECTS):
+        if say:
+            say("attributing", step / MOST_EFFECTS)
+        chosen = _best(problem, found, score(problem, found, pool))
+        if chosen is None:
+            break
+        found = _without_neutral(problem, chosen)
+    selection.found = _backward(problem, found)
+    _rivals(problem, selection)
+    return selection
+
+
+def score(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> list[Scored]:
+    """Every candidate's gain on held-out blocks, best first."""
+    results = []
+    basis = _basis(found.jacobian)
+    taken = {entry["effect"] for entry in found.entries}
+    for candidate in pool:
+        if candidate.effect.id in taken:
+            continue
+        gain, coefficients = _cross_validated(problem, found.residual, candidate.columns, basis)
+        probe = candidate.effect.probe
+        assert probe is not None
+        neutral = neutral_value(probe, problem.model)
+        results.append(Scored(candidate, gain, candidate.entry(coefficients, neutral)))
+    return sorted(results, key=lambda one: -one.gain)
+
+
+def threshold(problem: Problem, cost: float) -> float:
+    """Gain that counts, for a residual energy ``cost``."""
+    return max(LEAST_GAIN, LEAST_SHARE * cost)
+
+
+def _best(problem: Problem, found: Fit, scored: Sequence[Scored]) -> Fit | None:
+    """Refit with each of the best few of different effects; keep the one that fits best."""
+    least = threshold(problem, found.cost)
+    shortlist: list[Scored] = []
+    for one in scored:
+        if one.gain < least or len(shortlist) == 3:
+            break
+        if one.gain < 0.5 * scored[0].gain:
+            break
+        if all(one.candidate.effect.id != other.candidate.effect.id for other in shortlist):
+            shortlist.append(one)
+    fits = [fit(problem, [*found.entries, one.entry]) for one in shortlist]
+    fits = [one for one in fits if found.cost - one.cost > least]
+    return min(fits, key=lambda one: one.cost + 4.0 * len(one.names), default=None)
+
+
+def _cross_validated(
+    problem: Problem, residual: Floats, columns: Floats, basis: Floats
+) -> tuple[float, Floats]:
+    """(held-out gain, coefficients from all blocks) of regressing the residual on the columns.
+
+    What the parameters already in the model could do is projected out of the columns first.
+    """
+    if basis.shape[1]:
+        columns = columns - basis @ (basis.T @ columns)
+        if np.linalg.norm(columns) < 1e-6:
+            return 0.0, np.zeros(columns.shape[1])
+    clipped = np.clip(residual, -8.0, 8.0)
+    norm = np.sqrt(np.sum(columns**2, axis=0)) + 1e-300
+    scaled = columns / norm
+    gain = 0.0
+    for part in (0, 1):
+        fitted, judged = problem.block % 2 == part, problem.block % 2 != part
+        a = np.linalg.lstsq(scaled[fitted], clipped[fitted], rcond=1e-9)[0]
+        guess = scaled[judged] @ a
+        gain += float(np.sum(clipped[judged] ** 2 - (clipped[judged] - guess) ** 2))
+    whole = np.linalg.lstsq(scaled, clipped, rcond=1e-9)[0]
+    return gain, whole / norm
+
+
+def _basis(jacobian: Floats) -> Floats:
+    if jacobian.shape[1] == 0:
+        return jacobian
+    size = np.sqrt(np.sum(jacobian**2, axis=0))
+    q, r = np.linalg.qr(jacobian[:, size > 0] / size[size > 0])
+    return np.asarray(q[:, np.abs(np.diag(r)) > 1e-6])
+
+
+def _without_neutral(problem: Problem, found: Fit) -> Fit:
+    from eps_hil.diagnosis.fit import is_neutral
+
+    keep = [
+        e for e in found.entries if e["effect"] == TIMING["effect"] or not is_neutral(e, problem)
+    ]
+    return found if len(keep) == len(found.entries) else fit(problem, keep)
+
+
+def _backward(problem: Problem, found: Fit) -> Fit:
+    """Drop, one at a time, what the others can do without."""
+    while len(found.entries) > 1:
+        without = [ablated(problem, found, k) for k in range(1, len(found.entries))]
+        losses = [one.cost - found.cost for one in without]
+        weakest = int(np.argmin(losses))
+        if losses[weakest] > threshold(problem, found.cost):
+            return found
+        found = without[weakest]
+    return found
+
+
+def _rivals(problem: Problem, selection: Selection) -> None:
+    """For each accepted effect: what others reach in its place, as a share of its gain."""
+    found = selection.found
+    for k, entry in enumerate(found.entries):
+        if k == 0 and abs(entry["delay_s"]) < LEAST_DELAY_S:
+            continue
+        without = ablated(problem, found, k)
+        gain = without.cost - found.cost
+        selection.gains[entry["effect"]] = gain
+        near: dict[str, float] = {}
+        for one in score(problem, without, selection.pool):
+            name = one.candidate.effect.id
+            if name == entry["effect"] or name in near or one.gain < 0.8 * gain:
+                continue
+            refitted = fit(problem, [*without.entries, one.entry])
+            near[name] = (without.cost - refitted.cost) / max(gain, 1e-9)
+        selection.rivals[entry["effect"]] = sorted(near.items(), key=lambda pair: -pair[1])
+
+
+def entries_of(found: Fit) -> list[Mapping[str, Any]]:
+    """The fitted entries, as a model file holds them."""
+    return [dict(entry) for entry in found.entries]
