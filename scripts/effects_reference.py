@@ -13,7 +13,8 @@ HEAD = """# Effects that a model file may add
 Written by `scripts/effects_reference.py` from `eps_hil/physics/effects/`, one file an effect.
 A model file takes them as `effects: [{effect: stribeck, level_nm: 0.045, speed_rad_s: 12.0}]`;
 `eps-hil simulate`, `eps-hil estimate` and the live service then use them. Torques and angles are
-at the rotor, ω is its speed, φ its angle, x the rack position, F the rack force, ψ the pinion angle.
+at the rotor, ω is its speed, φ its angle, x the rack position, F the rack force, ψ the pinion
+angle.
 """
 
 WHERE = {

@@ -6,10 +6,15 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from hypothesis import settings
 
 from eps_hil.physics.model import Model, load_model
 
 ROOT = Path(__file__).parents[1]
+
+# A first call may compile for seconds; hypothesis is here to find counter-examples, not to time.
+settings.register_profile("rig", deadline=None)
+settings.load_profile("rig")
 
 
 def _independent_rig() -> ModuleType:

@@ -31,14 +31,11 @@ def register(app: typer.Typer) -> None:
 def diagnose(
     model: ModelPath,
     recording: Annotated[
-        list[Path], typer.Option("--recording", help="Recording to explain; may repeat.")
+        list[Path], typer.Option("--recording", help="Recordings to explain, one or more.")
     ],
-    more: Annotated[
-        list[Path] | None, typer.Argument(metavar="[REC...]", help="Further recordings.")
-    ] = None,
     holdout: Annotated[
         list[Path] | None,
-        typer.Option("--holdout", help="Recording kept from the fit, to judge it; may repeat."),
+        typer.Option("--holdout", help="Recordings kept from the fit, to judge it."),
     ] = None,
     json: Annotated[Path | None, typer.Option("--json", help="The result as JSON.")] = None,
     write_model: Annotated[
@@ -68,7 +65,7 @@ def diagnose(
         "ignore_unknown": ignore_unknown,
         "channel": channel,
     }
-    fitted = _read([*recording, *(more or [])], options)
+    fitted = _read(recording, options)
     judged = _read(holdout or [], options)
     with progress("diagnosing") as bar:
         try:
@@ -122,11 +119,8 @@ def _say(content: Mapping[str, Any]) -> None:
             typer.echo(f"    could also be {', '.join(finding['confusable_with'])}; "
                        f"{finding['next_experiment']}")  # fmt: skip
     holdout = content["fit"]["holdout"]
-    for name, unit in (
-        ("torque_nrmse", ""),
-        ("speed_fit_percent", " %"),
-        ("rack_force_rmse_n", " N"),
-    ):
+    units = {"torque_nrmse": "", "speed_fit_percent": " %", "rack_force_rmse_n": " N"}
+    for name, unit in units.items():
         if name in holdout["baseline"]:
             typer.echo(f"  on hold-outs, {name}: {holdout['baseline'][name]:.4g}{unit} before, "
                        f"{holdout['augmented'][name]:.4g}{unit} after")  # fmt: skip

@@ -41,11 +41,29 @@ for _file in pkgutil.iter_modules(cli.__path__):
         importlib.import_module(f"eps_hil.cli.{_file.name}").register(app)
 
 
+SEVERAL = ("--recording", "--holdout", "--simulation")
+"""Options that several files may follow (CONTRACT 6)."""
+
+
+def spread(words: list[str]) -> list[str]:
+    """``--recording a b`` as ``--recording a --recording b``, which the parser understands."""
+    result: list[str] = []
+    option, first = "", True
+    for word in words:
+        if word.startswith("-") and len(word) > 1:
+            option, first = (word if word in SEVERAL else ""), True
+        elif option:
+            result += [] if first else [option]
+            first = False
+        result.append(word)
+    return result
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; return its exit status (0 done, 2 wrong input, 3 safety, 1 else)."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
-    words = [word for word in words if word != "--debug"]
+    words = spread([word for word in words if word != "--debug"])
     try:
         status = app(args=words, prog_name="eps-hil", standalone_mode=False)
         return status if isinstance(status, int) else 0
