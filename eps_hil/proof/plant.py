@@ -6,7 +6,7 @@ Friction is generalised Maxwell-slip (elements that stick and slip, eq. 3 as the
 limits) or a plain LuGre bristle (eq. 2). The motor controller runs at 1 kHz in the loop and acts
 through a current lag. Integration: semi-implicit Euler, the bristle by backward Euler.
 
-``_integrate`` is one function on purpose: with its state in scalars it runs three times as fast
+``_integrate`` is one function on purpose: with its state in scalars it runs twice as fast or more
 as it does cut into steps that share a state, and a proof runs it thousands of times.
 """
 
