@@ -1,7 +1,7 @@
 """The whole way from recordings to a verdict (CONTRACT 7)."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis import locate
 from eps_hil.diagnosis.fit import Fit
 from eps_hil.diagnosis.leftover import Leftover, leftover
-from eps_hil.diagnosis.prepare import Prepared, prepare
+from eps_hil.diagnosis.prepare import prepare
 from eps_hil.diagnosis.problem import Problem
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
 from eps_hil.diagnosis.select import LEAST_DELAY_S, Say, Selection, select, threshold
@@ -31,10 +31,18 @@ _INTERNAL = ("belt_ratio", "pole_pairs", "harmonic")
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The result as JSON-ready ``content``, and the model with the effects added."""
+    """The result as JSON-ready ``content``, the model with the effects added, and what it rests on.
+
+    ``problem`` and ``selection`` hold the fitted recordings, residuals and fits, ``judged`` the
+    hold-outs: what a report draws. ``accepted`` are places in ``selection.found.entries``.
+    """
 
     content: dict[str, Any]
     model: Model
+    problem: Problem
+    selection: Selection
+    judged: Sequence[Holdout]
+    accepted: Sequence[int]
 
 
 def diagnose(
@@ -60,7 +68,7 @@ def diagnose(
     left = leftover(problem, selection.found.residual)
     content = _content(problem, selection, findings, left, judged)
     augmented = problem.with_entries([_entry(selection.found.entries[k]) for k in findings])
-    return Diagnosis(content, augmented)
+    return Diagnosis(content, augmented, problem, selection, judged, findings)
 
 
 def _split(
@@ -253,11 +261,3 @@ def _entry(entry: Mapping[str, Any]) -> dict[str, Any]:
         key: (round(float(f"{value:.6g}"), 12) if isinstance(value, float) else value)
         for key, value in entry.items()
     }
-
-
-def augmented_model(model: Model, entries: Sequence[Mapping[str, Any]]) -> Model:
-    """``model`` with entries added to its effects."""
-    return replace(model, effects=(*model.effects, *entries))
-
-
-__all__ = ["Diagnosis", "Prepared", "diagnose"]
