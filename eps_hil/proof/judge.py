@@ -1,0 +1,127 @@
+"""One diagnosis (CONTRACT 7) against one opened answer: what was right, missed, or made up."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+UNKNOWN = "unknown"
+_NEUTRAL = {"gain": 1.0, "scale": 1.0}
+"""Values at which a parameter changes nothing; errors are taken relative to what lies beyond."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One parameter of a rightly named effect: relative error, and whether ci95 holds the truth."""
+
+    effect: str
+    parameter: str
+    relative_error: float
+    covered: bool | None
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What a diagnosis of one case was worth.
+
+    ``named``: hidden effects that are findings by their own name; ``in_set``: hidden effects in
+    the reported set (findings and what they are confusable with); ``invented``: findings that are
+    neither hidden, nor tolerated, nor say that they may be confused with something hidden, nor a
+    known twin of it. ``stated``: (confidence, was it right) of each finding.
+    """
+
+    id: str
+    kind: str
+    form: str
+    decoy: str
+    level: float
+    truths: tuple[str, ...]
+    answered: bool
+    verdict: str
+    first: str
+    named: tuple[str, ...]
+    in_set: tuple[str, ...]
+    invented: tuple[str, ...]
+    said_unknown: bool
+    estimates: tuple[Estimate, ...]
+    stated: tuple[tuple[float, bool], ...]
+
+    @property
+    def right_first(self) -> bool:
+        """Whether the first finding names what is hidden (of several: the one of ``level``)."""
+        return bool(self.truths) and self.first == self.truths[-1]
+
+    @property
+    def clean(self) -> bool:
+        """Nothing made up, nor an unknown effect claimed."""
+        return self.answered and not self.invented and not self.said_unknown
+
+
+def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None) -> Judgement:
+    """Judge one case; ``diagnosis`` None means that none was handed in, which is a miss."""
+    hidden = answer["effects"]
+    truths = tuple(str(one["effect"]) for one in hidden)
+    findings: Sequence[Mapping[str, Any]] = diagnosis.get("findings", []) if diagnosis else []
+    verdict = str(diagnosis.get("verdict", "")) if diagnosis else ""
+    tolerated = set(answer["tolerated"]) - set(truths)
+    counted = [one for one in findings if one["effect"] not in tolerated]
+    named = [one for one in counted if one["effect"] != UNKNOWN]
+    reported = {one["effect"] for one in findings}
+    reported |= {other for one in findings for other in one.get("confusable_with", [])}
+    twins = {twin for one in hidden for twin in one["twins"]}
+    excused = set(truths) | twins
+    invented = [
+        str(one["effect"])
+        for one in named
+        if one["effect"] not in excused and not set(truths) & set(one.get("confusable_with", []))
+    ]
+    return Judgement(
+        id=id,
+        kind=str(answer["kind"]),
+        form=str(answer["form"]),
+        decoy=str(answer["decoy"]),
+        level=float(hidden[-1]["wanted"]) if hidden else 0.0,
+        truths=truths,
+        answered=diagnosis is not None,
+        verdict=verdict,
+        first=str(named[0]["effect"]) if named else "",
+        named=tuple(t for t in truths if any(one["effect"] == t for one in named)),
+        in_set=tuple(t for t in truths if t in reported),
+        invented=tuple(invented),
+        said_unknown=verdict == "unknown_effect" or UNKNOWN in reported,
+        estimates=tuple(_estimates(hidden, findings)),
+        stated=tuple(
+            (float(one["confidence"]), one["effect"] in truths)
+            for one in named
+            if one.get("confidence") is not None
+        ),
+    )
+
+
+def _estimates(
+    hidden: Sequence[Mapping[str, Any]], findings: Sequence[Mapping[str, Any]]
+) -> list[Estimate]:
+    estimates = []
+    for truth in hidden:
+        found = next((one for one in findings if one["effect"] == truth["effect"]), None)
+        if found is None:
+            continue
+        for name, true in truth["parameters"].items():
+            stated = found.get("parameters", {}).get(name)
+            if isinstance(stated, Mapping) and isinstance(stated.get("value"), int | float):
+                estimates.append(_estimate(truth["effect"], name, float(true), stated))
+    return estimates
+
+
+def _estimate(effect: str, name: str, true: float, stated: Mapping[str, Any]) -> Estimate:
+    value, interval = float(stated["value"]), stated.get("ci95")
+    low, high = (float(interval[0]), float(interval[1])) if interval else (math.nan, math.nan)
+    if name == "phase_rad":  # all that matters of a phase is where on the circle it is
+        turns = 2 * math.pi * round((value - true) / (2 * math.pi))
+        value, low, high = value - turns, low - turns, high - turns
+        scale = math.pi
+    else:
+        neutral = 0.0 if effect == "rack_ratio" else _NEUTRAL.get(name, 0.0)
+        scale = max(abs(true - neutral), 1e-12)
+    covered = bool(low <= true <= high) if interval else None
+    return Estimate(effect, name, (value - true) / scale, covered)
