@@ -82,7 +82,8 @@ def plans(
     names = list(ALIENS if kind == "aliens" else CATALOGUED)
     order = rng.permutation(len(names))
     for k in range(count):
-        name, level = names[order[k % len(names)]], LEVELS[(k + k // len(names)) % len(LEVELS)]
+        turn, place = divmod(k, len(names))
+        name, level = names[order[place]], LEVELS[(place + turn) % len(LEVELS)]
         wanted: tuple[tuple[str, float], ...] = ((name, level),)
         decoy = ""
         if kind == "decoys":

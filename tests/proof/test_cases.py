@@ -1,0 +1,169 @@
+"""Cases hold what their answers say, at the strength that they say, and give nothing away."""
+
+import itertools
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from eps_hil.proof import manoeuvres
+from eps_hil.proof.cases import DECOYS, KINDS, LEVELS, Case, Plan, make, plans
+from eps_hil.proof.effects import ALIENS, CATALOGUED, drawn_sign, find
+from eps_hil.proof.seal import open_answers
+from eps_hil.proof.sensors import SENSORS
+from eps_hil.proof.strength import strength
+from eps_hil.proof.truth import Drive, Hidden, one_mass
+from eps_hil.proof.world import World
+from eps_hil.proof.write import main, model_yaml
+
+ROOT = Path(__file__).parents[2]
+COLUMNS = {
+    "time_s",
+    "motor_torque_nm",
+    "torque_sensor_nm",
+    "motor_speed_rad_s",
+    "motor_angle_rad",
+    "rack_force_n",
+    "rack_position_m",
+}
+
+
+def test_a_single_has_the_strength_that_it_was_to_have(stribeck_case: Case) -> None:
+    (told,) = stribeck_case.answer["effects"]
+    assert told["effect"] == "stribeck"
+    assert told["effect_to_noise"] == pytest.approx(0.6, rel=0.06)
+    assert told["reached"]
+    assert stribeck_case.answer["total_to_noise"] == pytest.approx(0.6, rel=0.1)
+
+
+def test_a_decoy_holds_nothing(decoy_case: Case) -> None:
+    assert decoy_case.answer["effects"] == []
+    assert decoy_case.answer["total_to_noise"] < 0.1
+
+
+def test_recordings_are_canonical_and_long_enough(stribeck_case: Case) -> None:
+    train = [stribeck_case.recordings[name] for name in ("train_1.csv", "train_2.csv")]
+    assert 60 <= sum(float(one["time_s"][-1]) for one in train) <= 95
+    for one in stribeck_case.recordings.values():
+        assert set(one) == COLUMNS
+        assert np.diff(one["time_s"]).max() == pytest.approx(1e-3)
+        assert all(np.isfinite(column).all() for column in one.values())
+
+
+def test_training_and_holdout_are_different_drives(stribeck_case: Case) -> None:
+    for a, b in itertools.combinations(stribeck_case.recordings.values(), 2):
+        n = min(len(a["rack_force_n"]), len(b["rack_force_n"]))
+        assert abs(np.corrcoef(a["rack_force_n"][:n], b["rack_force_n"][:n])[0, 1]) < 0.9
+
+
+def test_values_lie_on_the_steps_of_the_bus(decoy_case: Case) -> None:
+    for name in COLUMNS - {"time_s"}:
+        steps = decoy_case.recordings["train_1.csv"][name] / SENSORS[name].step
+        assert np.abs(steps - np.round(steps)).max() < 0.02
+
+
+def test_speed_and_torque_are_as_late_as_the_model_file_says(decoy_case: Case) -> None:
+    """The position is prompt: the angle must be its image, 4 ms later."""
+    one = decoy_case.recordings["train_1.csv"]
+    image = one["rack_position_m"] * Drive().rack_rad_per_m
+    errors = [
+        float(np.std(one["motor_angle_rad"][lag:] - image[: len(image) - lag])) for lag in range(8)
+    ]
+    assert int(np.argmin(errors)) == 4
+
+
+@pytest.mark.parametrize("name", [*CATALOGUED, *ALIENS])
+def test_every_effect_can_be_seen_in_the_torque_balance(name: str) -> None:
+    """At a strength worth the name, each changes what the nominal model leaves over."""
+    effect, rng = find(name), np.random.default_rng(3)
+    parts = [manoeuvres.weave(rng, 5.0), manoeuvres.dwell(rng, 6.0), manoeuvres.sweep(rng, 6.0)]
+    program = np.concatenate([*parts, manoeuvres.constant_speed(rng, 6.0)])
+    world = World(True)
+    bare = _clean(world, program)
+    value = drawn_sign(effect, rng) * min(4 * effect.start, effect.limit)
+    seen = _clean(effect.apply(world, value, effect.draw(rng)), program)
+    noise = 5e-3
+    assert strength(Drive(), [bare], noise).raw_ratio < 0.2
+    assert strength(Drive(), [seen], noise).raw_ratio > 0.5
+
+
+def _clean(world: World, program: np.ndarray) -> dict[str, np.ndarray]:
+    from eps_hil.proof.sensors import reported
+
+    return reported(world.run(program), world.instruments)
+
+
+def test_effects_are_those_of_the_contract() -> None:
+    text = (ROOT / "docs" / "reference-effects.md").read_text()
+    catalogue = set(re.findall(r"^## `(\w+)`", text, re.MULTILINE))
+    assert set(CATALOGUED) <= catalogue
+    assert catalogue - set(CATALOGUED) == {"clock_drift", "dropped_frames"}
+    assert not set(ALIENS) & catalogue
+
+
+def test_nothing_is_hidden_by_default() -> None:
+    assert model_yaml(Drive()) == model_yaml(World(True).drive)
+    program = manoeuvres.weave(np.random.default_rng(1), 2.0)
+    truth = World(True).run(program)
+    same = World(True, hidden=Hidden()).run(program)
+    assert np.array_equal(truth["motor_speed_rad_s"], same["motor_speed_rad_s"])
+    assert one_mass(Drive()).inertia.sum() == pytest.approx(2.0e-4)
+
+
+def test_the_model_file_is_the_reference_rig() -> None:
+    reference = yaml.safe_load((ROOT / "configs" / "reference_rig.yaml").read_text())
+    assert yaml.safe_load(model_yaml(Drive())) == reference
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_plans_are_reproducible_and_proof_never_meets_development(kind: str) -> None:
+    again = [list(plans(kind, 3, 12)) for _ in range(2)]
+    assert again[0] == again[1]
+    development = {plan.seed for seed in range(1, 50) for plan in plans(kind, seed, 60)}
+    proof = {plan.seed for seed in range(1, 50) for plan in plans(kind, seed, 60, proof=True)}
+    assert not development & proof
+
+
+def test_each_effect_comes_at_each_level() -> None:
+    n = len(CATALOGUED)
+    met = {plan.wanted[0] for plan in plans("singles", 1, 3 * n)}
+    assert met == set(itertools.product(CATALOGUED, LEVELS))
+    assert {plan.decoy for plan in plans("decoys", 1, 20)} == set(DECOYS)
+
+
+def test_pairs_mask_a_weak_effect_with_a_stranger_five_times_as_strong() -> None:
+    for plan in plans("pairs", 1, 40):
+        (strong, much), (weak, little) = plan.wanted
+        assert much == pytest.approx(5 * little)
+        assert strong not in find(weak).twins
+        assert weak not in find(strong).twins
+
+
+def test_a_case_can_be_made_again(stribeck_case: Case) -> None:
+    again = make(Plan("singles", 4, (("stribeck", 0.6),), simple=True))
+    assert again.answer == stribeck_case.answer
+    for name, columns in again.recordings.items():
+        for signal, values in columns.items():
+            assert np.array_equal(values, stribeck_case.recordings[name][signal])
+
+
+def test_the_written_folder_gives_nothing_away(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "cases"
+    arguments = [str(out), "--kind", "aliens", "--seed", "2", "--count", "2", "--simple"]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    cases = open_answers(out / "answers.json")
+    assert (out / "answers.json.sha256").read_text().strip() in said
+    models = set()
+    for id in cases:
+        files = {path.name for path in (out / id).iterdir()}
+        assert files == {"train_1.csv", "train_2.csv", "holdout.csv", "model.yaml"}
+        models.add((out / id / "model.yaml").read_text())
+        header = (out / id / "train_1.csv").read_text().splitlines()[0]
+        assert set(header.split(",")) == COLUMNS
+    assert len(models) == 1
+    assert main(arguments) == 2
