@@ -50,7 +50,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Recordings by file name (canonical columns), and the answer that belongs to them."""
+    """Recordings by name (canonical columns at 1 kHz), and the answer that belongs to them."""
 
     recordings: Mapping[str, Mapping[str, Floats]]
     answer: dict[str, Any]
@@ -114,9 +114,7 @@ def make(plan: Plan) -> Case:
         world = one.effect.apply(world, one.strength, one.shape)
     recordings = {
         name: measured(_clean(world, program), world.instruments, rng)
-        for name, program in zip(
-            ("train_1.csv", "train_2.csv", "holdout.csv"), (*train, last), strict=True
-        )
+        for name, program in zip(("train_1", "train_2", "holdout"), (*train, last), strict=True)
     }
     return Case(recordings, _answer(plan, hidden, form, _measure(world, train, noise)))
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
-TRAINING, HOLDOUT, MODEL = ("train_1.csv", "train_2.csv"), "holdout.csv", "model.yaml"
+MODEL = "model.yaml"
 _TIMEOUT_S = 600.0
 
 
@@ -24,12 +24,10 @@ def diagnose(case: Path, result: Path) -> str:
     """Diagnose one case folder into a JSON file; returns what went wrong, or nothing."""
     with tempfile.TemporaryDirectory() as folder:
         desk = Path(folder)
-        for name in (*TRAINING, HOLDOUT, MODEL):
-            shutil.copy(case / name, desk / name)
-        command = [sys.executable, "-m", "eps_hil.cli", "diagnose", "--model", MODEL]
-        for name in TRAINING:
-            command += ["--recording", name]
-        command += ["--holdout", HOLDOUT, "--json", "diagnosis.json"]
+        for path in case.iterdir():
+            shutil.copy(path, desk / path.name)
+        command = [sys.executable, "-m", "eps_hil.cli", "diagnose", "--json", "diagnosis.json"]
+        command += arguments(sorted(path.name for path in case.iterdir()))
         try:
             ended = subprocess.run(
                 command, cwd=desk, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
@@ -41,6 +39,21 @@ def diagnose(case: Path, result: Path) -> str:
             return f"exit status {ended.returncode}: {said[-1] if said else ''}"
         shutil.move(desk / "diagnosis.json", result)
     return ""
+
+
+def arguments(names: Sequence[str]) -> list[str]:
+    """Command-line arguments for the files of a case folder, CSV or CAN logs."""
+    given = ["--model", MODEL]
+    for name in names:
+        if name.startswith("train_"):
+            given += ["--recording", name]
+        elif name.startswith("holdout"):
+            given += ["--holdout", name]
+        elif name.endswith(".dbc"):
+            given += ["--dbc", name, "--gaps", "mark"]
+        elif name == "signals.yaml":
+            given += ["--signals", name]
+    return given
 
 
 def open_cases(out: Path, results: Path) -> list[Path]:
@@ -61,13 +74,13 @@ def examine(out: Path, results: Path, jobs: int = 1) -> Iterator[tuple[str, str]
             yield running[done], done.result()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(given: Sequence[str] | None = None) -> int:
     """The command line; 1 where a case could not be diagnosed."""
     parser = argparse.ArgumentParser(prog="python -m eps_hil.proof.examine", description=__doc__)
     parser.add_argument("out", type=Path, help="folder of the cases")
     parser.add_argument("results", type=Path, help="folder for the diagnoses, <id>.json")
     parser.add_argument("--jobs", type=int, default=1)
-    chosen = parser.parse_args(arguments)
+    chosen = parser.parse_args(given)
     bad = 0
     for count, (id, problem) in enumerate(examine(chosen.out, chosen.results, chosen.jobs), 1):
         if problem:

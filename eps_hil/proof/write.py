@@ -3,21 +3,28 @@
     python -m eps_hil.proof.write OUT_DIR --kind singles --seed 1 --count 30 [--simple]
 
 makes OUT_DIR/<id>/{train_1,train_2,holdout}.csv and model.yaml, OUT_DIR/answers.json and its
-hash, answers.json.sha256, which is also printed.
+hash, answers.json.sha256, which is also printed. With --can the recordings are candump logs with
+jitter and lost frames, and rig.dbc and signals.yaml go with them.
 """
 
 import argparse
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import yaml
 
-from eps_hil.proof.cases import KINDS, Case, make, plans
+from eps_hil.proof.can_log import Wire, write_log
+from eps_hil.proof.cases import KINDS, Case, Plan, make, plans
 from eps_hil.proof.seal import opaque_id, seal
 from eps_hil.proof.sensors import SENSORS, SPEED_LATE_S, TORQUE_LATE_S
 from eps_hil.proof.truth import Drive, Floats
 
+DATABASE, MAPPING = "rig.dbc", "signals.yaml"
+LOSSY = Wire(lost_per_frame=2.0e-5)
+_ROOT = Path(__file__).parents[2]
 _DECIMALS = {"time_s": 3, **{name: sensor.decimals for name, sensor in SENSORS.items()}}
 
 
@@ -68,22 +75,34 @@ def write_case(folder: Path, case: Case) -> None:
     """One case's recordings and model file; nothing in them or their names tells the answer."""
     folder.mkdir(parents=True)
     for name, columns in case.recordings.items():
-        write_csv(folder / name, columns)
+        write_csv(folder / f"{name}.csv", columns)
     (folder / "model.yaml").write_text(model_yaml(Drive()))
 
 
-def write(
-    out: Path, kind: str, seed: int, count: int, *, simple: bool = False, proof: bool = False
-) -> str:
-    """Write ``count`` cases and seal their answers; returns the hash."""
+def write_can_case(folder: Path, case: Case, wire: Wire = LOSSY) -> None:
+    """The same as CAN logs, with the database and the mapping that read them."""
+    from eps_hil.bus.database import load_database
+
+    folder.mkdir(parents=True)
+    shutil.copy(_ROOT / "dbc" / "eps_rig.dbc", folder / DATABASE)
+    shutil.copy(_ROOT / "configs" / "eps_rig_signals.yaml", folder / MAPPING)
+    database = load_database([folder / DATABASE])
+    rng = np.random.default_rng([case.answer["seed"], 7])
+    for name, columns in case.recordings.items():
+        write_log(folder / f"{name}.log", columns, database, wire, rng)
+    (folder / "model.yaml").write_text(model_yaml(Drive()))
+
+
+def write(out: Path, planned: Sequence[Plan], *, can: bool = False) -> str:
+    """Write the planned cases and seal their answers; returns the hash."""
     out.mkdir(parents=True, exist_ok=True)
     cases = {}
-    for plan in plans(kind, seed, count, simple=simple, proof=proof):
+    for plan in planned:
         id, case = opaque_id(), make(plan)
-        write_case(out / id, case)
+        (write_can_case if can else write_case)(out / id, case)
         cases[id] = case.answer
         if sys.stderr.isatty():
-            sys.stderr.write(f"\r{len(cases)}/{count} cases")
+            sys.stderr.write(f"\r{len(cases)}/{len(planned)} cases")
     return seal(out / "answers.json", cases)
 
 
@@ -95,14 +114,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=30)
     parser.add_argument("--simple", action="store_true", help="one mass, LuGre friction")
+    parser.add_argument("--can", action="store_true", help="CAN logs instead of CSV")
     parser.add_argument("--proof", action="store_true", help="seeds that development never sees")
     chosen = parser.parse_args(arguments)
     if (chosen.out / "answers.json").exists():
         sys.stderr.write(f"{chosen.out}: holds answers already; give an empty folder\n")
         return 2
-    value = write(
-        chosen.out, chosen.kind, chosen.seed, chosen.count, simple=chosen.simple, proof=chosen.proof
+    planned = plans(
+        chosen.kind, chosen.seed, chosen.count, simple=chosen.simple, proof=chosen.proof
     )
+    value = write(chosen.out, list(planned), can=chosen.can)
     sys.stdout.write(f"answers sealed: sha256 {value}\n")
     return 0
 

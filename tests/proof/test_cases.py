@@ -44,7 +44,7 @@ def test_a_decoy_holds_nothing(decoy_case: Case) -> None:
 
 
 def test_recordings_are_canonical_and_long_enough(stribeck_case: Case) -> None:
-    train = [stribeck_case.recordings[name] for name in ("train_1.csv", "train_2.csv")]
+    train = [stribeck_case.recordings[name] for name in ("train_1", "train_2")]
     assert 60 <= sum(float(one["time_s"][-1]) for one in train) <= 95
     for one in stribeck_case.recordings.values():
         assert set(one) == COLUMNS
@@ -60,13 +60,13 @@ def test_training_and_holdout_are_different_drives(stribeck_case: Case) -> None:
 
 def test_values_lie_on_the_steps_of_the_bus(decoy_case: Case) -> None:
     for name in COLUMNS - {"time_s"}:
-        steps = decoy_case.recordings["train_1.csv"][name] / SENSORS[name].step
+        steps = decoy_case.recordings["train_1"][name] / SENSORS[name].step
         assert np.abs(steps - np.round(steps)).max() < 0.02
 
 
 def test_speed_and_torque_are_as_late_as_the_model_file_says(decoy_case: Case) -> None:
     """The position is prompt: the angle must be its image, 4 ms later."""
-    one = decoy_case.recordings["train_1.csv"]
+    one = decoy_case.recordings["train_1"]
     image = one["rack_position_m"] * Drive().rack_rad_per_m
     errors = [
         float(np.std(one["motor_angle_rad"][lag:] - image[: len(image) - lag])) for lag in range(8)
