@@ -13,7 +13,7 @@ from eps_hil.diagnosis.leftover import Leftover, leftover
 from eps_hil.diagnosis.prepare import prepare
 from eps_hil.diagnosis.problem import Problem
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
-from eps_hil.diagnosis.select import LEAST_DELAY_S, Say, Selection, select, threshold
+from eps_hil.diagnosis.select import FINAL_SHARE, Say, Selection, select, threshold
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Effect
 from eps_hil.physics.model import Model
@@ -102,14 +102,13 @@ def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
     test = Problem([one.prepared for one in judged], problem.model)
     full = test.residual(test.with_entries(entries))
     cost = float(np.sum(np.clip(full, -8, 8) ** 2))
+    least = 0.3 * threshold(test, full, FINAL_SHARE)
     for k, entry in enumerate(entries):
         if entry["effect"] not in selection.gains:
             continue
-        if k == 0 and abs(entry["delay_s"]) < LEAST_DELAY_S:
-            continue
         without = test.residual(test.with_entries([e for i, e in enumerate(entries) if i != k]))
         loss = float(np.sum(np.clip(without, -8, 8) ** 2)) - cost
-        if loss > 0.3 * threshold(test, cost):
+        if loss > least:
             keep.append(k)
     return keep
 
@@ -176,7 +175,7 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     return {
         "effect": effect.id,
         "kind": str(effect.kind),
-        "confidence": _confidence(gain, threshold(problem, found.cost), rivals),
+        "confidence": _confidence(gain, threshold(problem, found.residual, FINAL_SHARE), rivals),
         "equation": effect.equation,
         "summary": effect.sentence.format(**entry),
         "parameters": _parameters(found, k, effect),
@@ -201,6 +200,9 @@ def _parameters(found: Fit, k: int, effect: Effect) -> dict[str, Any]:
         if parameter.name not in entry or parameter.name in _INTERNAL:
             continue
         value = entry[parameter.name]
+        if parameter.name == "curve":
+            result["curve"] = {"value": value, "unit": parameter.unit, "ci95": None}
+            continue
         sigma = 0.0
         if (k, parameter.name) in found.names:
             place = found.names.index((k, parameter.name))

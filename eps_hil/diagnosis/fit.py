@@ -13,7 +13,8 @@ from eps_hil.physics.effects.catalogue import catalogue
 
 Floats = npt.NDArray[np.float64]
 
-_FIXED = ("belt_ratio", "pole_pairs", "harmonic")
+_FIXED = ("belt_ratio", "pole_pairs", "harmonic", "curve")
+"""Not moved by the joint fit: given by the model file, or solved for in one step (a curve)."""
 
 
 @dataclass(frozen=True)
@@ -139,8 +140,17 @@ def ablated(problem: Problem, found: Fit, k: int, rounds: int = 3) -> Fit:
     return fit(problem, [e for i, e in enumerate(found.entries) if i != k], rounds)
 
 
-def is_neutral(entry: Mapping[str, Any], problem: Problem) -> bool:
-    """Whether an entry has been fitted away to nothing."""
+def deviation(entry: Mapping[str, Any], problem: Problem) -> float:
+    """How far an entry's amplitude is from where the effect is not there."""
     probe = catalogue()[entry["effect"]].probe
     assert probe is not None
-    return abs(entry[probe.amplitude] - neutral_value(probe, problem.model)) < 1e-9
+    if probe.scan == "curve":
+        return max(abs(torque) for _, torque in entry[probe.amplitude])
+    return float(abs(entry[probe.amplitude] - neutral_value(probe, problem.model)))
+
+
+def matters(entry: Mapping[str, Any], problem: Problem) -> bool:
+    """Whether an entry is large enough to be a finding rather than how rigs are."""
+    probe = catalogue()[entry["effect"]].probe
+    assert probe is not None
+    return deviation(entry, problem) > max(probe.least, 1e-9)

@@ -11,11 +11,11 @@ from eps_hil.diagnosis.problem import Problem
 
 Floats = npt.NDArray[np.float64]
 
-LEAST_EXCESS = 0.5
+LEAST_EXCESS = 0.12
 """Residual energy beyond the sensor noise, as a share of it, below which nothing is left."""
-LEAST_SHARE = 0.05
+LEAST_SHARE = 0.03
 """Least share of the residual energy that a curve explains on blocks it was not drawn from."""
-LARGE_EXCESS = 3.0
+LARGE_EXCESS = 0.8
 """Beyond this something is missing even if no static curve shows it."""
 
 

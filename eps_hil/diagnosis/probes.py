@@ -19,6 +19,7 @@ Floats = npt.NDArray[np.float64]
 _ORDERS = np.arange(0.5, 50.01, 0.05)
 _MOST_ORDERS = 4
 _FILTER_HZ = 30.0
+_KNOTS = 9
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,9 @@ class Candidate:
         """A model file's entry for fitted coefficients, inside the parameters' bounds."""
         probe = self.effect.probe
         assert probe is not None
+        if probe.scan == "curve":
+            knots = [[x, float(y)] for x, y in zip(self.shape.values(), coefficients, strict=True)]
+            return {"effect": self.effect.id, probe.amplitude: knots}
         if probe.phase is not None:
             amplitude = float(np.hypot(*coefficients))
             phase = float(np.arctan2(coefficients[1], coefficients[0]))
@@ -100,6 +104,8 @@ def _columns(
 ) -> Floats | None:
     probe = effect.probe
     assert probe is not None
+    if probe.scan == "curve":
+        return _hats(problem, entries, effect, shape, residual)
     neutral = neutral_value(probe, problem.model)
     value = {probe.amplitude: neutral + probe.step}
     turns: list[dict[str, float]] = [{}]
@@ -114,23 +120,52 @@ def _columns(
     return found if np.all(np.isfinite(found)) and np.any(found) else None
 
 
+def _hats(
+    problem: Problem,
+    entries: Sequence[Mapping[str, Any]],
+    effect: Effect,
+    shape: Mapping[str, float],
+    residual: Floats,
+) -> Floats:
+    """One column a knot: the curve that is one there and zero at its neighbours."""
+    probe = effect.probe
+    assert probe is not None
+    places = list(shape.values())
+    columns = []
+    for k in range(len(places)):
+        knots = [[x, probe.step if i == k else 0.0] for i, x in enumerate(places)]
+        entry = {"effect": effect.id, probe.amplitude: knots}
+        changed = problem.residual(problem.with_entries([*entries, entry]))
+        columns.append((residual - changed) / probe.step)
+    return np.column_stack(columns)
+
+
 def _shapes(effect: Effect, problem: Problem, residual: Floats) -> Sequence[Mapping[str, float]]:
     probe = effect.probe
     assert probe is not None
     if probe.scan == "order":
         return [{"order": order} for order in _orders(problem, residual)]
-    if probe.scan == "centre_m":
+    if probe.scan in ("centre_m", "position_m", "curve"):
         position = np.concatenate([r.motion(problem.model).position_m for r in problem.recordings])
-        low, high = np.percentile(position, [3, 97])
-        span = high - low
-        if span < 1e-3:
-            return []
-        return [
-            {"centre_m": float(centre), "width_m": float(np.clip(width * span, 5e-4, 0.1))}
-            for width in (0.08, 0.25)
-            for centre in np.linspace(low + 0.08 * span, high - 0.08 * span, 8)
-        ]
+        return _places(probe.scan, position)
     return probe.shapes
+
+
+def _places(scan: str, position: Floats) -> Sequence[Mapping[str, float]]:
+    """Shapes over the rack positions that were visited (m): bumps, stops, or a curve's knots."""
+    low, high = np.percentile(position, [3, 97])
+    span = high - low
+    if span < 1e-3:
+        return []
+    if scan == "position_m":
+        return [{"position_m": float(np.percentile(np.abs(position), p))} for p in (80, 92, 97, 99)]
+    if scan == "curve":
+        return [{f"x{k}": float(x) for k, x in enumerate(np.linspace(low, high, _KNOTS))}]
+    return [
+        {"centre_m": float(centre), "width_m": float(np.clip(width * span, 5e-4, 0.1))}
+        for width in (0.08, 0.25)
+        for centre in np.linspace(low + 0.08 * span, high - 0.08 * span, 8)
+    ]
 
 
 def _orders(problem: Problem, residual: Floats) -> list[float]:

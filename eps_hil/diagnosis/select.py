@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.fit import Fit, ablated, fit
+from eps_hil.diagnosis.fit import Fit, ablated, deviation, fit, matters
 from eps_hil.diagnosis.probes import Candidate, candidates, neutral_value
 from eps_hil.diagnosis.problem import Problem
 
@@ -18,8 +18,8 @@ LEAST_SHARE = 0.006
 LEAST_GAIN = 30.0
 """Least gain in units of the noise's own variance."""
 MOST_EFFECTS = 8
-LEAST_DELAY_S = 0.75e-3
-"""A smaller skew of the motor torque is how it was sampled and held, no finding."""
+FORWARD_SHARE, FINAL_SHARE = 0.02, 0.10
+"""Least shares of what is still unexplained: on the way, and in the end."""
 
 Say = Callable[[str, float], None]
 
@@ -90,14 +90,20 @@ def score(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> list[Score
     return sorted(results, key=lambda one: -one.gain)
 
 
-def threshold(problem: Problem, cost: float) -> float:
-    """Gain that counts, for a residual energy ``cost``."""
-    return max(LEAST_GAIN, LEAST_SHARE * cost)
+def threshold(problem: Problem, residual: Floats, of_excess: float) -> float:
+    """Gain that counts beside what the residual still holds.
+
+    ``of_excess`` is the share of the energy beyond the sensor noise that it must explain: an
+    effect that leaves most of the mismatch standing has the wrong name.
+    """
+    clipped = np.clip(residual, -8.0, 8.0) ** 2
+    excess = float(np.sum(clipped[problem.sliding] - 1.0))
+    return max(LEAST_GAIN, LEAST_SHARE * float(np.sum(clipped)), of_excess * excess)
 
 
 def _best(problem: Problem, found: Fit, scored: Sequence[Scored]) -> Fit | None:
     """Refit with each of the best few of different effects; keep the one that fits best."""
-    least = threshold(problem, found.cost)
+    least = threshold(problem, found.residual, FORWARD_SHARE)
     shortlist: list[Scored] = []
     for one in scored:
         if one.gain < least or len(shortlist) == 3:
@@ -108,7 +114,13 @@ def _best(problem: Problem, found: Fit, scored: Sequence[Scored]) -> Fit | None:
             shortlist.append(one)
     fits = [fit(problem, [*found.entries, one.entry]) for one in shortlist]
     fits = [one for one in fits if found.cost - one.cost > least]
-    return min(fits, key=lambda one: one.cost + 4.0 * len(one.names), default=None)
+    return min(fits, key=_penalised, default=None)
+
+
+def _penalised(one: Fit) -> float:
+    """Cost with a price for every number fitted, a curve's knots included."""
+    knots = sum(len(entry["curve"]) for entry in one.entries if "curve" in entry)
+    return one.cost + 4.0 * (len(one.names) + knots)
 
 
 def _cross_validated(
@@ -144,21 +156,19 @@ def _basis(jacobian: Floats) -> Floats:
 
 
 def _without_neutral(problem: Problem, found: Fit) -> Fit:
-    from eps_hil.diagnosis.fit import is_neutral
-
     keep = [
-        e for e in found.entries if e["effect"] == TIMING["effect"] or not is_neutral(e, problem)
+        e for e in found.entries if e["effect"] == TIMING["effect"] or deviation(e, problem) > 1e-9
     ]
     return found if len(keep) == len(found.entries) else fit(problem, keep)
 
 
 def _backward(problem: Problem, found: Fit) -> Fit:
     """Drop, one at a time, what the others can do without."""
-    while len(found.entries) > 1:
+    while len(found.entries) > 1:  # the first is TIMING, which always stays
         without = [ablated(problem, found, k) for k in range(1, len(found.entries))]
         losses = [one.cost - found.cost for one in without]
         weakest = int(np.argmin(losses))
-        if losses[weakest] > threshold(problem, found.cost):
+        if losses[weakest] > threshold(problem, found.residual, FINAL_SHARE):
             return found
         found = without[weakest]
     return found
@@ -168,7 +178,7 @@ def _rivals(problem: Problem, selection: Selection) -> None:
     """For each accepted effect: what others reach in its place, as a share of its gain."""
     found = selection.found
     for k, entry in enumerate(found.entries):
-        if k == 0 and abs(entry["delay_s"]) < LEAST_DELAY_S:
+        if not matters(entry, problem):
             continue
         without = ablated(problem, found, k)
         gain = without.cost - found.cost

@@ -28,5 +28,5 @@ EFFECT = Effect(
     sentence="The friction offsets are {scale:.3g} times what the model says.",
     twins={"friction_warmup": "record the same manoeuvre again, cold and warm"},
     change=_change,
-    probe=Probe("scale", 1.0, 0.01),
+    probe=Probe("scale", 1.0, 0.01, least=0.01),
 )

@@ -27,7 +27,5 @@ EFFECT = Effect(
     sentence="Beyond ±{position_m:.4g} m the rack meets a stop of {stiffness_n_per_m:.3g} N/m.",
     twins={"position_torque": "drive into the stop slowly, twice"},
     kernel=_torque_nm,
-    probe=Probe(
-        "stiffness_n_per_m", 0.0, 1e4, tuple({"position_m": x} for x in (0.01, 0.02, 0.04, 0.06))
-    ),
+    probe=Probe("stiffness_n_per_m", 0.0, 1e4, scan="position_m"),
 )

@@ -20,5 +20,5 @@ EFFECT = Effect(
     sentence="The inertia is {scale:.3g} times what the model says.",
     twins={"motor_torque_gain": "standstill under a known load"},
     change=_change,
-    probe=Probe("scale", 1.0, 5e-3),
+    probe=Probe("scale", 1.0, 5e-3, least=0.005),
 )

@@ -21,5 +21,5 @@ EFFECT = Effect(
         "inertia": "standstill under a known load",
     },
     kernel=_torque_nm,
-    probe=Probe("gain", 1.0, 5e-3),
+    probe=Probe("gain", 1.0, 5e-3, least=0.004),
 )

@@ -1,7 +1,7 @@
 """A static torque over rack position that is no spring, stop or ripple: gravity, imbalance."""
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
 @njit
@@ -30,4 +30,5 @@ EFFECT = Effect(
     sentence="A static torque over rack position is missing.",
     twins={"unmodelled_spring": "slow passes over the whole travel"},
     kernel=_torque_nm,
+    probe=Probe("curve", 0.0, 5e-3, scan="curve"),
 )

@@ -23,5 +23,5 @@ EFFECT = Effect(
         "motor_torque_gain": "count rotor turns over a measured rack travel",
     },
     change=_change,
-    probe=Probe("scale", 0.0, 2e-3),
+    probe=Probe("scale", 0.0, 2e-3, least=0.004),
 )

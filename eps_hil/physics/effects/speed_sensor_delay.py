@@ -25,5 +25,5 @@ EFFECT = Effect(
     sentence="Speed and angle are reported {delay_s:.3g} s later than the model file says.",
     twins={"motor_torque_delay": "a third signal with a known clock (load cell, rack position)"},
     change=_change,
-    probe=Probe("delay_s", 0.0, 2e-4),
+    probe=Probe("delay_s", 0.0, 2e-4, least=0.3e-3),
 )

@@ -18,5 +18,5 @@ EFFECT = Effect(
     sentence="The torque sensor reads {gain:.3g} times the true torque.",
     twins={"cardan_joint": "a turn of the pinion or more under a constant hand torque"},
     kernel=_torque_nm,
-    probe=Probe("gain", 1.0, 5e-3),
+    probe=Probe("gain", 1.0, 5e-3, least=0.01),
 )
