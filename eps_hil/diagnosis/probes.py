@@ -19,7 +19,7 @@ Floats = npt.NDArray[np.float64]
 _ORDERS = np.arange(0.5, 50.01, 0.05)
 _MOST_ORDERS = 4
 _FILTER_HZ = 30.0
-_KNOTS = 9
+_KNOTS = 24
 
 
 @dataclass(frozen=True)

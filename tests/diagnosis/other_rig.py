@@ -86,7 +86,7 @@ class Effects:
 
 def _late(values: Array, seconds: float) -> Array:
     t = np.arange(len(values)) * 1e-3
-    return np.interp(t - seconds, t, values)
+    return np.asarray(np.interp(t - seconds, t, values))
 
 
 def record(

@@ -225,7 +225,7 @@ def test_dwell_grows_at_rest_and_is_lost_by_sliding(reference_model: Model) -> N
         ({"effect": "stribeck", "level": 0.1, "speed_rad_s": 3}, "no parameter 'level'"),
         ({"effect": "unknown"}, "no effect"),
         ({"effect": "backlash", "gap_rad": 0.1}, "not yet be simulated"),
-        ({"effect": "position_torque", "curve": [[0, 1]]}, "2 to 12 knots"),
+        ({"effect": "position_torque", "curve": [[0, 1]]}, "2 to 32 knots"),
         ({"effect": "position_torque", "curve": [[1, 1], [0, 2]]}, "rising"),
         ({"effect": "position_torque", "curve": "steep"}, "pairs"),
     ],

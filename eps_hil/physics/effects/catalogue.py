@@ -15,7 +15,7 @@ from eps_hil.physics.model import Model
 
 _NO_EFFECT = ("effect", "catalogue", "added")
 _OF_MODEL = ("belt_ratio", "pole_pairs")
-_MOST_KNOTS = 12
+_MOST_KNOTS = 32
 
 
 @cache

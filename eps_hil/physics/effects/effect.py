@@ -12,7 +12,7 @@ from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
 
-WIDTH = 26
+WIDTH = 66
 """Parameters that one effect may have (a curve takes one plus two a knot)."""
 STATES = 4
 """Numbers that one effect may remember between steps."""

@@ -25,7 +25,7 @@ EFFECT = Effect(
     slot=Slot.TORQUE,
     equation="+ curve(x), straight between its knots",
     parameters=(
-        Parameter("curve", "m, Nm", -10.0, 10.0, "knots [[x_m, torque_nm], …], at most 12"),
+        Parameter("curve", "m, Nm", -10.0, 10.0, "knots [[x_m, torque_nm], …], at most 32"),
     ),
     sentence="A static torque over rack position is missing.",
     twins={"unmodelled_spring": "slow passes over the whole travel"},

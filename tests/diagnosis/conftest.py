@@ -1,0 +1,59 @@
+"""Recordings of a rig of other code whose missing physics is known."""
+
+import importlib.util
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.series import Series
+
+Recordings = Mapping[str, Mapping[str, Series]]
+
+
+def _other_rig() -> ModuleType:
+    name = "other_rig"
+    if name not in sys.modules:
+        file = Path(__file__).with_name("other_rig.py")
+        spec = importlib.util.spec_from_file_location(name, file)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+    return sys.modules[name]
+
+
+@pytest.fixture(scope="session")
+def other_rig() -> ModuleType:
+    return _other_rig()
+
+
+@pytest.fixture(scope="session")
+def record(other_rig: ModuleType) -> Callable[..., Recordings]:
+    """``record(plant, manoeuvres, seed, **sensors)`` -> recordings by name."""
+
+    def make(
+        plant: Mapping[int, float],
+        manoeuvres: tuple[str, ...] = ("sweep", "weave", "slow"),
+        seed: int = 1,
+        noise: float = 1.0,
+        seconds: float = 15.0,
+        **sensors: Any,
+    ) -> Recordings:
+        made = {}
+        for k, manoeuvre in enumerate(manoeuvres):
+            columns = other_rig.record(
+                other_rig.Effects(plant, **sensors), manoeuvre, 100 * seed + k, noise, seconds
+            )
+            t_ns = np.round(columns["time_s"] * 1e9).astype(np.int64)
+            made[f"{manoeuvre}_{seed}"] = {
+                name: Series(t_ns, values) for name, values in columns.items() if name != "time_s"
+            }
+        return made
+
+    return make

@@ -1,0 +1,55 @@
+"""Noise, filters and rest: what the residual is made of, against closed forms."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eps_hil.diagnosis.prepare import low_pass, noise_of, prepare
+from eps_hil.diagnosis.problem import Problem
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+
+@given(st.floats(1e-6, 1e3), st.integers(0, 100))
+def test_noise_is_seen_through_motion(sigma: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    t = np.arange(8000) * 1e-3
+    motion = 50 * sigma * np.sin(7 * t) + 20 * sigma * t**2
+    found = noise_of(motion + sigma * rng.standard_normal(len(t)))
+    assert found == pytest.approx(sigma, rel=0.08)
+
+
+def test_no_noise_is_no_noise() -> None:
+    assert noise_of(np.ones(1000)) == 0.0
+    assert noise_of(np.linspace(0, 1, 1000) ** 2) < 1e-8
+
+
+def test_the_filter_has_no_phase() -> None:
+    t = np.arange(4000) * 1e-3
+    slow = np.sin(2 * np.pi * 3 * t)
+    assert np.max(np.abs(low_pass(slow, 40.0) - slow)[500:-500]) < 1e-3
+
+
+def test_the_floor_is_what_noise_leaves(record: Callable[..., Any], reference_model: Model) -> None:
+    """The right model's residual while sliding is the sensor noise, and no more."""
+    made = record({}, ("weave", "slow"), seconds=20.0)
+    problem = Problem([prepare(name, one) for name, one in made.items()], reference_model)
+    residual = problem.residual(reference_model)[problem.sliding]
+    assert np.mean(residual**2) == pytest.approx(1.0, abs=0.15)
+    assert np.mean(problem.sliding) > 0.4
+
+
+def test_what_a_diagnosis_needs() -> None:
+    t_ns = np.arange(5000, dtype=np.int64) * 1_000_000
+    one = Series(t_ns, np.zeros(5000))
+    with pytest.raises(ValueError, match="motor_torque_nm"):
+        prepare("x", {"motor_speed_rad_s": one})
+    with pytest.raises(ValueError, match="motor_angle_rad"):
+        prepare("x", {"motor_torque_nm": one})
+    short = Series(t_ns[:500], np.zeros(500))
+    with pytest.raises(ValueError, match="too short"):
+        prepare("x", {"motor_torque_nm": short, "motor_speed_rad_s": short})
