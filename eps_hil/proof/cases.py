@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from eps_hil.proof import manoeuvres
+from eps_hil.proof.concealment import evidence
 from eps_hil.proof.effects import ALIENS, CATALOGUED, HiddenEffect, drawn_sign, find
 from eps_hil.proof.sensors import measured, reported
 from eps_hil.proof.strength import Strength, noise_rms, strength
@@ -112,11 +113,11 @@ def make(plan: Plan) -> Case:
     hidden = [_hide(same_form, find(name), ratio, train, base, rng) for name, ratio in plan.wanted]
     for one in hidden:
         world = one.effect.apply(world, one.strength, one.shape)
-    recordings = {
-        name: measured(_clean(world, program), world.instruments, rng)
-        for name, program in zip(("train_1", "train_2", "holdout"), (*train, last), strict=True)
-    }
-    return Case(recordings, _answer(plan, hidden, form, _measure(world, train, noise)))
+    clean = [_clean(world, program) for program in (*train, last)]
+    noisy = [measured(one, world.instruments, rng) for one in clean]
+    answer = _answer(plan, hidden, form, strength(Drive(), clean[:-1], noise))
+    answer["concealment"] = evidence(Drive(), clean[:-1], noisy[:-1], noisy[-1], noise)
+    return Case(dict(zip(("train_1", "train_2", "holdout"), noisy, strict=True)), answer)
 
 
 def _stranger(name: str, rng: np.random.Generator) -> str:

@@ -27,7 +27,8 @@ class Judgement:
     ``named``: hidden effects that are findings by their own name; ``in_set``: hidden effects in
     the reported set (findings and what they are confusable with); ``invented``: findings that are
     neither hidden, nor tolerated, nor say that they may be confused with something hidden, nor a
-    known twin of it. ``stated``: (confidence, was it right) of each finding.
+    known twin of it. ``stated``: (confidence, was it right) of each finding. ``naive_…``: what the
+    methods of ``naive`` named in the same case.
     """
 
     id: str
@@ -45,6 +46,8 @@ class Judgement:
     said_unknown: bool
     estimates: tuple[Estimate, ...]
     stated: tuple[tuple[float, bool], ...]
+    naive_err: tuple[str, ...] = ()
+    naive_stlsq: tuple[str, ...] = ()
 
     @property
     def right_first(self) -> bool:
@@ -59,7 +62,7 @@ class Judgement:
 
 def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None) -> Judgement:
     """Judge one case; ``diagnosis`` None means that none was handed in, which is a miss."""
-    hidden = answer["effects"]
+    hidden, concealment = answer["effects"], answer.get("concealment", {})
     truths = tuple(str(one["effect"]) for one in hidden)
     findings: Sequence[Mapping[str, Any]] = diagnosis.get("findings", []) if diagnosis else []
     verdict = str(diagnosis.get("verdict", "")) if diagnosis else ""
@@ -95,6 +98,8 @@ def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | Non
             for one in named
             if one.get("confidence") is not None
         ),
+        naive_err=tuple(concealment.get("naive_err", ())),
+        naive_stlsq=tuple(concealment.get("naive_stlsq", ())),
     )
 
 

@@ -65,12 +65,16 @@ def shares(judged: Sequence[Judgement]) -> list[Share]:
                 count(label + "right name first", at, lambda j: j.right_first)
                 count(label + "truth in the reported set", at, _all_in_set)
                 count(label + "something invented", at, lambda j: bool(j.invented))
+            count(label + "ERR names it first", at, lambda j: j.naive_err[:1] == j.truths[-1:])
+            count(label + "STLSQ names it first", at, lambda j: j.naive_stlsq[:1] == j.truths[-1:])
         pairs = [j for j in cases if j.kind == "pairs"]
         count(f"{form} masked pairs: both named", pairs, lambda j: len(j.named) == len(j.truths))
         count(f"{form} masked pairs: both in the reported set", pairs, _all_in_set)
         count(f"{form} masked pairs: something invented", pairs, lambda j: bool(j.invented))
         decoys = [j for j in cases if j.kind == "decoys"]
         count(f"{form} decoys: false alarm", decoys, lambda j: not j.clean)
+        count(f"{form} decoys: ERR names something", decoys, lambda j: bool(j.naive_err))
+        count(f"{form} decoys: STLSQ names something", decoys, lambda j: bool(j.naive_stlsq))
         for decoy in sorted({j.decoy for j in decoys}):
             of = [j for j in decoys if j.decoy == decoy]
             count(f"{form} decoys, {decoy}: false alarm", of, lambda j: not j.clean)

@@ -16,6 +16,11 @@ from eps_hil.proof.sensors import RATE_HZ, SPEED_LATE_S, TORQUE_LATE_S
 from eps_hil.proof.truth import Drive, Floats
 
 CUT_HZ, _DECIMATE, _FINE, _EDGE = 80.0, 4, 8, 100
+_LATE_S = {
+    "motor_speed_rad_s": SPEED_LATE_S,
+    "motor_angle_rad": SPEED_LATE_S,
+    "motor_torque_nm": TORQUE_LATE_S,
+}
 _FREE = ("k0_pos", "k0_neg", "kw_pos", "kw_neg", "kr_pos", "kr_neg", "sigma0", "sigma1")
 
 
@@ -46,19 +51,18 @@ def _friction(d: Drive, speed: Floats, load: Floats) -> Floats:
     return out
 
 
-def _aligned(columns: Mapping[str, Floats]) -> dict[str, Floats]:
+def aligned(columns: Mapping[str, Floats]) -> dict[str, Floats]:
     """Signals at common physical instants, by the delays that the model file states."""
-    speed, torque = round(SPEED_LATE_S * RATE_HZ), round(TORQUE_LATE_S * RATE_HZ)
-    n = len(columns["motor_torque_nm"]) - speed
-    return {
-        "motor_torque_nm": columns["motor_torque_nm"][torque : torque + n],
-        "torque_sensor_nm": columns["torque_sensor_nm"][:n],
-        "motor_speed_rad_s": columns["motor_speed_rad_s"][speed : speed + n],
-        "rack_force_n": columns["rack_force_n"][:n],
-    }
+    n = len(columns["motor_torque_nm"]) - round(SPEED_LATE_S * RATE_HZ)
+    result = {}
+    for name, values in columns.items():
+        late = round(_LATE_S.get(name, 0.0) * RATE_HZ)
+        result[name] = values[late : late + n]
+    return result
 
 
-def _low(values: Floats) -> Floats:
+def filtered(values: Floats) -> Floats:
+    """Below 80 Hz without phase, ends cut off, every fourth sample; the last axis is time."""
     from scipy.signal import butter, sosfiltfilt
 
     sos = butter(4, CUT_HZ, fs=RATE_HZ, output="sos")
@@ -70,7 +74,7 @@ def residual(d: Drive, columns: Mapping[str, Floats], friction: Floats | None = 
 
     ``friction`` (n,) replaces the LuGre torque along the reported speed.
     """
-    a = _aligned(columns)
+    a = aligned(columns)
     drive = a["motor_torque_nm"] + d.pinion_rad_per_m / d.rack_rad_per_m * a["torque_sensor_nm"]
     inertial = d.inertia_kg_m2 * np.gradient(a["motor_speed_rad_s"]) * RATE_HZ
     if friction is None:
@@ -78,9 +82,9 @@ def residual(d: Drive, columns: Mapping[str, Floats], friction: Floats | None = 
     return np.asarray(drive - inertial - a["rack_force_n"] / d.rack_rad_per_m - friction)
 
 
-def _sensitivities(d: Drive, columns: Mapping[str, Floats]) -> Floats:
+def sensitivities(d: Drive, columns: Mapping[str, Floats]) -> Floats:
     """(p, n): what each baseline parameter can change of the residual."""
-    a = _aligned(columns)
+    a = aligned(columns)
     speed, load = a["motor_speed_rad_s"], a["rack_force_n"]
     rows = [np.gradient(speed) * RATE_HZ, np.ones(len(speed))]
     for name in _FREE:
@@ -116,16 +120,16 @@ def noise_rms(d: Drive, clean: Mapping[str, Floats], noisy: Mapping[str, Floats]
     Friction is left as it is without noise: a stuck bristle that noise leaks away is a weakness
     of a method, no noise of the recording.
     """
-    a = _aligned(clean)
+    a = aligned(clean)
     friction = _friction(d, a["motor_speed_rad_s"], a["rack_force_n"])
     difference = residual(d, noisy, friction) - residual(d, clean, friction)
-    return float(np.std(_low(difference)))
+    return float(np.std(filtered(difference)))
 
 
 def strength(d: Drive, clean: Sequence[Mapping[str, Floats]], noise_nm: float) -> Strength:
     """Measure what is hidden in recordings without noise against the noise they will have."""
-    rest = np.concatenate([_low(residual(d, one)) for one in clean])
-    free = np.concatenate([_low(_sensitivities(d, one)) for one in clean], axis=1)
+    rest = np.concatenate([filtered(residual(d, one)) for one in clean])
+    free = np.concatenate([filtered(sensitivities(d, one)) for one in clean], axis=1)
     scaled = (free / np.linalg.norm(free, axis=1, keepdims=True)).T
     kept = rest - scaled @ np.linalg.lstsq(scaled, rest, rcond=None)[0]
     return Strength(_rms(kept), _rms(rest), noise_nm)

@@ -153,7 +153,7 @@ def test_the_written_folder_gives_nothing_away(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "cases"
-    arguments = [str(out), "--kind", "aliens", "--seed", "2", "--count", "2", "--simple"]
+    arguments = [str(out), "--kind", "decoys", "--seed", "2", "--count", "2", "--simple"]
     assert main(arguments) == 0
     said = capsys.readouterr().out
     cases = open_answers(out / "answers.json")
