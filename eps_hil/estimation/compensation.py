@@ -9,12 +9,16 @@ from eps_hil.compiled import njit
 from eps_hil.estimation.setup import (
     ACCELERATION,
     ANGLE,
+    ANGLE_BEFORE,
+    ANGLE_EARLIER,
+    ANGLE_NOISE,
     BRISTLE,
     CLOCK,
     DRIVE,
     DRIVE_BEFORE,
     DRIVE_NOISE,
     FORCE,
+    HELD,
     NOISE,
     OMEGA,
     PATH,
@@ -35,6 +39,9 @@ from eps_hil.physics.friction import (
     friction_torque_nm,
     static_level_nm,
 )
+
+CREEP_SIGMA = 3.0
+"""Half width of the gap in which a resting rotor's angle is taken as noise."""
 
 
 @njit
@@ -80,7 +87,9 @@ def friction_step(
     moving = 0.0 if resting else speed
     s[ACCELERATION] += c.acceleration_low_pass * ((speed - s[SPEED]) / STEP_S - s[ACCELERATION])
     s[SPEED_BEFORE], s[SPEED] = s[SPEED], speed
-    direction = moving if moving != 0.0 else s[BRISTLE]
+    direction = moving if moving != 0.0 else travel
+    if direction == 0.0:
+        direction = s[BRISTLE]
     level = static_level_nm(direction, i.rack_force_n, x.law)
     now = _at_speed(i, moving)
     level = max(added.level_nm(x.effects, now, level), SMALLEST_LEVEL_NM)
@@ -123,6 +132,24 @@ def _is_resting(c: Constants, s: npt.NDArray[np.float64], speed: float, torque: 
 
 
 @njit
+def _creep(c: Constants, s: npt.NDArray[np.float64], angle: float) -> float:
+    """How far a resting rotor crept in this step: the low-passed angle, followed past a gap.
+
+    Inside the gap (``CREEP_SIGMA`` deviations of the noise that is there) nothing is path, so noise
+    wears no bristle down; beyond it creep both bends and wears it, as in eq. 2a.
+    """
+    bend = angle - 2.0 * s[ANGLE_BEFORE] + s[ANGLE_EARLIER]
+    s[ANGLE_EARLIER], s[ANGLE_BEFORE] = s[ANGLE_BEFORE], angle
+    s[ANGLE_NOISE] += c.noise_memory * (bend * bend / 6.0 - s[ANGLE_NOISE])
+    s[ANGLE] += c.angle_low_pass * (angle - s[ANGLE])
+    left = c.angle_low_pass / (2.0 - c.angle_low_pass)  # variance that the low-pass leaves
+    gap = CREEP_SIGMA * math.sqrt(left * s[ANGLE_NOISE])
+    before = s[HELD]
+    s[HELD] = min(max(s[HELD], s[ANGLE] - gap), s[ANGLE] + gap)
+    return s[HELD] - before
+
+
+@njit
 def _path(
     c: Constants, s: npt.NDArray[np.float64], u: Inputs, resting: bool
 ) -> tuple[float, float]:
@@ -135,11 +162,11 @@ def _path(
     travel = 0.5 * (u.motor_speed_rad_s + s[SPEED]) * STEP_S
     if not resting:
         kept = s[PATH]
-        s[ANGLE], s[PATH] = u.motor_angle_rad, 0.0
+        s[ANGLE] = s[HELD] = s[ANGLE_BEFORE] = s[ANGLE_EARLIER] = u.motor_angle_rad
+        s[PATH] = 0.0
         return travel + kept, abs(travel) + abs(kept)
     if c.angle_seen:
-        creep = c.angle_low_pass * (u.motor_angle_rad - s[ANGLE])
-        s[ANGLE] += creep
-        return creep, 0.0
+        creep = _creep(c, s, u.motor_angle_rad)
+        return creep, abs(creep)
     s[PATH] += travel - c.path_forgetting * s[PATH]
     return 0.0, 0.0

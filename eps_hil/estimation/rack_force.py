@@ -19,6 +19,8 @@ from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import (
     ACCELERATION,
     ANGLE,
+    ANGLE_BEFORE,
+    ANGLE_EARLIER,
     BRISTLE,
     CLOCK,
     DRIVE,
@@ -26,6 +28,7 @@ from eps_hil.estimation.setup import (
     DRIVE_NOISE,
     FORCE,
     HEAD,
+    HELD,
     LINE,
     LINE_LENGTH,
     LP1,
@@ -75,7 +78,7 @@ def start(c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs) -> No
     torque = drive_torque_nm(c, x, instant_of(c, s, u), u)
     s[PHI], s[OMEGA] = u.motor_angle_rad, u.motor_speed_rad_s
     s[SPEED] = s[SPEED_BEFORE] = u.motor_speed_rad_s
-    s[ANGLE] = u.motor_angle_rad
+    s[ANGLE] = s[HELD] = s[ANGLE_BEFORE] = s[ANGLE_EARLIER] = u.motor_angle_rad
     s[DRIVE] = s[DRIVE_BEFORE] = torque
     s[ACCELERATION] = s[SLOPE] = s[PATH] = 0.0
     if s[RUNNING] < 0.0:

@@ -38,7 +38,7 @@ class EstimatorSettings:
     """Half width in standard deviations of the observed speed, from the noise that is there."""
     noise_memory_s: Positive = 1.0
     """Over how long the speed signal's noise is averaged (from its second differences)."""
-    creep_low_pass_hz: Positive = 10.0
+    creep_low_pass_hz: Positive = 20.0
     """Filter of the measured angle whose creep bends the resting bristle."""
     path_memory_s: Positive = 0.2
     """How much of the path inside the dead zone counts once the rotor leaves it (no angle)."""

@@ -93,9 +93,10 @@ def test_friction_torque_is_right_too(reference_model: Model, sweep_truth: Any) 
     assert np.corrcoef(trace.friction_torque_nm[trace.valid][moving], true[moving])[0, 1] > 0.99
 
 
-def test_standstill_holds(reference_model: Model, steps_truth: Any) -> None:
+@pytest.mark.parametrize("names", [BASE, (*BASE, "motor_angle_rad")])
+def test_standstill_holds(reference_model: Model, steps_truth: Any, names: tuple[str, ...]) -> None:
     """Each rest of the step test: drift under 2 N/s, error inside the friction band."""
-    trace = estimate(series_of(steps_truth), reference_model)
+    trace = estimate(series_of(steps_truth, names), reference_model)
     time_s, error, speed = errors(steps_truth, trace)
     law = friction_law(reference_model.friction)
     for rest in range(8):
@@ -141,3 +142,15 @@ def test_slower_recordings(reference_model: Model, weave_truth: Any, rate_hz: in
         for name, one in series_of(weave_truth).items()
     }
     assert rms_moving(weave_truth, estimate(thinned, reference_model)) < 20
+
+
+def test_a_measured_angle_shows_the_resting_bristle(
+    reference_model: Model, weave_truth: Any
+) -> None:
+    """With the angle the friction of a resting rotor is followed; without it, only remembered."""
+
+    def rms_overall(names: tuple[str, ...]) -> float:
+        _, error, _ = errors(weave_truth, estimate(series_of(weave_truth, names), reference_model))
+        return float(np.sqrt(np.mean(error**2)))
+
+    assert rms_overall((*BASE, "motor_angle_rad")) < 0.6 * rms_overall(BASE)
