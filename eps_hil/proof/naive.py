@@ -134,19 +134,26 @@ def _err(names: Sequence[str], x: Floats, y: Floats) -> tuple[str, ...]:
 def _stlsq(
     names: Sequence[str], fit: tuple[Floats, Floats], judge: tuple[Floats, Floats]
 ) -> tuple[str, ...]:
-    scale = np.linalg.norm(fit[0], axis=0)
-    x, y = fit[0] / scale, fit[1]
-    x_out = judge[0] / scale
-    best, least = np.zeros(x.shape[1]), float(judge[1] @ judge[1])
-    for threshold in _THRESHOLDS * np.linalg.norm(y):
-        weights = np.linalg.lstsq(x, y, rcond=None)[0]
+    """Worked on the normal equations: the data is long, the terms are few."""
+    scale = _norms(fit[0])
+    gram, moment = _normal(fit[0] / scale, fit[1])
+    gram_out, moment_out = _normal(judge[0] / scale, judge[1])
+    best: Floats = np.zeros(len(moment))
+    least = 0.0
+    for threshold in _THRESHOLDS * np.linalg.norm(fit[1]):
+        weights = np.linalg.lstsq(gram, moment, rcond=None)[0]
         for _ in range(10):
             kept = np.abs(weights) >= threshold
             weights = np.zeros(len(weights))
             if kept.any():
-                weights[kept] = np.linalg.lstsq(x[:, kept], y, rcond=None)[0]
-        error = float(np.sum((judge[1] - x_out @ weights) ** 2))
+                inner = gram[np.ix_(kept, kept)]
+                weights[kept] = np.linalg.lstsq(inner, moment[kept], rcond=None)[0]
+        error = float(weights @ gram_out @ weights - 2 * weights @ moment_out)
         if error < least:
             best, least = weights, error
     order = np.argsort(-np.abs(best))
     return tuple(dict.fromkeys(names[k] for k in order if best[k] != 0))
+
+
+def _normal(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    return x.T @ x, x.T @ y
