@@ -141,13 +141,12 @@ def _stlsq(
     best: Floats = np.zeros(len(moment))
     least = 0.0
     for threshold in _THRESHOLDS * np.linalg.norm(fit[1]):
-        weights = np.linalg.lstsq(gram, moment, rcond=None)[0]
+        weights = _solved(gram, moment)
         for _ in range(10):
             kept = np.abs(weights) >= threshold
             weights = np.zeros(len(weights))
             if kept.any():
-                inner = gram[np.ix_(kept, kept)]
-                weights[kept] = np.linalg.lstsq(inner, moment[kept], rcond=None)[0]
+                weights[kept] = _solved(gram[np.ix_(kept, kept)], moment[kept])
         error = float(weights @ gram_out @ weights - 2 * weights @ moment_out)
         if error < least:
             best, least = weights, error
@@ -157,3 +156,7 @@ def _stlsq(
 
 def _normal(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return x.T @ x, x.T @ y
+
+
+def _solved(gram: Floats, moment: Floats) -> Floats:
+    return np.asarray(np.linalg.lstsq(gram, moment, rcond=None)[0], dtype=np.float64)
