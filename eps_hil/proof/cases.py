@@ -121,9 +121,10 @@ def make(plan: Plan) -> Case:
 
 
 def _stranger(name: str, rng: np.random.Generator) -> str:
-    """An effect that is no twin of ``name``, nor of one of its twins."""
+    """An effect that no twin connects with ``name``, and that no refit could take away."""
     near = {name, *find(name).twins, *(n for n, e in CATALOGUED.items() if name in e.twins)}
-    return str(rng.choice(sorted(set(CATALOGUED) - near)))
+    lasting = {n for n, effect in CATALOGUED.items() if not effect.free}
+    return str(rng.choice(sorted(lasting - near)))
 
 
 def _clean(world: World, program: Floats) -> dict[str, Floats]:

@@ -137,6 +137,7 @@ def test_pairs_mask_a_weak_effect_with_a_stranger_five_times_as_strong() -> None
     for plan in plans("pairs", 1, 40):
         (strong, much), (weak, little) = plan.wanted
         assert much == pytest.approx(5 * little)
+        assert not find(strong).free  # a refit of the baseline would unmask the weak one
         assert strong not in find(weak).twins
         assert weak not in find(strong).twins
 
