@@ -7,17 +7,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.prepare import THIN, Prepared
+from eps_hil.diagnosis.prepare import SMOOTH_HZ, STEP_S, THIN, Prepared
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
 Masks = npt.NDArray[np.bool_]
 
 SLIDING_RAD_S = 1.0
+CLEAR_SIGMA = 8.0
+"""Sliding means that the smoothed speed is this many deviations of its noise from zero."""
 SETTLED_RAD = 0.2
 """Path since the last rest or reversal after which the bristle's history is forgotten."""
 PRESLIDING_SIGMA_NM = 0.03
-"""What rest and presliding leave even in a right model: their weight is (floor/this)²."""
+"""What rest and presliding leave even in a right model, at 0.2 rad/s of speed noise or less."""
 BLOCK_S = 2.0
 """Length of the blocks that take turns in fitting and judging."""
 
@@ -39,7 +41,8 @@ class Problem:
             mask = sliding(recording, self.model)
             floor = recording.floor_nm(self.model)
             masks.append(mask)
-            floors.append(np.where(mask, floor, np.hypot(floor, PRESLIDING_SIGMA_NM)))
+            unsure = PRESLIDING_SIGMA_NM * max(1.0, recording.noise["motor_speed_rad_s"] / 0.2)
+            floors.append(np.where(mask, floor, np.hypot(floor, unsure)))
             index = (recording.thin_time_s - recording.thin_time_s[0]) // BLOCK_S
             blocks.append(number + index.astype(np.int64))
             number = int(blocks[-1][-1]) + 1
@@ -73,7 +76,8 @@ def sliding(recording: Prepared, model: Model) -> Masks:
             path = 0.0
         path += motion.slip_rad[k]
         since[k] = path
-    good = (np.abs(speed) > SLIDING_RAD_S) & (since > SETTLED_RAD)
+    noise = recording.noise["motor_speed_rad_s"] * np.sqrt(2 * SMOOTH_HZ * STEP_S)
+    good = (np.abs(speed) > max(SLIDING_RAD_S, CLEAR_SIGMA * noise)) & (since > SETTLED_RAD)
     # the filter spreads what happens at a reversal over its own length
     wide = np.convolve(~good, np.ones(2 * THIN + 1), mode="same") > 0
     edge = (len(speed) - len(recording.thin_time_s) * THIN) // 2

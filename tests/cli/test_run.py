@@ -80,14 +80,32 @@ def feeding() -> Iterator[Feed]:
         feed.stop()
 
 
+STARTED: list[subprocess.Popen[str]] = []
+
+
+@pytest.fixture(autouse=True)
+def nothing_left_running() -> Iterator[None]:
+    """A service that outlives its failed test would be the next one's second transmitter."""
+    yield
+    while STARTED:
+        process = STARTED.pop()
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+
 def start(config: Path, *options: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
+    # what ``nohup`` (of whoever runs the tests) would make children inherit
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    process = subprocess.Popen(
         [sys.executable, "-m", "eps_hil.cli", "run", "--config", str(config), *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
     )
+    STARTED.append(process)
+    return process
 
 
 def wait_ready(process: subprocess.Popen[str]) -> str:
