@@ -10,7 +10,7 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from eps_hil.proof.judge import Judgement, judge
 from eps_hil.proof.seal import open_answers
 
 _Z95 = 1.959964
+_OTHERS = ("pairs", "decoys", "aliens")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,41 +47,53 @@ class Share:
         return f"{self.what:<58} {percent} {self.hits:>5}/{self.cases:<5} {low:.0%}–{high:.0%}"
 
 
+def _all_in_set(j: Judgement) -> bool:
+    return set(j.in_set) == set(j.truths)
+
+
+Hit = Callable[[Judgement], bool]
+
+_HIDDEN: dict[str, Hit] = {
+    "right name first": lambda j: j.right_first,
+    "truth in the reported set": _all_in_set,
+    "something invented": lambda j: bool(j.invented),
+    "ERR names it first": lambda j: j.naive_err[:1] == j.truths[-1:],
+    "STLSQ names it first": lambda j: j.naive_stlsq[:1] == j.truths[-1:],
+}
+_PAIRS: dict[str, Hit] = {
+    "both named": lambda j: len(j.named) == len(j.truths),
+    "both in the reported set": _all_in_set,
+    "something invented": lambda j: bool(j.invented),
+}
+_DECOYS: dict[str, Hit] = {
+    "false alarm": lambda j: not j.clean,
+    "ERR names something": lambda j: bool(j.naive_err),
+    "STLSQ names something": lambda j: bool(j.naive_stlsq),
+}
+_ALIENS: dict[str, Hit] = {
+    "said to be unknown": lambda j: j.said_unknown,
+    "wrong name, no twin": lambda j: bool(j.invented),
+}
+
+
 def shares(judged: Sequence[Judgement]) -> list[Share]:
-    """What is counted, by kind and strength; only what there are cases of."""
+    """What is counted, by form, kind and strength; only what there are cases of."""
     table: list[Share] = []
-
-    def count(what: str, of: Iterable[Judgement], hit: Callable[[Judgement], bool]) -> None:
-        chosen = list(of)
-        if chosen:
-            table.append(Share(what, sum(map(hit, chosen)), len(chosen)))
-
     for form in sorted({j.form for j in judged}):
-        cases = [j for j in judged if j.form == form]
         for kind in ("singles", "poor", "crowds"):
-            one = [j for j in cases if j.kind == kind]
+            one = [j for j in judged if (j.form, j.kind) == (form, kind)]
             for level in sorted({j.level for j in one}):
                 at = [j for j in one if j.level == level]
-                label = f"{form} {kind} at effect/noise {level:g}: "
-                count(label + "right name first", at, lambda j: j.right_first)
-                count(label + "truth in the reported set", at, _all_in_set)
-                count(label + "something invented", at, lambda j: bool(j.invented))
-            count(label + "ERR names it first", at, lambda j: j.naive_err[:1] == j.truths[-1:])
-            count(label + "STLSQ names it first", at, lambda j: j.naive_stlsq[:1] == j.truths[-1:])
-        pairs = [j for j in cases if j.kind == "pairs"]
-        count(f"{form} masked pairs: both named", pairs, lambda j: len(j.named) == len(j.truths))
-        count(f"{form} masked pairs: both in the reported set", pairs, _all_in_set)
-        count(f"{form} masked pairs: something invented", pairs, lambda j: bool(j.invented))
-        decoys = [j for j in cases if j.kind == "decoys"]
-        count(f"{form} decoys: false alarm", decoys, lambda j: not j.clean)
-        count(f"{form} decoys: ERR names something", decoys, lambda j: bool(j.naive_err))
-        count(f"{form} decoys: STLSQ names something", decoys, lambda j: bool(j.naive_stlsq))
-        for decoy in sorted({j.decoy for j in decoys}):
-            of = [j for j in decoys if j.decoy == decoy]
-            count(f"{form} decoys, {decoy}: false alarm", of, lambda j: not j.clean)
-        aliens = [j for j in cases if j.kind == "aliens"]
-        count(f"{form} aliens: said to be unknown", aliens, lambda j: j.said_unknown)
-        count(f"{form} aliens: wrong name, no twin", aliens, lambda j: bool(j.invented))
+                table += _counted(f"{form} {kind} at {level:g}", at, _HIDDEN)
+        cases = {k: [j for j in judged if (j.form, j.kind) == (form, k)] for k in _OTHERS}
+        table += _counted(f"{form} masked pairs", cases["pairs"], _PAIRS)
+        table += _counted(f"{form} decoys", cases["decoys"], _DECOYS)
+        for decoy in sorted({j.decoy for j in cases["decoys"]}):
+            of = [j for j in cases["decoys"] if j.decoy == decoy]
+            table += _counted(
+                f"{form} decoys, {decoy}", of, {"false alarm": _DECOYS["false alarm"]}
+            )
+        table += _counted(f"{form} aliens", cases["aliens"], _ALIENS)
     intervals = [e for j in judged for e in j.estimates if e.covered is not None]
     if intervals:
         hits = sum(bool(e.covered) for e in intervals)
@@ -88,8 +101,12 @@ def shares(judged: Sequence[Judgement]) -> list[Share]:
     return table
 
 
-def _all_in_set(j: Judgement) -> bool:
-    return set(j.in_set) == set(j.truths)
+def _counted(label: str, cases: Sequence[Judgement], hits: Mapping[str, Hit]) -> list[Share]:
+    if not cases:
+        return []
+    return [
+        Share(f"{label}: {what}", sum(map(hit, cases)), len(cases)) for what, hit in hits.items()
+    ]
 
 
 def reliability(judged: Sequence[Judgement], bins: int = 5) -> list[tuple[float, float, int]]:

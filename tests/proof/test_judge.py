@@ -138,8 +138,22 @@ def test_the_table_over_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     out = tmp_path / "score.json"
     assert score.main([str(tmp_path), str(results), "--seal", value, "--json", str(out)]) == 0
     table = {s["what"]: (s["hits"], s["cases"]) for s in json.loads(out.read_text())["shares"]}
-    assert table["simple singles at effect/noise 0.6: right name first"] == (1, 2)
+    assert table["simple singles at 0.6: right name first"] == (1, 2)
     assert table["simple decoys: false alarm"] == (0, 1)
     assert table["simple aliens: said to be unknown"] == (1, 1)
     assert "bb singles 0.6: inertia → no diagnosis" in capsys.readouterr().out
     assert score.main([str(tmp_path), str(results), "--seal", "0" * 64]) == 2
+
+
+@pytest.mark.parametrize("kind", ["singles", "pairs", "crowds", "decoys", "aliens", "poor"])
+def test_a_table_of_one_kind_has_each_row_once(kind: str) -> None:
+    answer = _answer(*([] if kind == "decoys" else ["stribeck"]), kind=kind, decoy="nothing")
+    answer["concealment"] = {"naive_err": ["stribeck"], "naive_stlsq": []}
+    rows = score.shares([judge(id, answer, None) for id in ("a", "b")])
+    names = [row.what for row in rows]
+    assert names
+    assert len(set(names)) == len(names)
+    assert {row.cases for row in rows} == {2}
+    by_err = [row.hits for row in rows if "ERR" in row.what]
+    assert by_err in ([], [2])
+    assert score.report([judge("a", answer, None)]).count(" → no diagnosis") == 1
