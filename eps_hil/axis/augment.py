@@ -1,0 +1,118 @@
+"""Baseline and missing physics of the axis together, from the free recording alone.
+
+The sensors of this axis are far better than any law of friction: 0.03 N of noise under 1 N that no
+smooth law follows. So a diagnosis is told of that 1 N as the noise of the motor's force (it is the
+typical residual of the identified structure, measured here), and everything is judged against it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from eps_hil.axis.emps import ARM_M, AxisRecord
+from eps_hil.axis.identify import identify
+from eps_hil.diagnosis.fit import Fit, fit
+from eps_hil.diagnosis.prepare import CUTOFF_HZ, STEP_S, Prepared, prepare
+from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.select import TIMING, select
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+FITTED_PART = 2 / 3
+"""Share of the free recording that effects are chosen on; the rest judges them."""
+LEAST_LOSS = 0.05
+"""An effect stays if the judging part's residual energy rises by this share without it, though the
+model's own numbers and the other effects are fitted anew to make up for it."""
+_ROUNDS = 2
+
+Say = Callable[[str, float], None]
+Entries = Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Augmented:
+    """Identified model, model with effects, their fit, what each is worth on the judging part."""
+
+    identified: Model
+    model: Model
+    fit: Fit
+    losses: Mapping[str, float]
+    noise_n: float
+
+
+def augment(record: AxisRecord, published: Model, say: Say | None = None) -> Augmented:
+    """Identify, find effects on two thirds, judge them on the rest, fit all on the whole."""
+    whole = prepare(record.name, record.series(free_of_load=True))
+    cut = round(len(record.force_n) * FITTED_PART)
+    fitted = prepare(record.name, _part(record, slice(None, cut)))
+    judged = prepare(record.name, _part(record, slice(cut, None)))
+    nominal = identify(fitted, published)
+    noise = _typical_residual_nm(fitted, nominal)
+    fitted, judged, whole = (_noisy(one, noise) for one in (fitted, judged, whole))
+    found = select(Problem([fitted], nominal), say)
+    model, entries, losses = _pruned(fitted, judged, nominal, found.found.entries, say)
+    model, last = _refitted(whole, model, entries)
+    augmented = replace(model, effects=last.entries)
+    return Augmented(identify(whole, published), augmented, last, losses, noise / ARM_M)
+
+
+def _part(record: AxisRecord, part: slice) -> Mapping[str, Series]:
+    return {
+        name: Series(one.t_ns[part], one.value[part])
+        for name, one in record.series(free_of_load=True).items()
+    }
+
+
+def _typical_residual_nm(prepared: Prepared, model: Model) -> float:
+    """Standard deviation by the median, with the best skew of the motor's force taken out."""
+    timed = fit(Problem([prepared], model), [TIMING])
+    left = prepared.residual(replace(model, effects=timed.entries))[0]
+    return float(np.median(np.abs(left)) / 0.6745)
+
+
+def _noisy(prepared: Prepared, floor_nm: float) -> Prepared:
+    """The same recording with a motor torque as uncertain as gives that floor in the residual."""
+    share = 2 * CUTOFF_HZ * STEP_S  # of white noise that passes the diagnosis' filter
+    sigma = floor_nm / float(np.sqrt(share))
+    return replace(prepared, noise={**prepared.noise, "motor_torque_nm": sigma})
+
+
+def _pruned(
+    fitted: Prepared, judged: Prepared, model: Model, entries: Entries, say: Say | None
+) -> tuple[Model, Entries, Mapping[str, float]]:
+    """Drop the effect that is worth least on the judging part until all are worth something."""
+    model, best = _refitted(fitted, model, entries)
+    entries = best.entries
+    while True:
+        energy = _energy(judged, model, entries)
+        without = []
+        for k in range(len(entries)):
+            if say:
+                say("judging on what was not fitted", k / len(entries))
+            others = [entry for i, entry in enumerate(entries) if i != k]
+            less, again = _refitted(fitted, model, others)
+            loss = _energy(judged, less, again.entries) / energy - 1.0
+            without.append((loss, less, again.entries))
+        losses = {
+            str(entry["effect"]): loss for entry, (loss, _, _) in zip(entries, without, strict=True)
+        }
+        if not without or min(losses.values()) >= LEAST_LOSS:
+            return model, entries, losses
+        _, model, entries = min(without, key=lambda one: one[0])
+
+
+def _refitted(prepared: Prepared, model: Model, entries: Entries) -> tuple[Model, Fit]:
+    """The model's own numbers and the effects' in turn, until both have seen the other."""
+    found = fit(Problem([prepared], model), entries)
+    for _ in range(_ROUNDS):
+        whole = identify(prepared, replace(model, effects=found.entries))
+        model = replace(whole, effects=())
+        found = fit(Problem([prepared], model), found.entries)
+    return model, found
+
+
+def _energy(prepared: Prepared, model: Model, entries: Entries) -> float:
+    residual = prepared.residual(replace(model, effects=tuple(entries)))[0]
+    return float(np.mean(residual**2))
