@@ -55,7 +55,10 @@ def _commands(page: Path) -> list[list[str]]:
 def test_commands_and_their_options_exist(page: Path) -> None:
     for words in _commands(page):
         assert words[0] in COMMANDS, f"{_names(page)}: eps-hil {words[0]}"
-        parameters = COMMANDS[words[0]].params
+        command, rest = COMMANDS[words[0]], words[1:]
+        while rest and rest[0] in getattr(command, "commands", {}):
+            command = command.commands[rest.pop(0)]
+        parameters = command.params
         known = {word for each in parameters for word in (*each.opts, *each.secondary_opts)}
         used = {word.partition("=")[0].rstrip("]") for word in words if word.startswith("--")}
         assert used <= known, f"{_names(page)}: eps-hil {words[0]} {used - known}"
