@@ -63,6 +63,8 @@ def diagnose(
     judged = [Holdout(prepare(name, one), one) for name, one in kept.items()]
     selection = select(problem, say)
     findings = _held_out(problem, selection, judged)
+    if findings and not _better(problem, selection.found, findings, judged):
+        findings = []
     if say:
         say("looking at what is left", 0.9)
     left = leftover(problem, selection.found.residual)
@@ -108,9 +110,20 @@ def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
             continue
         without = test.residual(test.with_entries([e for i, e in enumerate(entries) if i != k]))
         loss = float(np.sum(np.clip(without, -8, 8) ** 2)) - cost
-        if loss > least:
+        slid = float(np.sum((without**2 - full**2)[test.sliding]))
+        if loss > least and (slid > 0.0 or entry["effect"] == "presliding_hysteresis"):
             keep.append(k)
     return keep
+
+
+def _better(
+    problem: Problem, found: Fit, findings: Sequence[int], judged: Sequence[Holdout]
+) -> bool:
+    """Whether the findings as they would be written into a model file lower the hold-out's error."""
+    test = Problem([one.prepared for one in judged], problem.model)
+    augmented = problem.with_entries([_entry(found.entries[k]) for k in findings])
+    before, after = test.residual(problem.model), test.residual(augmented)
+    return float(np.sum(np.clip(after, -8, 8) ** 2)) < float(np.sum(np.clip(before, -8, 8) ** 2))
 
 
 def _content(

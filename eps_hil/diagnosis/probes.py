@@ -36,8 +36,7 @@ class Candidate:
         probe = self.effect.probe
         assert probe is not None
         if probe.scan == "curve":
-            torques = _contrasts(len(self.shape)) @ coefficients
-            knots = [[x, float(y)] for x, y in zip(self.shape.values(), torques, strict=True)]
+            knots = [[x, float(y)] for x, y in zip(self.shape.values(), coefficients, strict=True)]
             return {"effect": self.effect.id, probe.amplitude: knots}
         if probe.phase is not None:
             amplitude = float(np.hypot(*coefficients))
@@ -128,7 +127,7 @@ def _hats(
     shape: Mapping[str, float],
     residual: Floats,
 ) -> Floats:
-    """Columns of all curves through the knots that have no mean: a mean would be an offset."""
+    """One column a knot: the curve that is one there and zero at its neighbours."""
     probe = effect.probe
     assert probe is not None
     places = list(shape.values())
@@ -138,13 +137,7 @@ def _hats(
         entry = {"effect": effect.id, probe.amplitude: knots}
         changed = problem.residual(problem.with_entries([*entries, entry]))
         columns.append((residual - changed) / probe.step)
-    return np.column_stack(columns) @ _contrasts(len(places))
-
-
-def _contrasts(n: int) -> Floats:
-    """Orthonormal curves over n knots whose mean is zero, (n, n − 1)."""
-    ones_first = np.column_stack([np.ones(n), np.eye(n)[:, : n - 1]])
-    return np.asarray(np.linalg.qr(ones_first)[0][:, 1:])
+    return np.column_stack(columns)
 
 
 def _shapes(effect: Effect, problem: Problem, residual: Floats) -> Sequence[Mapping[str, float]]:

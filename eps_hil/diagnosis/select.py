@@ -117,10 +117,15 @@ def _best(problem: Problem, found: Fit, scored: Sequence[Scored]) -> Fit | None:
     return min(fits, key=_penalised, default=None)
 
 
+def _is_curve(candidate: Candidate) -> bool:
+    probe = candidate.effect.probe
+    return probe is not None and probe.scan == "curve"
+
+
 def _penalised(one: Fit) -> float:
-    """Cost with a price for every number fitted, a curve's knots included."""
+    """Cost with Schwarz's price, ln n, for every number fitted, a curve's knots included."""
     knots = sum(len(entry["curve"]) for entry in one.entries if "curve" in entry)
-    return one.cost + 4.0 * (len(one.names) + knots)
+    return one.cost + float(np.log(len(one.residual))) * (len(one.names) + knots)
 
 
 def _cross_validated(
@@ -188,6 +193,8 @@ def _rivals(problem: Problem, selection: Selection) -> None:
             name = one.candidate.effect.id
             if name == entry["effect"] or name in near or one.gain < 0.8 * gain:
                 continue
+            if _is_curve(one.candidate):
+                continue  # by its definition what no other effect explains, so nobody's rival
             refitted = fit(problem, [*without.entries, one.entry])
             near[name] = (without.cost - refitted.cost) / max(gain, 1e-9)
         selection.rivals[entry["effect"]] = sorted(near.items(), key=lambda pair: -pair[1])
