@@ -38,6 +38,9 @@ def diagnose(
         typer.Option("--holdout", help="Recordings kept from the fit, to judge it."),
     ] = None,
     json: Annotated[Path | None, typer.Option("--json", help="The result as JSON.")] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="The result as one HTML page, for people.")
+    ] = None,
     write_model: Annotated[
         Path | None, typer.Option("--write-model", help="Model file with the effects added.")
     ] = None,
@@ -57,6 +60,10 @@ def diagnose(
     from eps_hil.physics.model import dump_model, load_model
     from eps_hil.recordings.files import replacing
 
+    if report:
+        from eps_hil.report import diagnosis_page
+
+        diagnosis_page.check()
     rig = load_model(model)
     options: dict[str, Any] = {
         "dbc": dbc,
@@ -75,6 +82,8 @@ def diagnose(
     _say(result.content)
     if json:
         write_json(json, result.content)
+    if report:
+        diagnosis_page.write(result, report, str(model))
     if write_model:
         with replacing(write_model) as temporary:
             temporary.write_text(dump_model(result.model), encoding="utf-8")

@@ -1,0 +1,51 @@
+// Draws the page's plots with uPlot: drag to zoom, double click for everything again.
+(function () {
+  "use strict";
+  const styles = {
+    before: { stroke: "#d55e00", width: 1.2 },
+    after: { stroke: "#0072b2", width: 1.5 },
+    recorded: { stroke: "#1b1f24", width: 1 },
+    noise: { stroke: "#57606a", width: 1, dash: [4, 3] },
+    edge: { stroke: "rgba(120,120,120,.6)", width: 0.5 },
+    dots: { stroke: "#d55e00", width: 0, points: { show: true, size: 6, fill: "#d55e00" } },
+  };
+  const short = (v) => (v == null ? "–" : String(Number(v.toPrecision(4))));
+  const axis = (label, size) => ({
+    label: label, stroke: "#1b1f24", grid: { stroke: "#e6e8eb", width: 1 },
+    ticks: { stroke: "#d0d7de" }, size: size, labelSize: label ? 20 : 0,
+    font: "12px system-ui, 'DejaVu Sans', sans-serif",
+    labelFont: "12px system-ui, 'DejaVu Sans', sans-serif",
+    values: (_u, ticks) => ticks.map(short),
+  });
+  function draw(holder, plot) {
+    const series = [{ label: plot.x_label || "time in s", value: (_u, v) => short(v) }];
+    const bands = [];
+    plot.lines.forEach((line, k) => {
+      series.push(Object.assign({ points: { show: false }, spanGaps: false }, styles[line.style],
+        { label: line.label, value: (_u, v) => short(v) }));
+      if (line.band) bands.push({ series: [k + 1, k], fill: "rgba(120,120,120,.22)" });
+    });
+    const options = {
+      width: holder.clientWidth, height: plot.height, series: series, bands: bands,
+      scales: { x: { time: false } }, axes: [axis(plot.x_label, 34), axis(plot.y_label, 58)],
+      cursor: { drag: { x: true, y: false } },
+    };
+    if (plot.lines.length === 1) options.legend = { show: false };
+    if (plot.sync) options.cursor.sync = { key: plot.sync };
+    const drawn = new uPlot(options, plot.data, holder);
+    // the upper edge of a band has no name of its own
+    drawn.root.querySelectorAll(".u-legend .u-series").forEach((row, k) => {
+      if (k && !plot.lines[k - 1].label) row.style.display = "none";
+    });
+    new ResizeObserver(() => {
+      if (holder.clientWidth && holder.clientWidth !== drawn.width) {
+        drawn.setSize({ width: holder.clientWidth, height: plot.height });
+      }
+    }).observe(holder);
+  }
+  const plots = JSON.parse(document.getElementById("plots").textContent);
+  document.querySelectorAll(".plot").forEach((holder) => {
+    const plot = plots.find((one) => one.name === holder.dataset.plot);
+    if (plot) draw(holder, plot);
+  });
+})();

@@ -1,0 +1,161 @@
+"""What a diagnosis' page is drawn from: residuals with and without each finding, in Nm.
+
+Everything is recomputed from the model file and the augmented model, so that the page shows what
+these two models do, and nothing that only the search had seen.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.locate import coordinates
+from eps_hil.diagnosis.problem import Problem
+from eps_hil.physics.effects.catalogue import with_model_effects
+from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
+Masks = npt.NDArray[np.bool_]
+
+
+@dataclass
+class Evidence:
+    """Thinned samples (125 Hz) of some recordings under the models of one diagnosis."""
+
+    problem: Problem
+    augmented: Model
+    entries: Sequence[Mapping[str, Any]]
+    """The accepted findings' entries of the augmented model."""
+
+    @cached_property
+    def before_nm(self) -> Floats:
+        """Residual (n,) of the model file."""
+        return self.problem.residual(self.problem.model) * self.problem.scale
+
+    @cached_property
+    def after_nm(self) -> Floats:
+        """Residual (n,) of the augmented model."""
+        return self.problem.residual(self.augmented) * self.problem.scale
+
+    @cached_property
+    def without_nm(self) -> Sequence[Floats]:
+        """Residual (n,) of the augmented model without each of the entries, the rest as it is."""
+        result = []
+        for k in range(len(self.entries)):
+            others = [e for i, e in enumerate(self.entries) if i != k]
+            model = self.problem.with_entries(others)
+            result.append(self.problem.residual(model) * self.problem.scale)
+        return result
+
+    @cached_property
+    def signals(self) -> Mapping[str, Floats]:
+        """Canonical signals (n,) at physical instants, and ``motor_angle_rad``."""
+        found = dict(coordinates(self.problem))
+        angle = [one.motion(self.problem.model).angle_rad for one in self.problem.recordings]
+        times = self.problem.recordings
+        found["motor_angle_rad"] = np.concatenate(
+            [np.interp(one.thin_time_s, one.time_s, a) for one, a in zip(times, angle, strict=True)]
+        )
+        return found
+
+    @property
+    def sliding(self) -> Masks:
+        """Samples (n,) at which the balance is judged."""
+        return self.problem.sliding
+
+    @cached_property
+    def floor_nm(self) -> Floats:
+        """Rms (n,) that sensor noise alone leaves."""
+        parts = [
+            np.full(len(one.thin_time_s), one.floor_nm(self.problem.model))
+            for one in self.problem.recordings
+        ]
+        return np.concatenate(parts)
+
+    def parts(self) -> list[slice]:
+        """The samples of each recording."""
+        ends = np.cumsum([0, *(len(one.thin_time_s) for one in self.problem.recordings)])
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    def rms_nm(self, residual: Floats) -> float:
+        """Rms of a residual (n,) while sliding."""
+        kept = residual[self.sliding]
+        return float(np.sqrt(np.mean(kept**2))) if len(kept) else float("nan")
+
+
+def fitted(diagnosis: Diagnosis) -> Evidence:
+    """Of the recordings that were fitted."""
+    return Evidence(diagnosis.problem, diagnosis.model, _entries(diagnosis))
+
+
+def held_out(diagnosis: Diagnosis) -> Evidence:
+    """Of the recordings that were kept from the fit."""
+    problem = Problem([one.prepared for one in diagnosis.judged], diagnosis.problem.model)
+    return Evidence(problem, diagnosis.model, _entries(diagnosis))
+
+
+def _entries(diagnosis: Diagnosis) -> Sequence[Mapping[str, Any]]:
+    return diagnosis.model.effects[len(diagnosis.problem.model.effects) :]
+
+
+def acts_over(
+    entry: Mapping[str, Any], where: Sequence[Mapping[str, Any]], evidence: Evidence
+) -> tuple[str, Floats]:
+    """(axis label, coordinate (n,)) over which a finding's torque is best looked at."""
+    signals, effect = evidence.signals, entry["effect"]
+    orders = {
+        "cogging_torque": entry.get("order"),
+        "torque_ripple": 6.0 * evidence.problem.model.pole_pairs,
+        "screw_ripple": 1.0 / evidence.problem.model.belt_ratio,
+        "cardan_joint": 2.0 * with_model_effects(evidence.problem.model).sensor_to_rotor,
+    }
+    order = float(orders.get(effect) or 0.0)
+    if order:
+        turn = np.mod(order * signals["motor_angle_rad"], 2 * np.pi) * 180 / np.pi
+        return f"angle of order {order:.4g} per rotor turn in °", turn
+    chosen = _COORDINATE.get(effect, "")
+    for region in where:
+        chosen = chosen or (region["signal"] if region["signal"] != "time_s" else "")
+    chosen = chosen or "motor_speed_rad_s"
+    return label(chosen), signals[chosen]
+
+
+_COORDINATE: Mapping[str, str] = {
+    "stribeck": "motor_speed_rad_s",
+    "viscous_friction": "motor_speed_rad_s",
+    "quadratic_drag": "motor_speed_rad_s",
+    "coulomb_level": "motor_speed_rad_s",
+    "friction_asymmetry": "motor_speed_rad_s",
+    "load_dependent_friction": "rack_force_n",
+    "rack_ratio": "rack_force_n",
+    "position_dependent_friction": "rack_position_m",
+    "position_torque": "rack_position_m",
+    "end_stop": "rack_position_m",
+    "unmodelled_spring": "motor_angle_rad",
+    "motor_torque_gain": "motor_torque_nm",
+    "motor_torque_saturation": "motor_torque_nm",
+    "torque_sensor_gain": "torque_sensor_nm",
+    "friction_warmup": "time_s",
+}
+
+LABELS: Mapping[str, str] = {
+    "motor_speed_rad_s": "rotor speed in rad/s",
+    "motor_angle_rad": "rotor angle in rad",
+    "rack_position_m": "rack position in m",
+    "rack_force_n": "rack force in N",
+    "motor_torque_nm": "motor torque in Nm",
+    "torque_sensor_nm": "torsion-bar torque in Nm",
+    "time_s": "time in s",
+}
+_DIRECTIONS = {"right": ", turning positive", "left": ", turning negative"}
+
+
+def label(signal: str) -> str:
+    """A signal (``name`` or ``name|right``) as an axis says it, with its unit."""
+    name, _, direction = signal.partition("|")
+    return LABELS.get(name, name) + _DIRECTIONS.get(direction, "")

@@ -1,0 +1,202 @@
+"""The line plots of a diagnosis' page: worst spots, evidence of each finding, hold-outs."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.estimation import batch
+from eps_hil.estimation.stream import Trace
+from eps_hil.physics.model import Model
+from eps_hil.report.diagnosis_evidence import Evidence, acts_over, label
+from eps_hil.report.plots import Line, Plot, thinned
+
+Floats = npt.NDArray[np.float64]
+
+MOST_SPOTS = 3
+AROUND_S = 1.0
+"""Shown before and after a worst stretch."""
+LONGEST_S = 12.0
+BINS = 40
+MOST_ROWS = 24_000
+"""Samples that all hold-outs together are drawn with."""
+MOST_HOLDOUTS = 6
+
+_LEFT = "torque left over, mNm"
+
+
+def spots(evidence: Evidence, segments: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The recordings' traces around the worst stretches: title and plots, one under the other."""
+    names = [one.name for one in evidence.problem.recordings]
+    found: list[dict[str, Any]] = []
+    for segment in segments or _largest(evidence):
+        if segment["recording"] not in names or len(found) == MOST_SPOTS:
+            continue
+        where = evidence.parts()[names.index(segment["recording"])]
+        time = evidence.signals["time_s"][where]
+        first = segment["from_s"] - AROUND_S
+        last = min(segment["to_s"] + AROUND_S, first + LONGEST_S)
+        rows = np.arange(where.start, where.stop)[(time >= first) & (time <= last)]
+        if len(rows) > 1:
+            found.append({**segment, "plots": _spot(evidence, rows, f"spot{len(found)}")})
+    return found
+
+
+def _spot(evidence: Evidence, rows: npt.NDArray[np.int64], sync: str) -> list[Plot]:
+    time, floor = evidence.signals["time_s"][rows], 2e3 * evidence.floor_nm[rows]
+    plots = [
+        Plot(
+            f"{sync}-left",
+            "",
+            _LEFT,
+            time,
+            [*_band(floor), *_before_after(evidence, rows)],
+            sync,
+            200,
+        )
+    ]
+    for name in ("motor_speed_rad_s", "rack_force_n", "motor_torque_nm"):
+        last = name == "motor_torque_nm"
+        line = Line("recorded", "recorded", evidence.signals[name][rows])
+        plots.append(
+            Plot(
+                f"{sync}-{name}",
+                "time in s" if last else "",
+                label(name).replace(" in ", ", "),
+                time,
+                [line],
+                sync,
+                150 if last else 130,
+            )
+        )
+    return plots
+
+
+def _band(half: Floats) -> list[Line]:
+    return [
+        Line("sensor noise, ±2σ", "edge", -half),
+        Line("", "edge", half, band_below=True),
+    ]
+
+
+def _before_after(evidence: Evidence, rows: Any) -> list[Line]:
+    lines = [Line("model as it was", "before", 1e3 * evidence.before_nm[rows])]
+    if evidence.entries:
+        lines.append(Line("with the findings", "after", 1e3 * evidence.after_nm[rows]))
+    return lines
+
+
+def _largest(evidence: Evidence) -> list[dict[str, Any]]:
+    """Where nothing stands out: the two seconds of sliding with the most left over."""
+    energy = np.where(evidence.sliding, evidence.before_nm**2, 0.0)
+    best: tuple[float, dict[str, Any]] = (-1.0, {})
+    for recording, part in zip(evidence.problem.recordings, evidence.parts(), strict=True):
+        sums = np.convolve(energy[part], np.ones(min(250, part.stop - part.start)), mode="valid")
+        k = int(np.argmax(sums))
+        start = float(recording.thin_time_s[k])
+        if sums[k] > best[0]:
+            spot = {"recording": recording.name, "from_s": start, "to_s": start + 2.0}
+            best = (float(sums[k]), spot)
+    return [best[1]]
+
+
+def finding(
+    evidence: Evidence, k: int, where: Sequence[Mapping[str, Any]]
+) -> tuple[Plot, dict[str, float]]:
+    """(what is left without finding ``k`` beside its own torque, sizes in newtons at the rack)."""
+    use = evidence.sliding
+    without, own = evidence.without_nm[k], evidence.without_nm[k] - evidence.after_nm
+    x_label, x = acts_over(evidence.entries[k], where, evidence)
+    low, high = np.percentile(x[use], [0.5, 99.5])
+    edges = np.linspace(low, high, BINS + 1)
+    index = np.where(use, np.digitize(x, edges) - 1, -1)
+    counts = np.array([np.sum(index == i) for i in range(BINS)])
+    keep = [i for i in range(BINS) if counts[i] >= 10]
+    rows = [index == i for i in keep]
+    centre = (0.5 * (edges[1:] + edges[:-1]))[keep]
+    mean = np.array([np.mean(without[r]) for r in rows])
+    error = np.array([2 * np.std(without[r]) / np.sqrt(np.sum(r) / 4) for r in rows])
+    model = np.array([np.mean(own[r]) for r in rows])
+    lines = [
+        Line("mean ±2 standard errors", "edge", 1e3 * (mean - error)),
+        Line("", "edge", 1e3 * (mean + error), band_below=True),
+        Line("recordings, left over without this term", "dots", 1e3 * mean),
+        Line("this term, as fitted", "after", 1e3 * model),
+    ]
+    ratio = evidence.problem.model.rack_to_rotor_ratio_rad_per_m
+    sizes = {
+        "rms_n": ratio * evidence.rms_nm(own),
+        "peak_n": ratio * float(np.percentile(np.abs(own[use]), 99)),
+    }
+    return Plot(f"finding{k}", x_label, "torque, mNm", centre, lines, height=260), sizes
+
+
+def unknown(curve: Sequence[Sequence[float]], signal: str) -> Plot | None:
+    """The curve of what no effect explains, with its band; None where there is none."""
+    if not curve:
+        return None
+    x, torque, band = (np.array(column, dtype=np.float64) for column in zip(*curve, strict=True))
+    lines = [
+        Line("±2 standard errors", "edge", 1e3 * (torque - band)),
+        Line("", "edge", 1e3 * (torque + band), band_below=True),
+        Line("torque that nothing explains", "before", 1e3 * torque),
+    ]
+    return Plot("unknown", label(signal), "torque, mNm", x, lines, height=260)
+
+
+def holdouts(diagnosis: Diagnosis, evidence: Evidence) -> list[dict[str, Any]]:
+    """For each recording kept from the fit: torque left over, and rack force, before and after."""
+    shown = list(zip(diagnosis.judged, evidence.parts(), strict=True))[:MOST_HOLDOUTS]
+    most = MOST_ROWS // max(1, len(shown))
+    result = []
+    for number, (one, part) in enumerate(shown):
+        sync = f"holdout{number}"
+        rows = part.start + thinned(evidence.before_nm[part], most // 2)
+        time = evidence.signals["time_s"][rows]
+        left = Plot(
+            f"{sync}-torque",
+            "",
+            _LEFT,
+            time,
+            [*_band(2e3 * evidence.floor_nm[rows]), *_before_after(evidence, rows)],
+            sync,
+            220,
+        )
+        force = _force(diagnosis, one, evidence, part, sync, most // 2)
+        result.append({"name": one.prepared.name, "plots": [left, force]})
+    return result
+
+
+def _force(
+    diagnosis: Diagnosis, one: Any, evidence: Evidence, part: slice, sync: str, most: int
+) -> Plot:
+    time, cell = evidence.signals["time_s"][part], evidence.signals["rack_force_n"][part]
+    start = min(int(series.t_ns[0]) for series in one.series.values())
+    before = _estimated(one.series, diagnosis.problem.model, start, time)
+    lines = [("load cell", "recorded", cell), ("estimate, model as it was", "before", before)]
+    rows = thinned(np.nan_to_num(before - cell), most)
+    if evidence.entries:
+        after = _estimated(one.series, diagnosis.model, start, time)
+        lines.append(("estimate, with the findings", "after", after))
+    return Plot(
+        f"{sync}-force",
+        "time in s",
+        "rack force, N",
+        time[rows],
+        [Line(name, style, values[rows]) for name, style, values in lines],
+        sync,
+        260,
+    )
+
+
+def _estimated(series: Any, model: Model, start: int, time: Floats) -> Floats:
+    """The estimator's rack force at ``time`` (s after ``start``); NaN where it is not valid."""
+    trace: Trace = batch.estimate(dict(series), model)
+    seconds = (trace.t_ns - start) * 1e-9
+    if len(seconds) < 2:
+        return np.full(len(time), np.nan)
+    force = np.interp(time, seconds, trace.rack_force_n, left=np.nan, right=np.nan)
+    nearest = np.clip(np.searchsorted(seconds, time), 0, len(seconds) - 1)
+    return np.where(trace.valid[nearest], force, np.nan)

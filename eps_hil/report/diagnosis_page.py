@@ -1,0 +1,229 @@
+"""A diagnosis as one self-contained HTML page that a rig engineer reads in two minutes (issue 5).
+
+The page loads nothing: style, script (uPlot, MIT licence, in ``assets/uplot``) and data are inside,
+and its content security policy forbids the rest. What comes from files is escaped by the template.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.select import FORWARD_SHARE, score, threshold
+from eps_hil.errors import InputError
+from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.recordings.files import replacing
+from eps_hil.report import diagnosis_evidence, diagnosis_figures, diagnosis_maps
+from eps_hil.report.diagnosis_evidence import Evidence
+from eps_hil.report.plots import Plot
+
+MOST_OTHERS = 6
+
+MEASURES: Mapping[str, tuple[str, str, bool]] = {
+    "torque_nrmse": ("torque left over ÷ friction and load torque", "", False),
+    "speed_fit_percent": ("fit of the simulated speed", "%", True),
+    "rack_force_rmse_n": ("error of the rack-force estimate, moving", "N", False),
+}
+"""Names, units, and whether more is better, of CONTRACT 7's measures."""
+
+
+def check() -> None:
+    """:class:`InputError` where the library that fills the page is not installed."""
+    try:
+        import jinja2  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "--report", "", "a page needs the 'report' extra", 'pip install "eps_hil[report]"'
+        ) from None
+
+
+def write(diagnosis: Diagnosis, path: Path, model_name: str) -> None:
+    """Write the page whole or not at all; ``model_name`` is the model file as the user calls it."""
+    page = render(diagnosis, model_name)
+    with replacing(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def render(diagnosis: Diagnosis, model_name: str) -> str:
+    """The page's HTML."""
+    check()
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("eps_hil.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = number
+    plots: list[Plot] = []
+    values = _values(diagnosis, plots)
+    template = environment.get_template("diagnosis.html.jinja")
+    return template.render(
+        model_name=model_name,
+        **values,
+        plots=[plot.content() for plot in plots],
+        uplot_js=_asset("uplot/uPlot.iife.min.js"),
+        uplot_css=_asset("uplot/uPlot.min.css"),
+        page_js=_asset("diagnosis.js"),
+        page_css=_asset("diagnosis.css"),
+    )
+
+
+def _asset(name: str) -> str:
+    return (files("eps_hil.report") / "assets" / name).read_text(encoding="utf-8")
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """A value for reading: three digits, a minus that is one, and "–" for none."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    text = f"{value:.{digits}g}"
+    if "e" in text and 1e-6 < abs(value) < 1e6:
+        text = f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
+    return text.replace("e-0", "e-").replace("e+0", "e").replace("-", "−")
+
+
+def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
+    content, model = diagnosis.content, diagnosis.problem.model
+    fitted, held_out = diagnosis_evidence.fitted(diagnosis), diagnosis_evidence.held_out(diagnosis)
+    spots = diagnosis_figures.spots(fitted, content["time_segments"])
+    profiles = diagnosis_maps.profiles(fitted)
+    kept = diagnosis_figures.holdouts(diagnosis, held_out)
+    cards = _cards(diagnosis, fitted, plots)
+    plots += [*profiles, *(p for one in (*spots, *kept) for p in one["plots"])]
+    ratio = model.rack_to_rotor_ratio_rad_per_m
+    return {
+        "content": content,
+        "verdict": _verdict(content),
+        "located": _located(content),
+        "cards": cards,
+        "measures": _measures(content["fit"]["holdout"]),
+        "ratio": ratio,
+        "fitted_names": [one.name for one in diagnosis.problem.recordings],
+        "holdout_names": [one.prepared.name for one in diagnosis.judged],
+        "sliding_s": 8e-3 * int(fitted.sliding.sum()),
+        "region": diagnosis_maps.region(fitted),
+        "strips": diagnosis_maps.strips(fitted),
+        "scale": diagnosis_maps.scale(),
+        "profiles": profiles,
+        "spots": spots,
+        "holdouts": kept,
+        "ablation": _ablation(fitted, held_out, ratio),
+        "others": _others(diagnosis),
+        "label": diagnosis_evidence.label,
+    }
+
+
+def _verdict(content: Mapping[str, Any]) -> str:
+    """The verdict as a sentence."""
+    named = [one["effect"] for one in content["findings"] if one["effect"] != "unknown"]
+    sentences = {
+        "no_mismatch": "Nothing is missing: what differs between model and recordings is sensor "
+        "noise, or too small to be told from it.",
+        "explained": f"The mismatch is explained by {_and(named)}.",
+        "partly_explained": f"The mismatch is explained in part, by {_and(named)}; something "
+        "that no known effect explains is left.",
+        "unknown_effect": "Something is missing that no known effect explains; where it acts and "
+        "its shape are below.",
+    }
+    return sentences[content["verdict"]]
+
+
+def _and(names: Sequence[str]) -> str:
+    plain = [name.replace("_", " ") for name in names]
+    return "".join(plain) if len(plain) < 2 else f"{', '.join(plain[:-1])} and {plain[-1]}"
+
+
+def _located(content: Mapping[str, Any]) -> str:
+    """Where, in one sentence; empty where nothing is missing."""
+    parts = []
+    for finding in content["findings"]:
+        region = next((one for one in finding["where"] if one["signal"] != "time_s"), None)
+        if region is not None:
+            name, _, unit = diagnosis_evidence.label(region["signal"]).partition(" in ")
+            span = f"{name} {number(region['from'])} to {number(region['to'])} {unit}"
+            share = region["share_of_excess"]
+            much = f"{100 * share:.0f} % of it at " if share else ""
+            parts.append(f"{finding['effect'].replace('_', ' ')}: {much}{span}")
+    return "; ".join(parts)
+
+
+def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[dict[str, Any]]:
+    cards = []
+    places = {entry["effect"]: k for k, entry in enumerate(fitted.entries)}
+    for one in diagnosis.content["findings"]:
+        card: dict[str, Any] = {**one, "plot": None, "sizes": None, "rivals": [], "meanings": {}}
+        if one["effect"] == "unknown":
+            card["plot"] = diagnosis_figures.unknown(one["curve"], one["where"][0]["signal"])
+            peak = max((abs(point[1]) for point in one["curve"]), default=0.0)
+            ratio = diagnosis.problem.model.rack_to_rotor_ratio_rad_per_m
+            card["sizes"] = {"peak_n": ratio * peak} if peak else None
+        elif one["effect"] in places:
+            k = places[one["effect"]]
+            card["plot"], card["sizes"] = diagnosis_figures.finding(fitted, k, one["where"])
+            card["rivals"] = diagnosis.selection.rivals.get(one["effect"], [])[:4]
+            known = catalogue()[one["effect"]].parameters
+            card["meanings"] = {parameter.name: parameter.meaning for parameter in known}
+        if card["plot"] is not None:
+            plots.append(card["plot"])
+        cards.append(card)
+    return cards
+
+
+def _measures(holdout: Mapping[str, Any]) -> list[dict[str, Any]]:
+    rows = []
+    for name, (title, unit, more) in MEASURES.items():
+        if name in holdout["baseline"]:
+            rows.append(
+                {
+                    "name": name,
+                    "title": title,
+                    "unit": unit,
+                    "more_is_better": more,
+                    "before": holdout["baseline"][name],
+                    "after": holdout["augmented"].get(name),
+                    "floor": holdout["noise_floor"].get(name),
+                }
+            )
+    return rows
+
+
+def _ablation(fitted: Evidence, held_out: Evidence, ratio: float) -> list[dict[str, Any]]:
+    """Rms left over (N at the rack) on fitted and kept recordings without each term."""
+    rows = [("model as it was", fitted.before_nm, held_out.before_nm)]
+    if fitted.entries:
+        rows.append(("with all findings", fitted.after_nm, held_out.after_nm))
+    for k, entry in enumerate(fitted.entries):
+        name = f"all but {entry['effect'].replace('_', ' ')}"
+        rows.append((name, fitted.without_nm[k], held_out.without_nm[k]))
+    rows.append(("sensor noise alone", fitted.floor_nm, held_out.floor_nm))
+    return [
+        {
+            "name": name,
+            "fitted_n": ratio * fitted.rms_nm(first),
+            "holdout_n": ratio * held_out.rms_nm(second),
+        }
+        for name, first, second in rows
+    ]
+
+
+def _others(diagnosis: Diagnosis) -> dict[str, Any]:
+    """What else was looked for: the best gains on unfitted blocks that were not accepted."""
+    selection, problem = diagnosis.selection, diagnosis.problem
+    best: dict[str, float] = {}
+    for one in score(problem, selection.found, selection.pool):
+        best.setdefault(one.candidate.effect.id, one.gain)
+    named = {one["effect"] for one in diagnosis.content["findings"]}
+    rows = [(name, gain) for name, gain in best.items() if name not in named]
+    return {
+        "rows": rows[:MOST_OTHERS],
+        "looked_for": len(best) + len(named & set(catalogue())),
+        "least": threshold(problem, selection.found.residual, FORWARD_SHARE),
+        "energy": selection.found.cost,
+    }

@@ -1,0 +1,236 @@
+"""The page of a diagnosis: whole, escaped, self-contained, and right for every verdict."""
+
+import importlib.util
+import json
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.physics.model import load_model
+from eps_hil.report import diagnosis_page
+from eps_hil.report.diagnosis_maps import colour
+from eps_hil.report.diagnosis_page import number
+from eps_hil.report.plots import numbers, thinned
+from eps_hil.series import Series
+
+ROOT = Path(__file__).parents[2]
+EVIL = "<script>alert(1)</script>&\"'.csv"
+_VOID = {"meta", "rect", "br", "link"}
+
+
+def _other_rig() -> ModuleType:
+    path = ROOT / "tests" / "diagnosis" / "other_rig.py"
+    spec = importlib.util.spec_from_file_location("other_rig", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # numba caches under this name
+    spec.loader.exec_module(module)
+    return module
+
+
+def _diagnosed(effects: dict[str, float]) -> Diagnosis:
+    rig = _other_rig()
+    plant = rig.Effects({getattr(rig, name): value for name, value in effects.items()})
+
+    def recorded(manoeuvre: str, seed: int) -> dict[str, Series]:
+        columns = rig.record(plant, manoeuvre, seed, seconds=12.0)
+        t_ns = np.round(columns.pop("time_s") * 1e9).astype(np.int64)
+        return {name: Series(t_ns, np.asarray(v, np.float64)) for name, v in columns.items()}
+
+    model = load_model(ROOT / "configs" / "reference_rig.yaml")
+    fitted = {EVIL: recorded("sweep", 1), "weave.csv": recorded("weave", 2)}
+    return diagnose(model, fitted, {"kept.csv": recorded("sweep", 3)})
+
+
+@pytest.fixture(scope="module")
+def explained() -> Diagnosis:
+    return _diagnosed({"SPRING": 0.004})
+
+
+@pytest.fixture(scope="module")
+def page(explained: Diagnosis) -> str:
+    return diagnosis_page.render(explained, "rig & co.yaml")
+
+
+class _Checked(HTMLParser):
+    """Every element closed in order; texts by element id, and all attributes that load."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.loads: list[str] = []
+        self.ids: list[str] = []
+        self.holders: list[str] = []
+        self.scripts: list[str] = []
+        self.text = ""
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in _VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name in ("src", "href", "action", "data", "poster", "xlink:href"):
+                self.loads.append(value or "")
+            if name == "id":
+                self.ids.append(value or "")
+            if name == "data-plot":
+                self.holders.append(value or "")
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in _VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "script":
+            self.scripts.append(data)
+        elif not self.open or self.open[-1] != "style":
+            self.text += data
+
+
+def _plots(checked: _Checked) -> list[dict[str, Any]]:
+    loaded: list[dict[str, Any]] = json.loads(checked.scripts[0])
+    return loaded
+
+
+def test_page_is_whole_and_loads_nothing(page: str) -> None:
+    checked = _Checked(page)
+    assert checked.open == []
+    assert all(link.startswith("#") for link in checked.loads)
+    assert "url(" not in page
+    assert "@import" not in page
+    assert "default-src 'none'" in page
+    assert len(checked.ids) == len(set(checked.ids))
+    assert len(page.encode()) < 2_000_000
+
+
+def test_every_plot_has_its_place_and_its_units(page: str) -> None:
+    checked = _Checked(page)
+    plots = _plots(checked)
+    names = [plot["name"] for plot in plots]
+    assert sorted(names) == sorted(checked.holders)
+    assert len(names) == len(set(names))
+    for plot in plots:
+        assert any(unit in plot["y_label"] for unit in ("mNm", "N", "rad/s")), plot["name"]
+        lengths = {len(column) for column in plot["data"]}
+        assert len(lengths) == 1
+        assert len(plot["data"]) == 1 + len(plot["lines"])
+        assert plot["data"][0] == sorted(plot["data"][0])
+
+
+def test_page_tells_what_the_json_holds(explained: Diagnosis, page: str) -> None:
+    text = _Checked(page).text
+    content = explained.content
+    assert content["verdict"] == "explained"
+    assert [one["effect"] for one in content["findings"]] == ["unmodelled_spring"]
+    finding = content["findings"][0]
+    stiffness = finding["parameters"]["stiffness_nm_per_rad"]
+    assert finding["summary"] in text
+    assert finding["equation"] in text
+    for value in (stiffness["value"], *stiffness["ci95"]):
+        assert number(value, 4) in text
+    for name, value in content["fit"]["holdout"]["baseline"].items():
+        assert name in text
+        assert number(value, 4) in text
+        assert number(content["fit"]["holdout"]["augmented"][name], 4) in text
+    assert "explained by unmodelled spring" in text
+
+
+def test_term_is_drawn_as_it_acts(explained: Diagnosis, page: str) -> None:
+    """A spring's torque over the rotor angle is a line through zero with its stiffness."""
+    (plot,) = (one for one in _plots(_Checked(page)) if one["name"] == "finding0")
+    assert plot["x_label"] == "rotor angle in rad"
+    angle, term = np.array(plot["data"][0]), np.array(plot["data"][-1], dtype=np.float64)
+    slope = np.polyfit(angle, term * 1e-3, 1)[0]
+    fitted = explained.content["findings"][0]["parameters"]["stiffness_nm_per_rad"]["value"]
+    assert abs(slope) == pytest.approx(fitted, rel=0.05)
+
+
+def test_names_from_files_are_text(page: str) -> None:
+    assert "<script>alert" not in page
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
+    assert EVIL in _Checked(page).text
+    assert "rig & co.yaml" in _Checked(page).text
+
+
+def test_ablation_lists_every_term(page: str) -> None:
+    text = _Checked(page).text
+    assert "all but unmodelled spring" in text
+    assert "sensor noise alone" in text
+
+
+def test_page_of_nothing_missing() -> None:
+    result = _diagnosed({})
+    assert result.content["verdict"] == "no_mismatch"
+    checked = _Checked(diagnosis_page.render(result, "m.yaml"))
+    assert checked.open == []
+    assert "Nothing is missing" in checked.text
+    assert "No finding" in checked.text
+    plots = _plots(checked)
+    assert sorted(plot["name"] for plot in plots) == sorted(checked.holders)
+    assert all(line["style"] != "after" for plot in plots for line in plot["lines"])
+
+
+@pytest.mark.parametrize("verdict", ["unknown_effect", "partly_explained"])
+@pytest.mark.parametrize("curve", [[], [[-0.01, 0.002, 0.001], [0.01, 0.02, 0.001]]])
+def test_page_of_an_unknown(explained: Diagnosis, verdict: str, curve: list[Any]) -> None:
+    unknown = {
+        "effect": "unknown",
+        "kind": "structure",
+        "confidence": 0.9,
+        "equation": "",
+        "summary": "Something is left <b>here</b>.",
+        "parameters": {},
+        "where": [
+            {"signal": "rack_position_m|left", "from": -0.01, "to": 0.01, "share_of_excess": 0.4}
+        ],
+        "curve": curve,
+        "confusable_with": [],
+        "next_experiment": "",
+    }
+    named = explained.content["findings"] if verdict == "partly_explained" else []
+    content = {**explained.content, "verdict": verdict, "findings": [*named, unknown]}
+    model = explained.model if named else explained.problem.model
+    result = Diagnosis(content, model, explained.problem, explained.selection, explained.judged, [])
+    checked = _Checked(diagnosis_page.render(result, "m.yaml"))
+    assert checked.open == []
+    assert "Something is left <b>here</b>." in checked.text
+    assert "no known effect explains" in checked.text
+    plots = {plot["name"]: plot for plot in _plots(checked)}
+    assert ("unknown" in plots) == bool(curve)
+    if curve:
+        assert plots["unknown"]["x_label"] == "rack position in m, turning negative"
+        assert plots["unknown"]["data"][-1] == [2.0, 20.0]
+        assert plots["unknown"]["data"][1] == [1.0, 19.0]
+        assert "50.3 N" in checked.text  # 20 mNm at 2513 rad/m
+
+
+def test_thinned_keeps_peaks() -> None:
+    values = np.zeros(10_000)
+    values[1234], values[7777] = 5.0, -4.0
+    rows = thinned(values, 100)
+    assert len(rows) <= 101
+    assert {1234, 7777} <= set(rows.tolist())
+    assert thinned(values[:50], 100).tolist() == list(range(50))
+
+
+def test_numbers_are_json() -> None:
+    assert numbers(np.array([1.23456789, np.nan, np.inf])) == [1.2346, None, None]
+    assert [number(v) for v in (0.0, -1.5, float("nan"), None, 12345.0, 2e-9)] == [
+        "0", "−1.5", "–", "–", "12345", "2e−9",
+    ]  # fmt: skip
+
+
+def test_colours_rise_in_lightness() -> None:
+    light = []
+    for part in np.linspace(0, 1, 9):
+        red, green, blue = (int(colour(float(part))[k : k + 2], 16) for k in (1, 3, 5))
+        light.append(0.2126 * red + 0.7152 * green + 0.0722 * blue)
+    assert light == sorted(light)
