@@ -49,6 +49,8 @@ def region(evidence: Evidence) -> dict[str, Any]:
         sizes.append(ratio * np.sqrt(energy / np.maximum(count, 1)))
     filled = np.flatnonzero(count >= LEAST_SAMPLES)
     top = float(np.max(sizes[0][filled])) if len(filled) else 1.0
+    # a map of nothing but noise shall not look like a finding
+    top = max(top, 3.0 * ratio * evidence.rms_nm(evidence.floor_nm))
     maps = [
         {"title": title, "cells": [_cell(int(k), size, top, count) for k in filled]}
         for title, size in zip(("model as it was", "with the findings"), sizes, strict=False)
@@ -154,6 +156,7 @@ def strips(evidence: Evidence) -> dict[str, Any]:
             row["worst"] = max(row["worst"], float(np.max(size)))
         rows.append(row)
     top = max((row["worst"] for row in rows), default=1.0) or 1.0
+    top = max(top, 3.0 * ratio * evidence.rms_nm(evidence.floor_nm))
     for row in rows:
         for key in ("before", "after"):
             for block in row[key]:

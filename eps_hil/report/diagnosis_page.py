@@ -116,7 +116,7 @@ def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
         "holdouts": kept,
         "ablation": _ablation(fitted, held_out, ratio),
         "others": _others(diagnosis),
-        "label": diagnosis_evidence.label,
+        "span": _span,
     }
 
 
@@ -146,12 +146,18 @@ def _located(content: Mapping[str, Any]) -> str:
     for finding in content["findings"]:
         region = next((one for one in finding["where"] if one["signal"] != "time_s"), None)
         if region is not None:
-            name, _, unit = diagnosis_evidence.label(region["signal"]).partition(" in ")
-            span = f"{name} {number(region['from'])} to {number(region['to'])} {unit}"
             share = region["share_of_excess"]
             much = f"{100 * share:.0f} % of it at " if share else ""
-            parts.append(f"{finding['effect'].replace('_', ' ')}: {much}{span}")
+            parts.append(f"{finding['effect'].replace('_', ' ')}: {much}{_span(region)}")
     return "; ".join(parts)
+
+
+def _span(region: Mapping[str, Any]) -> str:
+    """An interval of a signal with its unit at the end."""
+    name, _, unit = diagnosis_evidence.label(region["signal"]).partition(" in ")
+    unit, _, direction = unit.partition(", ")
+    span = f"{name} {number(region['from'])} to {number(region['to'])} {unit}"
+    return f"{span}, {direction}" if direction else span
 
 
 def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[dict[str, Any]]:

@@ -17,6 +17,7 @@
     labelFont: "12px system-ui, 'DejaVu Sans', sans-serif",
     values: (_u, ticks) => ticks.map(short),
   });
+  const fromZero = (_u, _low, high) => [0, 1.1 * (high || 1)];
   function draw(holder, plot) {
     const series = [{ label: plot.x_label || "time in s", value: (_u, v) => short(v) }];
     const bands = [];
@@ -27,7 +28,7 @@
     });
     const options = {
       width: holder.clientWidth, height: plot.height, series: series, bands: bands,
-      scales: { x: { time: false } }, axes: [axis(plot.x_label, 34), axis(plot.y_label, 58)],
+      scales: { x: { time: false }, y: { range: plot.name.startsWith("profile-") ? fromZero : undefined } }, axes: [axis(plot.x_label, 34), axis(plot.y_label, 58)],
       cursor: { drag: { x: true, y: false } },
     };
     if (plot.lines.length === 1) options.legend = { show: false };
