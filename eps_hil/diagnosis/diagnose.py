@@ -11,7 +11,7 @@ from eps_hil.diagnosis import locate
 from eps_hil.diagnosis.fit import Fit
 from eps_hil.diagnosis.leftover import Leftover, leftover
 from eps_hil.diagnosis.prepare import prepare
-from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.problem import Problem, clipped, knee
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
 from eps_hil.diagnosis.select import FINAL_SHARE, Say, Selection, select, threshold
 from eps_hil.physics.effects.catalogue import catalogue
@@ -103,13 +103,14 @@ def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
     entries = selection.found.entries
     test = Problem([one.prepared for one in judged], problem.model)
     full = test.residual(test.with_entries(entries))
-    cost = float(np.sum(np.clip(full, -8, 8) ** 2))
+    at = knee(full)
+    cost = float(np.sum(clipped(full, at) ** 2))
     least = 0.3 * threshold(test, full, FINAL_SHARE)
     for k, entry in enumerate(entries):
         if entry["effect"] not in selection.gains:
             continue
         without = test.residual(test.with_entries([e for i, e in enumerate(entries) if i != k]))
-        loss = float(np.sum(np.clip(without, -8, 8) ** 2)) - cost
+        loss = float(np.sum(clipped(without, at) ** 2)) - cost
         slid = float(np.sum((without**2 - full**2)[test.sliding]))
         if loss > least and (slid > 0.0 or entry["effect"] == "presliding_hysteresis"):
             keep.append(k)
@@ -119,11 +120,12 @@ def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
 def _better(
     problem: Problem, found: Fit, findings: Sequence[int], judged: Sequence[Holdout]
 ) -> bool:
-    """Whether the findings as they would be written into a model file lower the hold-out's error."""
+    """Whether the findings, as a model file would hold them, lower the hold-outs' error."""
     test = Problem([one.prepared for one in judged], problem.model)
     augmented = problem.with_entries([_entry(found.entries[k]) for k in findings])
     before, after = test.residual(problem.model), test.residual(augmented)
-    return float(np.sum(np.clip(after, -8, 8) ** 2)) < float(np.sum(np.clip(before, -8, 8) ** 2))
+    at = knee(before)
+    return float(np.sum(clipped(after, at) ** 2)) < float(np.sum(clipped(before, at) ** 2))
 
 
 def _content(
@@ -190,7 +192,7 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
         "kind": str(effect.kind),
         "confidence": _confidence(gain, threshold(problem, found.residual, FINAL_SHARE), rivals),
         "equation": effect.equation,
-        "summary": effect.sentence.format(**entry),
+        "summary": _summary(effect, entry),
         "parameters": _parameters(found, k, effect),
         "where": [
             {
@@ -204,6 +206,14 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
         "confusable_with": twins,
         "next_experiment": _experiment(effect, twins),
     }
+
+
+def _summary(effect: Effect, entry: Mapping[str, Any]) -> str:
+    probe = effect.probe
+    if probe is not None and effect.sentence_negative and entry[probe.amplitude] < 0.0:
+        positive = dict(entry) | {probe.amplitude: -entry[probe.amplitude]}
+        return effect.sentence_negative.format(**positive)
+    return effect.sentence.format(**entry)
 
 
 def _parameters(found: Fit, k: int, effect: Effect) -> dict[str, Any]:

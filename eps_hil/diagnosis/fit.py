@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.probes import neutral_value
-from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.problem import Problem, knee
 from eps_hil.physics.effects.catalogue import catalogue
 
 Floats = npt.NDArray[np.float64]
@@ -44,10 +44,10 @@ def fit(problem: Problem, entries: Sequence[Mapping[str, Any]], rounds: int = 6)
     work = [dict(entry) for entry in entries]
     residual = problem.residual(problem.with_entries(work))
     jacobian = np.zeros((len(residual), len(names)))
-    damping = 1e-3
+    damping, at = 1e-3, knee(residual)
     for _ in range(rounds if names else 0):
         jacobian = _jacobian(problem, work, names, residual)
-        weight = _huber(residual)
+        weight = _huber(residual, at)
         weighted = jacobian * weight[:, None]
         normal, slope = weighted.T @ jacobian, weighted.T @ residual
         size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
@@ -57,8 +57,9 @@ def fit(problem: Problem, entries: Sequence[Mapping[str, Any]], rounds: int = 6)
             step = -np.linalg.lstsq(scaled, slope / size, rcond=None)[0] / size
             trial = _moved(work, names, step)
             changed = problem.residual(problem.with_entries(trial))
-            if float(np.sum(_rho(changed))) < float(np.sum(_rho(residual))):
-                gain = 1 - float(np.sum(_rho(changed))) / float(np.sum(_rho(residual)))
+            cost, lower = float(np.sum(_rho(residual, at))), float(np.sum(_rho(changed, at)))
+            if lower < cost:
+                gain = 1.0 - lower / cost
                 work, residual, improved = trial, changed, True
                 damping = max(damping / 10, 1e-9)
                 break
@@ -68,14 +69,14 @@ def fit(problem: Problem, entries: Sequence[Mapping[str, Any]], rounds: int = 6)
     return Fit(tuple(work), residual, names, _covariance(jacobian, residual, problem), jacobian)
 
 
-def _rho(residual: Floats) -> Floats:
+def _rho(residual: Floats, at: float) -> Floats:
     size = np.abs(residual)
-    return np.where(size < 4.0, 0.5 * residual**2, 4.0 * size - 8.0)
+    return np.where(size < at, 0.5 * residual**2, at * size - 0.5 * at * at)
 
 
-def _huber(residual: Floats) -> Floats:
+def _huber(residual: Floats, at: float) -> Floats:
     size = np.abs(residual)
-    return np.where(size < 4.0, 1.0, 4.0 / np.maximum(size, 4.0))
+    return np.where(size < at, 1.0, at / np.maximum(size, at))
 
 
 def _jacobian(

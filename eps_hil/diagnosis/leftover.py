@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.locate import BINS, coordinates
-from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.problem import Problem, clipped, knee
 
 Floats = npt.NDArray[np.float64]
 
@@ -36,14 +36,14 @@ class Leftover:
 def leftover(problem: Problem, residual: Floats) -> Leftover | None:
     """The best one-coordinate description of what is left while sliding, if it matters."""
     use = problem.sliding
-    clipped = np.clip(residual, -8.0, 8.0)
-    energy = float(np.mean(clipped[use] ** 2))
+    cut = clipped(residual, knee(residual))
+    energy = float(np.mean(cut[use] ** 2))
     excess = energy - 1.0
     if excess < LEAST_EXCESS:
         return None
     best: Leftover | None = None
     for name, values in _views(problem).items():
-        found = _curve(problem, name, values, clipped, excess)
+        found = _curve(problem, name, values, cut, excess)
         if found is not None and (best is None or found.share > best.share):
             best = found
     if best is not None and best.share > LEAST_SHARE:

@@ -158,7 +158,8 @@ def _places(scan: str, position: Floats) -> Sequence[Mapping[str, float]]:
     if span < 1e-3:
         return []
     if scan == "position_m":
-        return [{"position_m": float(np.percentile(np.abs(position), p))} for p in (80, 92, 97, 99)]
+        reach = np.percentile(np.abs(position), (80, 92, 97, 99))
+        return [{"position_m": float(np.clip(place, 0.001, 0.2))} for place in reach]
     if scan == "curve":
         return [{f"x{k}": float(x) for k, x in enumerate(np.linspace(low, high, _KNOTS))}]
     return [

@@ -65,6 +65,18 @@ class Problem:
         return replace(self.model, effects=(*self.model.effects, *entries))
 
 
+def knee(residual: Floats) -> float:
+    """Beyond this a weighted residual counts as an outlier: 4 noise deviations, or more where the
+    residual's typical size is far above the sensors' noise (real hardware, or much to be found).
+    """
+    return max(4.0, 2.0 * 1.4826 * float(np.median(np.abs(residual))))
+
+
+def clipped(residual: Floats, at: float) -> Floats:
+    """The residual with outliers cut at twice the knee ``at``."""
+    return np.clip(residual, -2.0 * at, 2.0 * at)
+
+
 def sliding(recording: Prepared, model: Model) -> Masks:
     """Thinned samples at which the rotor slides and the bristle has forgotten its history."""
     motion = recording.motion(model)

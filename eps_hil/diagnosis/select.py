@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.fit import Fit, ablated, deviation, fit, matters
 from eps_hil.diagnosis.probes import Candidate, candidates, neutral_value
-from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.problem import Problem, clipped, knee
 
 Floats = npt.NDArray[np.float64]
 
@@ -20,6 +20,9 @@ LEAST_GAIN = 30.0
 MOST_EFFECTS = 8
 FORWARD_SHARE, FINAL_SHARE = 0.02, 0.10
 """Least shares of what is still unexplained: on the way, and in the end."""
+
+_CURVE, _IN_CURVE = "position_torque", ("unmodelled_spring", "end_stop")
+"""A static curve over position holds these already; both at once would cancel each other."""
 
 Say = Callable[[str, float], None]
 
@@ -80,7 +83,7 @@ def score(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> list[Score
     basis = _basis(found.jacobian)
     taken = {entry["effect"] for entry in found.entries}
     for candidate in pool:
-        if candidate.effect.id in taken:
+        if candidate.effect.id in taken or (_CURVE in taken and candidate.effect.id in _IN_CURVE):
             continue
         gain, coefficients = _cross_validated(problem, found.residual, candidate.columns, basis)
         probe = candidate.effect.probe
@@ -96,9 +99,9 @@ def threshold(problem: Problem, residual: Floats, of_excess: float) -> float:
     ``of_excess`` is the share of the energy beyond the sensor noise that it must explain: an
     effect that leaves most of the mismatch standing has the wrong name.
     """
-    clipped = np.clip(residual, -8.0, 8.0) ** 2
-    excess = float(np.sum(clipped[problem.sliding] - 1.0))
-    return max(LEAST_GAIN, LEAST_SHARE * float(np.sum(clipped)), of_excess * excess)
+    energy = clipped(residual, knee(residual)) ** 2
+    excess = float(np.sum(energy[problem.sliding] - 1.0))
+    return max(LEAST_GAIN, LEAST_SHARE * float(np.sum(energy)), of_excess * excess)
 
 
 def _best(problem: Problem, found: Fit, scored: Sequence[Scored]) -> Fit | None:
@@ -139,16 +142,16 @@ def _cross_validated(
         columns = columns - basis @ (basis.T @ columns)
         if np.linalg.norm(columns) < 1e-6:
             return 0.0, np.zeros(columns.shape[1])
-    clipped = np.clip(residual, -8.0, 8.0)
+    cut = clipped(residual, knee(residual))
     norm = np.sqrt(np.sum(columns**2, axis=0)) + 1e-300
     scaled = columns / norm
     gain = 0.0
     for part in (0, 1):
         fitted, judged = problem.block % 2 == part, problem.block % 2 != part
-        a = np.linalg.lstsq(scaled[fitted], clipped[fitted], rcond=1e-9)[0]
+        a = np.linalg.lstsq(scaled[fitted], cut[fitted], rcond=1e-9)[0]
         guess = scaled[judged] @ a
-        gain += float(np.sum(clipped[judged] ** 2 - (clipped[judged] - guess) ** 2))
-    whole = np.linalg.lstsq(scaled, clipped, rcond=1e-9)[0]
+        gain += float(np.sum(cut[judged] ** 2 - (cut[judged] - guess) ** 2))
+    whole = np.linalg.lstsq(scaled, cut, rcond=1e-9)[0]
     return gain, whole / norm
 
 

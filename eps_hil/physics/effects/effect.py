@@ -111,6 +111,8 @@ class Effect:
     parameters: tuple[Parameter, ...]
     sentence: str
     """One sentence that a rig engineer understands; {parameter} places are filled in."""
+    sentence_negative: str = ""
+    """The sentence for a negative amplitude (given without its sign); empty: the same one."""
     twins: Mapping[str, str] = field(default_factory=dict)
     """Effects that recordings may not tell from this one -> the experiment that does."""
     kernel: Kernel | None = None

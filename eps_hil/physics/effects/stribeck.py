@@ -23,6 +23,8 @@ EFFECT = Effect(
     ),
     sentence="Friction is {level_nm:.3g} Nm higher near standstill and falls over {speed_rad_s:.3g}"
     " rad/s: a Stribeck effect that the model does not have.",
+    sentence_negative="Friction is {level_nm:.3g} Nm lower near standstill and rises over "
+    "{speed_rad_s:.3g} rad/s: it bends with speed, the other way than a Stribeck effect does.",
     twins={
         "breakaway_dwell": "holds of 0.1 s to 30 s before each break-away: dwell friction grows "
         "with the hold, Stribeck friction does not",
