@@ -54,11 +54,10 @@ def _summary(effect: Effect, entry: Mapping[str, Any]) -> str:
             f"A force of {entry['amplitude_nm'] / ARM_M:.3g} N repeats every {pitch_mm:.3f} mm "
             "of travel."
         )
-    values = dict(entry)
+    text, values = effect.wording(entry)
     for parameter in effect.parameters:
         if parameter.unit in _AXIS and parameter.name in values:
-            values[parameter.name] = entry[parameter.name] * _AXIS[parameter.unit][1]
-    text = effect.sentence
+            values[parameter.name] *= _AXIS[parameter.unit][1]
     for unit, (other, _) in _AXIS.items():
         text = text.replace(f"}} {unit}", f"}} {other}")
     return text.format(**values)

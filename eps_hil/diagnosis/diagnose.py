@@ -186,13 +186,14 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     others = [e for i, e in enumerate(found.entries) if i != k]
     without = problem.residual(problem.with_entries(others))
     share = (without - found.residual) ** 2
+    sentence, values = effect.wording(entry)
     regions = locate.where(problem, np.where(problem.sliding, share, 0.0))
     return {
         "effect": effect.id,
         "kind": str(effect.kind),
         "confidence": _confidence(gain, threshold(problem, found.residual, FINAL_SHARE), rivals),
         "equation": effect.equation,
-        "summary": _summary(effect, entry),
+        "summary": sentence.format(**values),
         "parameters": _parameters(found, k, effect),
         "where": [
             {
@@ -206,14 +207,6 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
         "confusable_with": twins,
         "next_experiment": _experiment(effect, twins),
     }
-
-
-def _summary(effect: Effect, entry: Mapping[str, Any]) -> str:
-    probe = effect.probe
-    if probe is not None and effect.sentence_negative and entry[probe.amplitude] < 0.0:
-        positive = dict(entry) | {probe.amplitude: -entry[probe.amplitude]}
-        return effect.sentence_negative.format(**positive)
-    return effect.sentence.format(**entry)
 
 
 def _parameters(found: Fit, k: int, effect: Effect) -> dict[str, Any]:

@@ -262,3 +262,10 @@ def test_the_reference_page_is_in_step() -> None:
     script = Path(__file__).parents[2] / "scripts" / "effects_reference.py"
     done = subprocess.run([sys.executable, str(script), "--check"], check=False)
     assert done.returncode == 0, "run scripts/effects_reference.py"
+
+
+def test_a_negative_amplitude_has_words_of_its_own() -> None:
+    effect = catalogue()["stribeck"]
+    for level, word in ((0.03, "higher"), (-0.03, "lower")):
+        sentence, values = effect.wording({"level_nm": level, "speed_rad_s": 5.0})
+        assert f"0.03 Nm {word}" in sentence.format(**values)

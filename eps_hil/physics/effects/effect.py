@@ -123,3 +123,12 @@ class Effect:
     """None: this tool cannot look for it yet."""
     simulated: bool = True
     """Whether simulator and estimator can use it (a model file may then hold it)."""
+
+    def wording(self, values: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+        """The sentence for these values, and the values to fill it with."""
+        filled = dict(values)
+        amplitude = self.probe.amplitude if self.probe is not None else ""
+        if self.sentence_negative and filled[amplitude] < 0.0:
+            filled[amplitude] = -filled[amplitude]
+            return self.sentence_negative, filled
+        return self.sentence, filled
