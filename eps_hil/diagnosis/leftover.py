@@ -15,8 +15,10 @@ LEAST_EXCESS = 0.12
 """Residual energy beyond the sensor noise, as a share of it, below which nothing is left."""
 LEAST_SHARE = 0.03
 """Least share of the residual energy that a curve explains on blocks it was not drawn from."""
-LARGE_EXCESS = 0.25
+LARGE_EXCESS = 0.3
 """Beyond this, in the median sample too, something is missing even if no curve shows it."""
+HUGE_EXCESS = 1.2
+"""Beyond this something is missing even if only some samples show it."""
 _MEDIAN_OF_SQUARE = 0.4549
 """Of a standard normal variable: outliers move the mean square, not this."""
 
@@ -49,7 +51,7 @@ def leftover(problem: Problem, residual: Floats) -> Leftover | None:
     if best is not None and best.share > LEAST_SHARE:
         return best
     typical = float(np.median(residual[use] ** 2)) / _MEDIAN_OF_SQUARE - 1.0
-    if min(excess, typical) > LARGE_EXCESS:
+    if min(excess, typical) > LARGE_EXCESS or excess > HUGE_EXCESS:
         low, high = np.percentile(coordinates(problem)["motor_speed_rad_s"], [2, 98])
         return Leftover("motor_speed_rad_s", (), float(low), float(high), 0.0, excess)
     return None

@@ -33,6 +33,7 @@ EDGE_S = 0.25
 """Left out at both ends of a recording, where a filter without phase has only one side."""
 
 _MOST_SHIFTED = 40
+_TAIL = 10.0
 _NEEDED = ("motor_torque_nm",)
 
 
@@ -182,13 +183,15 @@ def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:
 def noise_of(values: Floats) -> float:
     """Standard deviation of white noise on a smooth signal, from its third differences.
 
-    The median makes steps and bursts of motion count little; 0 for a constant.
+    Heavy tails count, as the filter adds them up; beyond ten usual sizes it is motion (a step, a
+    burst) and counts no more. 0 for a constant.
     """
     bends = np.abs(np.diff(values, n=3))
     moving = bends[bends > 0]
     if len(moving) < 0.2 * len(bends):
         return float(np.sqrt(np.mean(bends**2) / 20.0))
-    return float(np.median(bends) / 0.6745 / np.sqrt(20.0))
+    usual = float(np.median(bends)) / 0.6745
+    return float(np.sqrt(np.mean(np.minimum(bends, _TAIL * usual) ** 2) / 20.0))
 
 
 def low_pass(values: Floats, cutoff_hz: float) -> Floats:

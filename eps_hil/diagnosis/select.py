@@ -18,6 +18,8 @@ LEAST_SHARE = 0.006
 LEAST_GAIN = 30.0
 """Least gain in units of the noise's own variance."""
 MOST_EFFECTS = 8
+CURVE_MARGIN = 0.6
+"""A free curve is only looked at where no simpler effect reaches this share of its gain."""
 FORWARD_SHARE, FINAL_SHARE = 0.02, 0.10
 """Least shares of what is still unexplained: on the way, and in the end."""
 
@@ -108,6 +110,10 @@ def _best(problem: Problem, found: Fit, scored: Sequence[Scored]) -> Fit | None:
     """Refit with each of the best few of different effects; keep the one that fits best."""
     least = threshold(problem, found.residual, FORWARD_SHARE)
     shortlist: list[Scored] = []
+    simple = max((one.gain for one in scored if not _is_curve(one.candidate)), default=0.0)
+    scored = [
+        one for one in scored if not _is_curve(one.candidate) or simple < CURVE_MARGIN * one.gain
+    ]
     for one in scored:
         if one.gain < least or len(shortlist) == 3:
             break
