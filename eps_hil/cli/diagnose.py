@@ -44,6 +44,12 @@ def diagnose(
     write_model: Annotated[
         Path | None, typer.Option("--write-model", help="Model file with the effects added.")
     ] = None,
+    without_effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--without-effect", metavar="ID", help="Do not consider this effect; may repeat."
+        ),
+    ] = None,
     dbc: Dbc = None,
     signals: Signals = None,
     gaps: GapsOption = Gaps.REFUSE,
@@ -65,6 +71,7 @@ def diagnose(
 
         diagnosis_page.check()
     rig = load_model(model)
+    without = _known(without_effect or [])
     options: dict[str, Any] = {
         "dbc": dbc,
         "signals": signals,
@@ -76,7 +83,8 @@ def diagnose(
     judged = _read(holdout or [], options)
     with progress("diagnosing") as bar:
         try:
-            result = run(rig, fitted, judged, (lambda _what, part: bar(part)) if bar else None)
+            say = (lambda _what, part: bar(part)) if bar else None
+            result = run(rig, fitted, judged, say, without)
         except ValueError as error:
             raise InputError(", ".join([*fitted, *judged]), "", str(error)) from None
     _say(result.content)
@@ -88,6 +96,20 @@ def diagnose(
         with replacing(write_model) as temporary:
             temporary.write_text(dump_model(result.model), encoding="utf-8")
         typer.echo(f"model with {len(result.model.effects)} effects written to {write_model}")
+
+
+def _known(effects: list[str]) -> frozenset[str]:
+    from difflib import get_close_matches
+
+    from eps_hil.errors import InputError
+    from eps_hil.physics.effects.catalogue import catalogue
+
+    for name in effects:
+        if name not in catalogue():
+            near = get_close_matches(name, catalogue(), n=1)
+            remedy = f"did you mean '{near[0]}'?" if near else "docs/reference-effects.md lists all"
+            raise InputError("--without-effect", "", f"'{name}' is no effect", remedy)
+    return frozenset(effects)
 
 
 def _read(paths: list[Path], options: Mapping[str, Any]) -> "dict[str, Mapping[str, Series]]":

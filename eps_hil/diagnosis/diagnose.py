@@ -1,6 +1,6 @@
 """The whole way from recordings to a verdict (CONTRACT 7)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,18 +50,20 @@ def diagnose(
     recordings: Mapping[str, Mapping[str, Series]],
     holdouts: Mapping[str, Mapping[str, Series]],
     say: Say | None = None,
+    without: Collection[str] = (),
 ) -> Diagnosis:
     """Find what physics ``model`` lacks to explain the recordings.
 
     Without hold-outs the last recording (of several), or the last third (of one), is kept from
-    the fit. ``ValueError`` where a recording lacks what a diagnosis needs.
+    the fit. Effects in ``without`` (ids) are not considered. ``ValueError`` where a recording lacks
+    what a diagnosis needs.
     """
     fitted, kept = _split(recordings, holdouts)
     problem = Problem([prepare(name, one) for name, one in fitted.items()], model)
     if np.sum(problem.sliding) < 500:
         raise ValueError("moves for less than 4 s; a diagnosis needs a rotor that slides")
     judged = [Holdout(prepare(name, one), one) for name, one in kept.items()]
-    selection = select(problem, say)
+    selection = select(problem, say, without)
     findings = _held_out(problem, selection, judged)
     if findings and not _better(problem, selection.found, findings, judged):
         findings = []

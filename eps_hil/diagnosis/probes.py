@@ -1,7 +1,7 @@
 """Every effect's regressor: the sensitivity of the simulated torque balance to it."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -65,12 +65,16 @@ def candidates(
     entries: Sequence[Mapping[str, Any]],
     residual: Floats,
     on_progress: Callable[[float], None] | None = None,
+    without: Collection[str] = (),
 ) -> list[Candidate]:
-    """All candidates against the model with ``entries``, whose weighted residual is given."""
+    """All candidates against the model with ``entries``, whose weighted residual is given.
+
+    Effects whose id is in ``without`` are left out.
+    """
     jobs = [
         (effect, shape)
         for effect in catalogue().values()
-        if effect.probe is not None
+        if effect.probe is not None and effect.id not in without
         for shape in _shapes(effect, problem, residual)
     ]
 

@@ -1,6 +1,6 @@
 """Which effects: forward by what they explain on blocks not fitted, then backward."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -53,17 +53,19 @@ TIMING: dict[str, Any] = {"effect": "motor_torque_delay", "delay_s": 0.0}
 """Always fitted: a torque held between samples is half a sample late, and that is no finding."""
 
 
-def select(problem: Problem, say: Say | None = None) -> Selection:
+def select(problem: Problem, say: Say | None = None, without: Collection[str] = ()) -> Selection:
     """Forward selection with a joint refit after each step, then a backward pass.
 
-    The regressors are taken once, at the null model; each step's refit is exact.
+    The regressors are taken once, at the null model; each step's refit is exact. ``without``:
+    ids of effects that are not considered.
     """
-    null = fit(problem, [TIMING])
+    null = fit(problem, [] if TIMING["effect"] in without else [TIMING])
     pool = candidates(
         problem,
         null.entries,
         null.residual,
         (lambda part: say("taking sensitivities", part)) if say else None,
+        without,
     )
     found = null
     selection = Selection(null, found, pool)
@@ -178,8 +180,10 @@ def _without_neutral(problem: Problem, found: Fit) -> Fit:
 
 def _backward(problem: Problem, found: Fit) -> Fit:
     """Drop, one at a time, what the others can do without."""
-    while len(found.entries) > 1:  # the first is TIMING, which always stays
-        without = [ablated(problem, found, k) for k in range(1, len(found.entries))]
+    # TIMING, where it is considered at all, is the first and always stays
+    stays = 1 if found.entries and found.entries[0]["effect"] == TIMING["effect"] else 0
+    while len(found.entries) > stays:
+        without = [ablated(problem, found, k) for k in range(stays, len(found.entries))]
         losses = [one.cost - found.cost for one in without]
         weakest = int(np.argmin(losses))
         if losses[weakest] > threshold(problem, found.residual, FINAL_SHARE):

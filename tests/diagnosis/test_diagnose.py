@@ -176,3 +176,29 @@ def test_without_a_load_cell_it_says_so(
     err = capsys.readouterr().err
     assert "rack_force_n" in err
     assert err.count("\n") == 1
+
+
+def test_an_effect_that_is_not_to_be_considered_is_neither_found_nor_a_rival(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    plant = {other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0}
+    result = diagnose(
+        reference_model,
+        record(plant),
+        record(plant, ("weave",), seed=2),
+        without=("stribeck", "motor_torque_delay"),
+    )
+    said = {"stribeck", "motor_torque_delay"}
+    assert not said & set(names(result))
+    assert not said & {t for one in result.content["findings"] for t in one["confusable_with"]}
+    assert result.content["verdict"] != "no_mismatch"
+
+
+def test_an_effect_to_leave_out_must_exist(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text("time_s,motor_torque_nm\n0,0\n")
+    given = ["diagnose", "--model", MODEL, "--recording", str(file)]
+    assert main([*given, "--without-effect", "stribek"]) == 2
+    assert "did you mean 'stribeck'?" in capsys.readouterr().err
