@@ -235,10 +235,30 @@ def test_wrong_entries_are_named(reference_model: Model, entry: Any, said: str) 
         values_of(entry, reference_model)
 
 
-def test_an_effect_twice_is_refused(reference_model: Model) -> None:
+def test_terms_of_one_effect_follow_on_one_another(reference_model: Model) -> None:
+    first = {"effect": "cogging_torque", "amplitude_nm": 0.02, "order": 4.0, "phase_rad": 0.1}
+    second = {**first, "order": 12.0, "amplitude_nm": 0.01}
+    table = added.added(dataclasses.replace(reference_model, effects=(first, second)))
+    u = Instant(0.0, 1.0, 0.7, 0.0, 0.0, 0.0, 0.0)
+    both = 0.02 * math.sin(4 * 0.7 + 0.1) + 0.01 * math.sin(12 * 0.7 + 0.1)
+    assert added.torque_nm(table, u, 0.0) == pytest.approx(both)
+
+
+def test_too_many_terms_of_one_effect_are_refused(reference_model: Model) -> None:
     entry = {"effect": "motor_torque_offset", "offset_nm": 0.1}
-    with pytest.raises(ValueError, match="twice"):
-        added.added(dataclasses.replace(reference_model, effects=(entry, entry)))
+    with pytest.raises(ValueError, match="more than 4 times"):
+        added.added(dataclasses.replace(reference_model, effects=(entry,) * 5))
+
+
+def test_each_term_remembers_for_itself(reference_model: Model) -> None:
+    entry = {"effect": "breakaway_dwell", "level_nm": 0.1, "time_s": 1.0, "release_rad": 0.5}
+    slow = {**entry, "time_s": 10.0}
+    table = added.added(dataclasses.replace(reference_model, effects=(entry, slow)))
+    rest = Instant(0, 0, 0, 0, 0, 0, 0)
+    for _ in range(1000):
+        added.advance(table, rest, 1e-3)
+    grown = 0.1 * (1 - math.exp(-1.0)) + 0.1 * (1 - math.exp(-0.1))
+    assert added.level_nm(table, rest, 0.0) == pytest.approx(grown, rel=1e-3)
 
 
 def test_model_effects_are_worked_in_once(reference_model: Model) -> None:

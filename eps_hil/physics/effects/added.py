@@ -1,7 +1,9 @@
 """The effects of one model as compiled code runs them: one function a slot, fused at import.
 
 Each slot's function walks through all effects of that slot; one that is not there costs a branch,
-not a recompile, so the machine code is the same for every model.
+not a recompile, so the machine code is the same for every model. An effect may be there several
+times (two cogging orders; a Stribeck term beside one that the model has): the terms follow on one
+another, each with its own memory.
 """
 
 from collections.abc import Callable
@@ -17,12 +19,18 @@ from eps_hil.physics.model import Model
 
 _KERNELS = [e for e in catalogue().values() if e.kernel is not None and e.simulated]
 _ROW = {effect.id: row for row, effect in enumerate(_KERNELS)}
+MOST_TERMS = 4
+"""How many terms of one effect a model may have."""
 
 
 class Added(NamedTuple):
-    """What is added to the model: on (n,), parameters (n, WIDTH), state (n, STATES)."""
+    """What is added to the model, a row an effect.
 
-    on: npt.NDArray[np.bool_]
+    ``terms`` (n,) counts its terms, ``parameters`` (n, MOST_TERMS, WIDTH) and ``state``
+    (n, MOST_TERMS, STATES) are theirs.
+    """
+
+    terms: npt.NDArray[np.int64]
     parameters: Floats
     state: Floats
 
@@ -30,20 +38,21 @@ class Added(NamedTuple):
 def added(model: Model) -> Added:
     """The kernels' table for a model; ``ValueError`` for an entry that is wrong."""
     table = Added(
-        np.zeros(len(_KERNELS), np.bool_),
-        np.zeros((len(_KERNELS), WIDTH)),
-        np.zeros((len(_KERNELS), STATES)),
+        np.zeros(len(_KERNELS), np.int64),
+        np.zeros((len(_KERNELS), MOST_TERMS, WIDTH)),
+        np.zeros((len(_KERNELS), MOST_TERMS, STATES)),
     )
     for entry in model.effects:
         effect, values = values_of(entry, model)
         if effect.id not in _ROW:
             continue
         row = _ROW[effect.id]
-        if table.on[row]:
-            raise ValueError(f"'{effect.id}' stands twice among the effects")
-        table.on[row] = True
+        term = table.terms[row]
+        if term == MOST_TERMS:
+            raise ValueError(f"'{effect.id}' stands more than {MOST_TERMS} times among the effects")
+        table.terms[row] = term + 1
         numbers = _numbers(values)
-        table.parameters[row, : len(numbers)] = numbers
+        table.parameters[row, term, : len(numbers)] = numbers
     return table
 
 
@@ -72,8 +81,8 @@ def _fused(effects: list[Effect]) -> Callable[[Added, Instant, float], float]:
         @njit
         def through(a: Added, u: Instant, value: float) -> float:
             value = before(a, u, value)
-            if a.on[row]:
-                value = kernel(a.parameters[row], a.state[row], u, value)
+            for term in range(a.terms[row]):
+                value = kernel(a.parameters[row, term], a.state[row, term], u, value)
             return value
 
         return through
@@ -96,8 +105,8 @@ def _fused_advance(effects: list[Effect]) -> Callable[[Added, Instant, float], N
         @njit
         def through(a: Added, u: Instant, dt: float) -> None:
             before(a, u, dt)
-            if a.on[row]:
-                move(a.parameters[row], a.state[row], u, dt)
+            for term in range(a.terms[row]):
+                move(a.parameters[row, term], a.state[row, term], u, dt)
 
         return through
 
