@@ -1,0 +1,161 @@
+"""Torque injection in closed loop: right levels, clean ends, nothing on bad signals."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.adaptation.gates import GateLimit, GateSettings, InjectionInputs
+from eps_hil.adaptation.injection_settings import InjectionSettings
+from eps_hil.adaptation.torque_injection import Phase, TorqueInjection
+from eps_hil.physics.model import Model
+
+QUICK = InjectionSettings(repetitions=2)
+
+
+@pytest.mark.parametrize("hand", ["off", "on"])
+@pytest.mark.parametrize(("positive", "negative"), [(0.6, 1.4), (1.4, 0.6)])
+def test_levels_of_a_rig_that_the_model_does_not_know(
+    reference_model: Model,
+    bench: Any,
+    scaled_levels: Any,
+    hands: Any,
+    hand: str,
+    positive: float,
+    negative: float,
+) -> None:
+    """±40 % off, hands on and off: both directions within 3 %, and the interval is honest."""
+    true = scaled_levels(reference_model, positive, negative)
+    run = bench(true).run(TorqueInjection(InjectionSettings(), reference_model), hands[hand])
+    result = run.injection.result
+    assert run.injection.phase is Phase.DONE
+    assert result is not None
+    assert result.problems == ()
+    f = true.friction
+    for level, right in ((result.positive, f.offset_pos_nm), (result.negative, f.offset_neg_nm)):
+        assert level.offset_nm == pytest.approx(right, rel=0.03)
+        assert level.repetitions == 5
+        assert set(level.seen) == {"speed" if hand == "off" else "driver_torque"}
+        assert level.ci95_nm[0] < level.offset_nm < level.ci95_nm[1]
+        assert level.ci95_nm[1] - level.ci95_nm[0] < 0.06 * right
+
+
+def test_the_commands_are_the_ramp_that_was_asked_for(reference_model: Model, bench: Any) -> None:
+    injection = TorqueInjection(QUICK, reference_model)
+    run = bench(reference_model).run(injection)
+    torque = np.array([command.torque_nm for command in run.commands])
+    ramp = np.array([command.phase is Phase.RAMP for command in run.commands])
+    both = ramp[1:] & ramp[:-1]
+    assert np.abs(np.diff(torque))[both] == pytest.approx(1e-4, rel=1e-6)
+    assert np.abs(torque).max() < QUICK.max_torque_nm
+    for command in run.commands:
+        assert command.active == command.phase.active
+        assert command.active or command.torque_nm == 0.0
+        assert command.torque_nm * command.direction >= 0.0
+    assert run.commands[-1].phase is Phase.DONE
+    assert not run.commands[-1].active
+    back = np.abs(run.column("rack_position_m")[-1])
+    assert back < 0.5e-3, "the directions alternate, so the rack stays where it is"
+
+
+def test_the_same_samples_give_the_same_result(reference_model: Model, bench: Any) -> None:
+    runs = [bench(reference_model).run(TorqueInjection(QUICK, reference_model)) for _ in range(2)]
+    assert runs[0].injection.result == runs[1].injection.result
+    assert runs[0].commands == runs[1].commands
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("vehicle_speed_m_s", 25.0),
+        ("lateral_acceleration_m_s2", 3.0),
+        ("yaw_rate_rad_s", 0.5),
+        ("torque_sensor_nm", -1.5),
+        ("rack_position_m", 0.01),
+        ("vehicle_speed_m_s", math.nan),
+        ("torque_sensor_nm", math.nan),
+        ("motor_speed_rad_s", math.nan),
+        ("motor_torque_nm", math.inf),
+    ],
+)
+def test_a_gate_that_opens_takes_the_torque_away_for_good(
+    reference_model: Model, bench: Any, field: str, value: float
+) -> None:
+    at = 2600
+
+    def change(k: int, inputs: InjectionInputs) -> InjectionInputs:
+        return inputs._replace(**{field: value}) if at <= k < at + 100 else inputs
+
+    injection = TorqueInjection(QUICK, reference_model)
+    run = bench(reference_model).run(injection, change=change)
+    assert run.commands[at - 1].active
+    assert injection.phase is Phase.ABORTED
+    assert field in injection.reason or "motor speed or motor torque" in injection.reason
+    assert injection.result is None
+    torque = np.abs([command.torque_nm for command in run.commands])
+    step = QUICK.abort_nm_per_s * 1e-3
+    opened = next(k for k, c in enumerate(run.commands) if c.phase is Phase.ABORTING)
+    assert opened - at < 120
+    assert np.all(np.diff(torque[opened - 1 :]) <= 0.0)
+    assert len(torque) - opened <= torque[opened - 1] / step + 3
+    assert not run.commands[-1].active
+    again = injection.step(10**12, run_inputs())
+    assert again.phase is Phase.ABORTED
+    assert again.torque_nm == 0.0
+
+
+def run_inputs() -> InjectionInputs:
+    return InjectionInputs(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_it_waits_until_every_gate_has_been_met_for_a_while(reference_model: Model) -> None:
+    injection = TorqueInjection(QUICK, reference_model)
+    good = run_inputs()
+    for k in range(3000):
+        missing = good._replace(yaw_rate_rad_s=math.nan)
+        command = injection.step(k * 1_000_000, good if k % 400 else missing)
+        assert command.phase is Phase.WAITING
+        assert not command.active
+    states = {state.name: state for state in injection.gates}
+    assert states["yaw_rate_rad_s"].met
+    assert states["yaw_rate_rad_s"].limit == QUICK.gates.yaw_rate_rad_s.limit
+    for k in range(3000, 3600):
+        command = injection.step(k * 1_000_000, good)
+    assert command.phase is Phase.REST
+
+
+def test_a_signal_that_the_rig_does_not_have_is_no_hindrance(
+    reference_model: Model, bench: Any
+) -> None:
+    absent = GateLimit(1.0, absent=True)
+    gates = GateSettings(
+        vehicle_speed_m_s=absent, lateral_acceleration_m_s2=absent, yaw_rate_rad_s=absent
+    )
+    nothing = dict.fromkeys(
+        ("vehicle_speed_m_s", "lateral_acceleration_m_s2", "yaw_rate_rad_s"), math.nan
+    )
+    injection = TorqueInjection(InjectionSettings(repetitions=1, gates=gates), reference_model)
+    run = bench(reference_model).run(injection, change=lambda _, inputs: inputs._replace(**nothing))
+    assert run.injection.phase is Phase.DONE
+
+
+def test_a_rack_that_does_not_move_is_given_up(reference_model: Model, bench: Any) -> None:
+    settings = InjectionSettings(max_torque_nm=0.03, failures_allowed=1)
+    run = bench(reference_model).run(TorqueInjection(settings, reference_model))
+    assert run.injection.phase is Phase.ABORTED
+    assert "no break-away up to 0.03 Nm, 2 times" in run.injection.reason
+    assert max(abs(command.torque_nm) for command in run.commands) < 0.031
+
+
+@pytest.mark.parametrize("step_ns", [0, -1_000_000, 30_000_000])
+def test_time_that_stops_or_jumps_ends_the_run(reference_model: Model, step_ns: int) -> None:
+    injection = TorqueInjection(QUICK, reference_model)
+    t_ns = 0
+    for _ in range(1500):
+        t_ns += 1_000_000
+        command = injection.step(t_ns, run_inputs())
+    assert command.phase is Phase.RAMP
+    command = injection.step(t_ns + step_ns, run_inputs())
+    assert command.phase in {Phase.ABORTING, Phase.ABORTED}
+    assert "sample time" in injection.reason
