@@ -1,10 +1,11 @@
 """A whole recording through the stream estimator, in one compiled run."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator, Trace
 from eps_hil.physics.model import Model
@@ -48,15 +49,17 @@ def estimate(
     model: Model,
     settings: EstimatorSettings | None = None,
     periods_s: Mapping[str, float] | None = None,
+    changes: Sequence[LevelChange] = (),
 ) -> Trace:
     """Rack force (N) and friction torque (Nm, at the rotor) for the signals of one recording.
 
     The result speaks of physical instants; instants before the first sample are left out.
+    ``changes`` are adapted friction levels that were taken over while it was recorded.
     ``ValueError`` if motor torque, or both speed and angle, are missing.
     """
     periods = dict(periods_s) if periods_s is not None else sample_periods_s(series)
     stream = StreamEstimator(model, settings or EstimatorSettings(), periods)
-    trace = stream.run(*events(series))
+    trace = stream.run(*events(series), changes)
     first = min(int(s.t_ns[0]) for name, s in series.items() if name in SIGNALS)
     keep = trace.t_ns >= first
     return Trace(

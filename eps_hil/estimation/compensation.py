@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
+from eps_hil.estimation.levels import adapted_level_nm, approach
 from eps_hil.estimation.setup import (
     ACCELERATION,
     ANGLE,
@@ -37,7 +38,6 @@ from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
     bristle_step,
     friction_torque_nm,
-    static_level_nm,
 )
 
 CREEP_SIGMA = 3.0
@@ -90,7 +90,8 @@ def friction_step(
     direction = moving if moving != 0.0 else travel
     if direction == 0.0:
         direction = s[BRISTLE]
-    level = static_level_nm(direction, i.rack_force_n, x.law)
+    approach(c, s)
+    level = adapted_level_nm(x, s, direction, i.rack_force_n)
     now = _at_speed(i, moving)
     level = max(added.level_nm(x.effects, now, level), SMALLEST_LEVEL_NM)
     added.advance(x.effects, now, STEP_S)

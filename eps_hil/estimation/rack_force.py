@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.estimation.compensation import drive_torque_nm, friction_step, instant_of
+from eps_hil.estimation.levels import FrictionLevels, adapted_level_nm, forget, levels_in_use
 from eps_hil.estimation.observer import observer_step
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import (
@@ -27,6 +28,8 @@ from eps_hil.estimation.setup import (
     DRIVE_BEFORE,
     DRIVE_NOISE,
     FORCE,
+    GOAL_NEG,
+    GOAL_POS,
     HEAD,
     HELD,
     LINE,
@@ -55,7 +58,6 @@ from eps_hil.estimation.setup import (
 )
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects.catalogue import with_model_effects
-from eps_hil.physics.friction import static_level_nm
 from eps_hil.physics.model import Model
 
 _SETTLING = int(Reason.SETTLING)
@@ -86,7 +88,7 @@ def start(c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs) -> No
     if s[RUNNING] < 0.0:  # never ran: a rotor at rest balances its torque with the rack
         if abs(u.motor_speed_rad_s) > c.limiter_speed:
             load = c.ratio * torque
-            level = static_level_nm(u.motor_speed_rad_s, load, law)
+            level = adapted_level_nm(x, s, u.motor_speed_rad_s, load)
             s[BRISTLE] = math.copysign(level / law.sigma0_nm_per_rad, u.motor_speed_rad_s)
         s[FORCE] = c.ratio * torque
         if c.compensate:
@@ -107,7 +109,7 @@ def start(c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs) -> No
 def estimator_step(
     c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs, reason: int
 ) -> int:
-    """One millisecond: updates the state vector ``s`` (shape (80,)); returns the reason bits.
+    """One millisecond: updates the state vector ``s`` (shape (STATES,)); returns the reason bits.
 
     ``reason`` says what is wrong with the inputs; anything but 0 holds the last estimate.
     """
@@ -129,8 +131,7 @@ def estimator_step(
     s[LP1] += c.low_pass * (s[FORCE] - s[LP1])
     s[LP2] += c.low_pass * (s[LP1] - s[LP2])
     if not abs(s[LP2]) < _IMPOSSIBLE_N or not abs(s[BRISTLE]) < _IMPOSSIBLE_N:
-        s[:] = 0.0
-        s[RUNNING] = -1.0
+        forget(s)
         return _DIVERGED
     _publish(c, s, friction)
     if s[SETTLE] > 0.0:
@@ -182,7 +183,16 @@ class RackForceEstimator:
         bits = estimator_step(self.constants, self.physics, self.state, inputs, int(reason))
         return Output(self.state[OUT_FORCE], self.state[OUT_FRICTION], Reason(bits))
 
+    @property
+    def friction_levels(self) -> FrictionLevels:
+        """The levels in use at this moment, on their way to what was set."""
+        return levels_in_use(self.physics, self.state)
+
+    def set_friction_levels(self, levels: FrictionLevels) -> None:
+        """Go over to adapted levels from the next step on, at the rate of the settings."""
+        self.state[GOAL_POS], self.state[GOAL_NEG] = levels.above(self.physics)
+
     def reset(self) -> None:
-        """Forget everything."""
+        """Forget everything, adapted levels too."""
         self.state[:] = new_state()
         self.physics.effects.state[:] = 0.0

@@ -56,6 +56,10 @@ class EstimatorSettings:
     torque_noise_nm: Positive = 5e-3
     output_low_pass_hz: Positive = 40.0
 
+    level_slew_nm_per_s: Positive = 0.005
+    """How fast adapted friction levels are taken over: 0.005 Nm/s are 13 N/s at the reference
+    rig's rack, so that no step shows in the published force."""
+
     speed_window_s: Positive = 0.02
     """Window of the straight line that gives a speed where only the angle is measured."""
     settle_s: NotNegative = 0.1

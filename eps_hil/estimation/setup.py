@@ -20,7 +20,9 @@ PHI, OMEGA, FORCE, BRISTLE, SPEED, ANGLE, ACCELERATION, TORQUE = range(8)
 SLOPE, LP1, LP2, RUNNING, SETTLE, OUT_FORCE, OUT_FRICTION, HEAD = range(8, 16)
 SPEED_BEFORE, NOISE, PATH, DRIVE, DRIVE_BEFORE, DRIVE_NOISE, CLOCK = range(16, 23)
 HELD, ANGLE_BEFORE, ANGLE_EARLIER, ANGLE_NOISE = range(23, 27)
-LINE = 27
+# Adapted friction levels: what is added to k0+ and k0− now, and where that is going (Nm).
+ADDED_POS, ADDED_NEG, GOAL_POS, GOAL_NEG = range(27, 31)
+LINE = 31
 LINE_LENGTH = 64
 STATES = LINE + LINE_LENGTH
 
@@ -51,6 +53,7 @@ class Constants(NamedTuple):
     first_drive_noise: float
     angle_low_pass: float
     path_forgetting: float
+    level_step: float
     use_dead_zone: bool
     angle_seen: bool
     limiter_speed: float
@@ -120,6 +123,7 @@ def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = Fals
         first_drive_noise=settings.torque_noise_nm**2,
         angle_low_pass=_smoothing(settings.creep_low_pass_hz),
         path_forgetting=STEP_S / settings.path_memory_s,
+        level_step=STEP_S * settings.level_slew_nm_per_s,
         use_dead_zone=settings.dead_zone,
         angle_seen=angle_seen,
         limiter_speed=settings.limiter_speed_rad_s,

@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
-from eps_hil.estimation import alignment, rack_force, setup
+from eps_hil.estimation import alignment, levels, rack_force, setup
+from eps_hil.estimation.levels import FrictionLevels, LevelChange
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import STEP_NS, STEP_S, Constants, Inputs, Physics
 from eps_hil.estimation.validity import Reason
@@ -65,6 +66,7 @@ class Memory(NamedTuple):
     t_ns: Int64
     estimate: Float64
     reason: Int64
+    levels: levels.Queue
 
 
 class Estimate(NamedTuple):
@@ -141,14 +143,14 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     elif t - m.grid[0] > _JUMP_NS or m.grid[0] - t > _JUMP_NS:
         m.grid[0] = t
         m.filled[:] = 0
-        m.state[:] = 0.0
-        m.state[setup.RUNNING] = -1.0
+        levels.forget(m.state)
         x.effects.state[:] = 0.0
         extra = _TIME
     lag = int(round(c.output_lag_s * 1e9))
     n = 0
     # Half a step of grace: a sync frame that is a little early still makes its own step due.
     while m.grid[0] <= t + STEP_NS // 2 and n < _BATCH_ROWS:
+        levels.hand_over(m.levels, m.state, m.grid[0])
         at = m.grid[0] - timing.lookback
         inputs, reason = _gather(m, timing, at)
         reason |= extra
@@ -236,6 +238,25 @@ class StreamEstimator:
         return [self._estimate(k) for k in range(n)]
 
     @property
+    def friction_levels(self) -> FrictionLevels:
+        """The levels in use at this moment, on their way to what was set."""
+        return levels.levels_in_use(self.physics, self.memory.state)
+
+    def set_friction_levels(self, to: FrictionLevels, t_ns: int | None = None) -> LevelChange:
+        """Go over to adapted levels at the rate of the settings, without a step in the force.
+
+        From grid point ``t_ns`` of sample time on, or from the next one if that is past (or None).
+        What is returned says from when, and belongs into the record: given again in a replay, or
+        to :func:`~eps_hil.estimation.batch.estimate`, it gives the same estimates bit for bit.
+        ``ValueError`` for impossible levels, or where too many changes wait already.
+        """
+        m = self.memory
+        at = int(m.grid[0]) if t_ns is None else max(t_ns, int(m.grid[0]))
+        if not levels.enqueue(m.levels, at, *to.above(self.physics)):
+            raise ValueError("too many changes of the friction levels wait for their time")
+        return LevelChange(int(m.levels.due[m.levels.filled[0] - 1]), *to)
+
+    @property
     def latest(self) -> Estimate:
         """The newest estimate."""
         return self._estimate(self._latest)
@@ -253,8 +274,21 @@ class StreamEstimator:
         twin.advance(0)
         _ = twin.latest
 
-    def run(self, signal: npt.NDArray[np.int8], t_ns: Int64, value: Float64) -> Trace:
-        """All events of a recording at once: places in SIGNALS, −1 for a sync; all shape (n,)."""
+    def run(
+        self,
+        signal: npt.NDArray[np.int8],
+        t_ns: Int64,
+        value: Float64,
+        changes: Sequence[LevelChange] = (),
+    ) -> Trace:
+        """All events of a recording at once: places in SIGNALS, −1 for a sync; all shape (n,).
+
+        ``changes``: friction levels set meanwhile, in the order of their stamps; no jump of time
+        may lie between them.
+        """
+        if changes:
+            queue = levels.queue_of(changes, self.physics)
+            self.memory = self.memory._replace(levels=queue)
         blocks: list[tuple[Int64, Float64, Int64]] = []
         since, size = 0, 100_000
         out_t, out = np.empty(size, np.int64), np.empty((size, 2))
@@ -289,6 +323,7 @@ def _new_memory() -> Memory:
         np.zeros(_BATCH_ROWS, np.int64),
         np.zeros((_BATCH_ROWS, 2)),
         np.full(_BATCH_ROWS, _NOT_STARTED, np.int64),
+        levels.new_queue(),
     )
 
 

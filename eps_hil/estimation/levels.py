@@ -1,0 +1,138 @@
+"""Adapted friction levels on their way into a running estimator: from when, and how fast.
+
+A change counts from a grid point of *sample* time on, so that a recording replayed with its changes
+gives bit for bit what the live loop published; and it is taken over at a set rate, so that nobody
+sees a step in the published force.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.estimation.setup import (
+    ADDED_NEG,
+    ADDED_POS,
+    GOAL_NEG,
+    GOAL_POS,
+    RUNNING,
+    Constants,
+    Physics,
+)
+from eps_hil.physics.friction import SMALLEST_LEVEL_NM, static_level_nm
+
+_WAITING = 32
+"""Changes that may wait for their grid point."""
+
+Int64 = npt.NDArray[np.int64]
+Float64 = npt.NDArray[np.float64]
+
+
+class FrictionLevels(NamedTuple):
+    """k0+ and k0− of eq. 3, in Nm at the rotor."""
+
+    positive_nm: float
+    negative_nm: float
+
+    def above(self, x: Physics) -> tuple[float, float]:
+        """What is added to the model's own; ``ValueError`` unless finite and not negative."""
+        if not all(math.isfinite(level) and level >= 0.0 for level in self):
+            raise ValueError(f"friction levels must be finite and not negative, not {tuple(self)}")
+        return self.positive_nm - x.law.offset_pos_nm, self.negative_nm - x.law.offset_neg_nm
+
+
+class LevelChange(NamedTuple):
+    """Levels k0± (Nm, rotor) that are gone over to from grid point ``t_ns`` of sample time on."""
+
+    t_ns: int
+    positive_nm: float
+    negative_nm: float
+
+    @property
+    def levels(self) -> FrictionLevels:
+        """The levels alone."""
+        return FrictionLevels(self.positive_nm, self.negative_nm)
+
+
+class Queue(NamedTuple):
+    """Changes that wait, oldest first: ``due`` (n,) stamps, ``added`` (n, 2) Nm; ``filled`` (1,)
+    counts them.
+    """
+
+    due: Int64
+    added: Float64
+    filled: Int64
+
+
+def new_queue(size: int = _WAITING) -> Queue:
+    """An empty one with room for ``size`` changes."""
+    return Queue(np.zeros(size, np.int64), np.zeros((size, 2)), np.zeros(1, np.int64))
+
+
+def queue_of(changes: Sequence[LevelChange], x: Physics) -> Queue:
+    """All changes of a recording, which is of one stretch of time."""
+    queue = new_queue(len(changes) + _WAITING)
+    for change in changes:
+        enqueue(queue, change.t_ns, *change.levels.above(x))
+    return queue
+
+
+@njit
+def enqueue(q: Queue, t: int, added_pos: float, added_neg: float) -> bool:
+    """Let a change wait for grid point ``t``; False (and nothing changed) where the queue is full.
+
+    Stamps never go back: a change that would overtake the one before waits for it.
+    """
+    n = q.filled[0]
+    if n >= len(q.due):
+        return False
+    q.due[n] = t if n == 0 else max(t, q.due[n - 1])
+    q.added[n, 0], q.added[n, 1] = added_pos, added_neg
+    q.filled[0] = n + 1
+    return True
+
+
+@njit
+def hand_over(q: Queue, s: Float64, t: int) -> None:
+    """Make everything that is due at grid point ``t`` the goal of the estimator's levels."""
+    while q.filled[0] > 0 and q.due[0] <= t:
+        s[GOAL_POS], s[GOAL_NEG] = q.added[0, 0], q.added[0, 1]
+        n = q.filled[0] - 1
+        for k in range(n):
+            q.due[k] = q.due[k + 1]
+            q.added[k, 0], q.added[k, 1] = q.added[k + 1, 0], q.added[k + 1, 1]
+        q.filled[0] = n
+
+
+@njit
+def approach(c: Constants, s: Float64) -> None:
+    """Move the levels in use one step towards their goals."""
+    for now, goal in ((ADDED_POS, GOAL_POS), (ADDED_NEG, GOAL_NEG)):
+        s[now] += min(max(s[goal] - s[now], -c.level_step), c.level_step)
+
+
+@njit
+def adapted_level_nm(x: Physics, s: Float64, direction: float, load_n: float) -> float:
+    """T_fs of eq. 3 with what adaptation has added to k0± so far."""
+    added_nm = s[ADDED_POS] if direction >= 0.0 else s[ADDED_NEG]
+    return max(static_level_nm(direction, load_n, x.law) + added_nm, SMALLEST_LEVEL_NM)
+
+
+@njit
+def forget(s: Float64) -> None:
+    """Clear the estimator's state, except for the levels: they are the rig's, not the moment's."""
+    forth, back = s[GOAL_POS], s[GOAL_NEG]
+    s[:] = 0.0
+    s[RUNNING] = -1.0
+    s[ADDED_POS] = s[GOAL_POS] = forth
+    s[ADDED_NEG] = s[GOAL_NEG] = back
+
+
+def levels_in_use(x: Physics, s: Float64) -> FrictionLevels:
+    """The model's k0± with what a state has added to them."""
+    return FrictionLevels(
+        x.law.offset_pos_nm + float(s[ADDED_POS]), x.law.offset_neg_nm + float(s[ADDED_NEG])
+    )
