@@ -1,0 +1,1 @@
+"""Identification: a rig's parameters and responses from its recordings."""

@@ -1,0 +1,1 @@
+"""The seed paper's figures and table, made anew on the simulated rig, and judged in numbers."""
