@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from eps_hil.identification.constant_speed import FrictionMap
 from eps_hil.report import figures
-from eps_hil.reproduction.cells import FrictionMap
 from eps_hil.reproduction.result import Result, Statement, Table, at_least, at_most
 from eps_hil.reproduction.workbench import Workbench
 

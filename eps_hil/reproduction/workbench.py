@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.identification.constant_speed import Cell, FrictionMap, cells_of, fitted, measured_map
 from eps_hil.physics.chain_parameters import ChainParameters, load_chain
 from eps_hil.physics.model import Friction, Model, load_model
-from eps_hil.reproduction.cells import Cell, FrictionMap, cells_of, fitted, measured_map
 from eps_hil.rig.config import REFERENCE_CHAIN
 from eps_hil.rig.manoeuvre import (
     ConstantSpeedGrid,

@@ -25,7 +25,8 @@ class RigConfig:
     ``loop``: over and over; ``chain``: file of the masses and springs; ``order``: 1 to 5 masses;
     ``model``: the model file that the *rig* obeys, where it shall differ from the one that the
     service believes in; ``override_timeout_s``: the ECU lets go of a torque override by itself
-    after this time without a good command; ``realtime``: ask for SCHED_FIFO.
+    after this time without a good command; ``command_timeout_s``: the rig brings commanded speed
+    and preload to zero after this time without a good command; ``realtime``: ask for SCHED_FIFO.
     """
 
     manoeuvre: str = "demo"
@@ -36,6 +37,7 @@ class RigConfig:
     seed: Annotated[int, Field(ge=0)] = 0
     sensors: SensorSettings = field(default_factory=SensorSettings)
     override_timeout_s: Annotated[float, Field(ge=0.002, le=1.0)] = 0.02
+    command_timeout_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
     motor_temperature_degc: float = 35.0
     realtime: bool = True
 

@@ -112,9 +112,16 @@ class Plant:
         """Milliseconds in one round of the manoeuvre."""
         return len(self._table) - 1
 
-    def step(self, truth: Floats, override_nm: float | None = None) -> None:
-        """Truth of this instant into ``truth``, then one millisecond on; the table repeats."""
+    def step(
+        self, truth: Floats, override_nm: float | None = None, rows: Floats | None = None
+    ) -> None:
+        """Truth of this instant into ``truth``, then one millisecond on; the table repeats.
+
+        ``rows``: set-points of this millisecond and the next, (2, COLUMNS), in the table's place.
+        """
         now, after = self._table[self._row], self._table[self._row + 1]
+        if rows is not None:
+            now, after = rows[0], rows[1]
         active = override_nm is not None
         value = 0.0 if override_nm is None else override_nm
         millisecond(self.chain, self.state, now, after, active, value, self._scratch, truth)

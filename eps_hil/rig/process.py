@@ -16,6 +16,7 @@ from eps_hil.bus.database import find_message, load_database
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.bus.port import Port, open_port
+from eps_hil.rig.command import RIG_COMMAND, RigControl, SetPointReader
 from eps_hil.rig.config import RigSetup
 from eps_hil.rig.ecu import COMMAND, CommandReader, Override
 from eps_hil.rig.frames import Cyclic, frames_of, schedule
@@ -24,6 +25,7 @@ from eps_hil.rig.realtime import Lateness, Pacer, settle
 from eps_hil.rig.sensors import REPORTED, Sensors, SensorSettings
 
 _STOP_MS = 20
+_WHEEL_ANGLE = TRUE_SIGNALS.index("steering_wheel_angle_rad")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +54,9 @@ class RigSimulation:
         self.messages: list[Cyclic] = schedule(database, mapping, dbc_file=files)
         command = find_message(database, COMMAND)
         self.reader = None if command is None else CommandReader(command)
+        set_points = find_message(database, RIG_COMMAND)
+        self.set_points = None if set_points is None else SetPointReader(set_points)
+        self.control = RigControl(round(setup.rig.command_timeout_s * 1e9))
         limit_nm = setup.chain.motor_torque_limit_nm
         self.override = Override(round(setup.rig.override_timeout_s * 1e9), limit_nm)
         # The encoder rounds to the DBC's steps, so the sensors need not.
@@ -71,13 +76,18 @@ class RigSimulation:
     @property
     def listens_to(self) -> tuple[int, ...]:
         """Ids of the frames that :meth:`hear` takes."""
-        return () if self.reader is None else (self.reader.can_id,)
+        readers = (self.reader, self.set_points)
+        return tuple(reader.can_id for reader in readers if reader is not None)
 
     def hear(self, frame: Frame, now_ns: int) -> None:
-        """Take one received frame; anything but the override command is not ours."""
-        if self.reader is None or frame.can_id not in self.listens_to:
-            return
+        """Take one received frame; anything but our two commands is not ours."""
         if frame.own or frame.error or frame.remote:
+            return
+        if self.set_points is not None and frame.can_id == self.set_points.can_id:
+            wheel_rad = float(self._truth[_WHEEL_ANGLE])
+            self.control.hear(self.set_points.read(frame), now_ns, wheel_rad)
+            return
+        if self.reader is None or frame.can_id != self.reader.can_id:
             return
         command = self.reader.read(frame)
         self.commands += 1
@@ -87,7 +97,7 @@ class RigSimulation:
     def step(self, now_ns: int, *, stopping: bool = False) -> list[Frame]:
         """Frames of this millisecond; then the plant moves on. ``stopping``: zero motor torque."""
         torque_nm = 0.0 if stopping else self.override.torque_nm(now_ns)
-        self._plant.step(self._truth, torque_nm)
+        self._plant.step(self._truth, torque_nm, self.control.rows(now_ns))
         self._sensors.step(self._truth, self._reported)
         self._values.update(zip(REPORTED, self._reported.tolist(), strict=True))
         applied = torque_nm if torque_nm is not None else self._values["motor_torque_nm"]
@@ -172,7 +182,7 @@ class Rig:
         for message in messages:
             can_id = f"0x{message.encoder.can_id:X}"
             self._say(f"sends {can_id} {message.name} every {message.cycle_ms} ms")
-        self._say(f"listens to {describe_ids(self._heard)} (torque override)")
+        self._say(f"listens to {describe_ids(self._heard)} (override, set-points)")
 
     def _report(self, pacer: Pacer) -> RigReport:
         simulation, counts = self._simulation, self._port.counts

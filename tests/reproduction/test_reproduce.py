@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from eps_hil.cli.main import main
+from eps_hil.identification.constant_speed import Cell, fitted, measured_map
 from eps_hil.physics.friction import friction_law, static_level_nm
 from eps_hil.physics.model import load_model
 from eps_hil.reproduction import figure12
-from eps_hil.reproduction.cells import Cell, fitted, measured_map
 from eps_hil.reproduction.figure9 import modelled
 from eps_hil.reproduction.measures import delay_s, drift_per_s, rms, settling_s
 from eps_hil.reproduction.result import Outcome, Statement, Table, at_least, at_most, shown
