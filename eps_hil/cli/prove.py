@@ -13,8 +13,106 @@ from eps_hil.cli._inputs import progress
 def register(app: typer.Typer) -> None:
     """Add the verb and its proofs."""
     group = typer.Typer(no_args_is_help=True, help="Run a proof of the diagnosis again.")
+    group.command("concealed")(concealed)
+    group.command("loop")(loop)
     group.command("emps")(emps)
     app.add_typer(group, name="prove")
+
+
+def concealed(
+    seed: Annotated[int, typer.Option("--seed", min=1, help="Which cases are drawn.")] = 1,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A few development cases in minutes, for CI.")
+    ] = False,
+    json: Annotated[Path | None, typer.Option("--json", help="The figures as JSON.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for page, pictures and all cases.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with what --out holds of an interrupted run.")
+    ] = False,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", min=1, help="Cases at once (default: all cores).")
+    ] = None,
+    cases: Annotated[
+        int | None, typer.Option("--cases", min=1, help="Only so many: a fair sample of all.")
+    ] = None,
+    development: Annotated[
+        bool, typer.Option("--development", help="Seeds that the method may be improved on.")
+    ] = False,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Keep all recordings and pages (10 MB a case).")
+    ] = False,
+) -> None:
+    """Hide physics, seal the answers, have it diagnosed by a process that is not told, and judge.
+
+    Without --quick it takes hours and may be interrupted at any time. --quick and --development
+    draw from seeds on which the method may be improved; a proof draws from others.
+    """
+    import os
+
+    from eps_hil.oracle.closed_loop import closed_loop
+    from eps_hil.proof.plans import MIX
+    from eps_hil.proof.run import Desk, Setting, run
+    from eps_hil.report import proof_page
+
+    proof_page.check()
+    setting = Setting(seed, quick, not (quick or development), cases or sum(MIX.values()))
+    folder = out or Path(f"concealed{'_quick' if quick else ''}_{seed}")
+    with progress("proving") as bar:
+        desk = Desk(
+            closed_loop,
+            jobs or os.cpu_count() or 1,
+            keep,
+            say=typer.echo,
+            part=bar or (lambda _part: None),
+        )
+        lines = run(folder, setting, desk, resume=resume)
+    content = proof_page.write(folder, setting, lines)
+    typer.echo(content["table"])
+    typer.echo(content["details"])
+    typer.echo(f"page written to {folder / proof_page.PAGE}")
+    if json:
+        write_json(json, content["result"])
+
+
+def loop(
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="CAN log of the rig, with its load cell.")
+    ],
+    config: Annotated[Path, typer.Option("--config", help="Configuration of the service (YAML).")],
+    better: Annotated[
+        list[Path],
+        typer.Option("--with", help="Model that diagnose wrote (--write-model); may repeat."),
+    ],
+    json: Annotated[Path | None, typer.Option("--json", help="The errors as JSON.")] = None,
+) -> None:
+    """The loop closed on the bus: what the service publishes, with its model and with better ones.
+
+    Replays the log in lock-step through the service, without a bus and without waiting, decodes the
+    frames that it sends, and compares them with the load cell.
+    """
+    from eps_hil.oracle.lock_step import compare
+    from eps_hil.service.config import load_config
+
+    chosen = load_config(config)
+    models = {str(path): path for path in (chosen.model, *better)}
+    errors = compare(log, chosen, config, models)
+    typer.echo(f"{log.name}: error of the published rack force, N rms against the load cell")
+    typer.echo(f"  {'moving':>8}{'overall':>9}  model")
+    for name, one in errors.items():
+        typer.echo(f"  {one.rmse_moving_n:8.2f}{one.rmse_overall_n:9.2f}  {name}")
+    if json:
+        content = [
+            {
+                "model": name,
+                "rmse_moving_n": one.rmse_moving_n,
+                "rmse_overall_n": one.rmse_overall_n,
+                "rows": one.rows,
+            }
+            for name, one in errors.items()
+        ]
+        write_json(json, {"schema": "eps-hil/proof-loop/1", "log": str(log), "models": content})
 
 
 def emps(

@@ -1,30 +1,23 @@
-"""Cases: which effects are hidden at which strength, and the recordings that result.
-
-``singles`` at effect-to-noise 0.3, 0.6 and 1.5, ``pairs`` with a weak effect masked by one five
-times as strong, ``crowds`` of ten small effects and one larger, ``decoys`` with nothing hidden,
-``aliens`` from outside the catalogue, ``poor`` singles with hardly any excitation.
-Development and proof draw from seeds that never meet.
-"""
+"""Cases: a plan's effects at the strengths that it asks for, and the recordings that result."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from eps_hil.proof import manoeuvres
 from eps_hil.proof.concealment import evidence
-from eps_hil.proof.effects import ALIENS, CATALOGUED, HiddenEffect, drawn_sign, find
+from eps_hil.proof.effects import drawn_sign, find
+from eps_hil.proof.hidden_effect import HiddenEffect
+from eps_hil.proof.model_file import model_yaml
+from eps_hil.proof.plans import KINDS, Plan
+from eps_hil.proof.programmes import programme
 from eps_hil.proof.sensors import measured, reported
 from eps_hil.proof.strength import Strength, noise_rms, strength
 from eps_hil.proof.truth import Drive, Floats
 from eps_hil.proof.world import World
 
-LEVELS = (0.3, 0.6, 1.5)
-STRONG, MASKED = 3.0, 0.6
-KINDS = ("singles", "pairs", "crowds", "decoys", "aliens", "poor")
-DECOYS = ("nothing", "noise_x3", "heavy_tails", "coarse_encoder", "parameters_off")
 PARAMETERS = (
     "coulomb_level",
     "inertia",
@@ -34,27 +27,21 @@ PARAMETERS = (
     "presliding_hysteresis",
 )
 """What a rig whose parameters are merely off may rightly be said to have."""
-_PROOF_SEEDS = 1_000_000
 _ROUNDS = 7
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """What one case shall hold: effects with the effect-to-noise ratio that each shall have."""
-
-    kind: str
-    seed: int
-    wanted: tuple[tuple[str, float], ...]
-    decoy: str = ""
-    simple: bool = False
-
-
-@dataclass(frozen=True, slots=True)
 class Case:
-    """Recordings by name (canonical columns at 1 kHz), and the answer that belongs to them."""
+    """Recordings by name (canonical columns at 1 kHz), and the answer that belongs to them.
+
+    ``force_n`` (n,): the hold-out's true rack force, which no recording shows. ``oracle``: the
+    model file that knows what is hidden; empty where no model file can say it.
+    """
 
     recordings: Mapping[str, Mapping[str, Floats]]
     answer: dict[str, Any]
+    force_n: Floats
+    oracle: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,67 +51,45 @@ class _Hidden:
     shape: Mapping[str, float]
     measured: Strength
     wanted: float
+    raw: bool
 
     @property
     def ratio(self) -> float:
-        return self.measured.raw_ratio if self.effect.free else self.measured.ratio
-
-
-def plans(
-    kind: str, seed: int, count: int, *, simple: bool = False, proof: bool = False
-) -> Iterator[Plan]:
-    """``count`` plans of one of :data:`KINDS`, reproducible by ``seed``.
-
-    Effects and levels take turns, so that every effect comes at every level as often as any.
-    ``proof`` takes the seeds that development never sees.
-    """
-    first = seed * 1000 + (_PROOF_SEEDS if proof else 0)
-    rng = np.random.default_rng([first, KINDS.index(kind)])
-    names = list(ALIENS if kind == "aliens" else CATALOGUED)
-    order = rng.permutation(len(names))
-    for k in range(count):
-        turn, place = divmod(k, len(names))
-        name, level = names[order[place]], LEVELS[(place + turn) % len(LEVELS)]
-        wanted: tuple[tuple[str, float], ...] = ((name, level),)
-        decoy = ""
-        if kind == "decoys":
-            wanted, decoy = (), DECOYS[k % len(DECOYS)]
-        elif kind == "pairs":
-            wanted = ((_stranger(name, rng), STRONG), (name, MASKED))
-        elif kind == "crowds":
-            others = [n for n in rng.permutation(names).tolist() if n != name][:10]
-            wanted = (*((other, 0.15) for other in others), (name, 1.5))
-        elif kind == "aliens":
-            wanted = ((name, LEVELS[1 + k % 2]),)
-        yield Plan(kind, first + k, wanted, decoy, simple)
+        return self.measured.raw_ratio if self.raw else self.measured.ratio
 
 
 def make(plan: Plan) -> Case:
     """Simulate the recordings of a plan and measure what is hidden in them."""
     rng = np.random.default_rng([plan.seed, KINDS.index(plan.kind)])
-    train = manoeuvres.poor(rng) if plan.kind == "poor" else manoeuvres.training(rng)
-    last = manoeuvres.holdout(rng)
+    *train, last = programme(plan.programme, rng)
     world = _with_decoy(World(plan.simple), plan.decoy, rng)
     noise = _noise(world, train, rng)
     form = _measure(world, train, noise)
     # strengths are set on the model file's own form, so that what the form leaves over is no part
     same_form = replace(world, simple=True)
     base = _measure(same_form, train, noise)
-    hidden = [_hide(same_form, find(name), ratio, train, base, rng) for name, ratio in plan.wanted]
+    raw = bool(plan.twin)  # what a twin can do, a refit may be able to do as well
+    hidden = [
+        _hide(same_form, find(name), ratio, train, base, rng, raw=raw or find(name).free)
+        for name, ratio in plan.wanted
+    ]
+    drive = world.drive
     for one in hidden:
         world = one.effect.apply(world, one.strength, one.shape)
     clean = [_clean(world, program) for program in (*train, last)]
     noisy = [measured(one, world.instruments, rng) for one in clean]
     answer = _answer(plan, hidden, form, strength(Drive(), clean[:-1], noise))
     answer["concealment"] = evidence(Drive(), clean[:-1], noisy[:-1], noisy[-1], noise)
-    return Case(dict(zip(("train_1", "train_2", "holdout"), noisy, strict=True)), answer)
+    if plan.kind == "unmeasured":
+        noisy = [{n: c for n, c in one.items() if n != "rack_force_n"} for one in noisy]
+    recordings = dict(zip(("train_1", "train_2", "holdout"), noisy, strict=True))
+    return Case(recordings, answer, clean[-1]["rack_force_n"], _oracle(drive, hidden))
 
 
-def _stranger(name: str, rng: np.random.Generator) -> str:
-    """An effect that no twin connects with ``name``, and that no refit could take away."""
-    near = {name, *find(name).twins, *(n for n, e in CATALOGUED.items() if name in e.twins)}
-    lasting = {n for n, effect in CATALOGUED.items() if not effect.free}
-    return str(rng.choice(sorted(lasting - near)))
+def _oracle(drive: Drive, hidden: Sequence["_Hidden"]) -> str:
+    entries = [one.effect.entry(one.strength, one.shape, World(True)) for one in hidden]
+    known = [entry for entry in entries if entry is not None]
+    return model_yaml(drive, known) if len(known) == len(entries) else ""
 
 
 def _clean(world: World, program: Floats) -> dict[str, Floats]:
@@ -162,6 +127,8 @@ def _hide(
     train: Sequence[Floats],
     base: Strength,
     rng: np.random.Generator,
+    *,
+    raw: bool,
 ) -> _Hidden:
     """The strength at which the effect, alone, has the wanted effect-to-noise ratio.
 
@@ -174,7 +141,7 @@ def _hide(
     for _ in range(_ROUNDS):
         changed = effect.apply(world, sign * value, shape)
         found = _beyond(_measure(changed, train, base.noise_nm), base)
-        ratio = max(found.raw_ratio if effect.free else found.ratio, 1e-3)
+        ratio = max(found.raw_ratio if raw else found.ratio, 1e-3)
         if abs(ratio - wanted) < 0.05 * wanted or (value == strong and ratio < wanted):
             break
         weak, strong = (value, strong) if ratio < wanted else (weak, value)
@@ -186,7 +153,7 @@ def _hide(
         if not weak < value < strong:
             at_limit = strong == effect.limit and value >= strong
             value = strong if at_limit else math.sqrt(max(weak, 0.02 * strong) * strong)
-    return _Hidden(effect, sign * value, shape, found, wanted)
+    return _Hidden(effect, sign * value, shape, found, wanted, raw)
 
 
 def _with_decoy(world: World, decoy: str, rng: np.random.Generator) -> World:
@@ -213,6 +180,10 @@ def _answer(plan: Plan, hidden: list[_Hidden], form: Strength, total: Strength) 
         "form": "simple" if plan.simple else "full",
         "seed": plan.seed,
         "decoy": plan.decoy,
+        "programme": plan.programme,
+        "can": plan.can,
+        "twin": plan.twin,
+        "withheld": list(plan.withheld),
         "effects": [_told(one) for one in hidden],
         "tolerated": tolerated,
         "noise_nm": form.noise_nm,
@@ -232,6 +203,6 @@ def _told(one: _Hidden) -> dict[str, Any]:
         "parameters": one.effect.tell(one.strength, one.shape, world),
         "effect_to_noise": one.ratio,
         "wanted": one.wanted,
-        "projected": not one.effect.free,
+        "projected": not one.raw,
         "reached": bool(one.ratio > 0.8 * one.wanted),
     }

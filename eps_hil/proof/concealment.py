@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from eps_hil.proof.naive import naive, smoothed
-from eps_hil.proof.strength import aligned, filtered, residual, sensitivities
+from eps_hil.proof.strength import aligned, beyond_refit, filtered, residual, sensitivities
 from eps_hil.proof.truth import Drive, Floats
 
 _PER_SECOND = 250
@@ -51,6 +51,5 @@ def _drive(d: Drive, columns: Columns) -> Floats:
 def _refitted(d: Drive, recordings: Sequence[Columns]) -> Floats:
     """What the nominal model leaves over after a refit of all its parameters (Nm)."""
     rest = np.concatenate([filtered(residual(d, one)) for one in recordings])
-    free = np.concatenate([filtered(sensitivities(d, one)) for one in recordings], axis=1).T
-    free /= np.linalg.norm(free, axis=0)
-    return np.asarray(rest - free @ np.linalg.lstsq(free, rest, rcond=None)[0])
+    free = np.concatenate([filtered(sensitivities(d, one)) for one in recordings], axis=1)
+    return beyond_refit(free, rest)

@@ -5,41 +5,16 @@ physics that no entry of the contract describes: a diagnosis is right to call th
 """
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from eps_hil.proof.hidden_effect import Draw, HiddenEffect, Shape
 from eps_hil.proof.world import World
 
-Shape = Mapping[str, float]
-Apply = Callable[[World, float, Shape], World]
-Tell = Callable[[float, Shape, World], dict[str, float]]
-Draw = Callable[[np.random.Generator], dict[str, float]]
-
-
-@dataclass(frozen=True, slots=True)
-class HiddenEffect:
-    """One thing to hide. ``apply`` puts it into a world at a strength, with its shape.
-
-    ``start`` is a strength to begin with, ``limit`` the largest that still makes sense;
-    ``free`` says that the baseline's own parameters can imitate it (it is then measured before
-    projection); ``twins`` are ids that recordings cannot be expected to tell from it
-    (DIAGNOSIS 5); ``signed`` effects take either sign.
-    """
-
-    id: str
-    kind: str
-    start: float
-    limit: float
-    apply: Apply
-    tell: Tell
-    draw: Draw
-    free: bool = False
-    signed: bool = False
-    twins: tuple[str, ...] = ()
-    alien: bool = False
+_KNOTS = np.linspace(-3.0, 3.0, 31)
 
 
 def _no_shape(_rng: np.random.Generator) -> dict[str, float]:
@@ -186,6 +161,13 @@ def _static(world: World, strength: float, shape: Shape) -> World:
     )
 
 
+def _bump(strength: float, shape: Shape) -> list[list[float]]:
+    return [
+        [shape["centre_m"] + k * shape["width_m"], strength * math.exp(-(k**2))]
+        for k in _KNOTS.tolist()
+    ]
+
+
 _PLACES = (
     HiddenEffect(
         "end_stop", "structure", 0.6, 3.0, _stop,
@@ -199,7 +181,7 @@ _PLACES = (
         lambda r: {
             "centre_m": float(r.uniform(-0.004, 0.004)), "width_m": float(r.uniform(1.5e-3, 4e-3))
         },
-        signed=True, twins=("unmodelled_spring",),
+        signed=True, twins=("unmodelled_spring",), knots=_bump,
     ),
 )  # fmt: skip
 

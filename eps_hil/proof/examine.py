@@ -8,40 +8,72 @@ interrupted goes on where it stopped.
 """
 
 import argparse
+import os
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
 from pathlib import Path
 
-MODEL = "model.yaml"
-_TIMEOUT_S = 600.0
+MODEL, WITHOUT = "model.yaml", "without.txt"
+PROBLEM = ".problem.txt"
+"""What went wrong with a case stands in ``<id>.problem.txt`` instead of ``<id>.json``."""
+_TIMEOUT_S = 900.0
+_HANDED_IN = {"diagnosis.json": ".json", "augmented.yaml": ".yaml", "report.html": ".html"}
+_ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
 
 
-def diagnose(case: Path, result: Path) -> str:
-    """Diagnose one case folder into a JSON file; returns what went wrong, or nothing."""
+@dataclass(frozen=True, slots=True)
+class Examined:
+    """One case: what went wrong, or nothing, and how long it took."""
+
+    id: str
+    problem: str
+    seconds: float
+
+
+def diagnose(case: Path, results: Path) -> Examined:
+    """Diagnose one case folder; results/<id>.json, .yaml (the augmented model), .html."""
+    since = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         desk = Path(folder)
         for path in case.iterdir():
             shutil.copy(path, desk / path.name)
-        command = [sys.executable, "-m", "eps_hil.cli", "diagnose", "--json", "diagnosis.json"]
-        command += arguments(sorted(path.name for path in case.iterdir()))
-        try:
-            ended = subprocess.run(
-                command, cwd=desk, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
-            )
-        except subprocess.TimeoutExpired:
-            return f"no diagnosis within {_TIMEOUT_S:.0f} s"
-        if ended.returncode != 0:
-            said = ended.stderr.strip().splitlines()
-            return f"exit status {ended.returncode}: {said[-1] if said else ''}"
-        shutil.move(desk / "diagnosis.json", result)
+        problem = _run(desk, arguments(sorted(path.name for path in case.iterdir()), case))
+        for name, suffix in _HANDED_IN.items():
+            if not problem and (desk / name).exists():
+                shutil.move(desk / name, results / f"{case.name}{suffix}")
+    if problem:
+        (results / f"{case.name}{PROBLEM}").write_text(problem + "\n")
+    return Examined(case.name, problem, time.monotonic() - since)
+
+
+def _run(desk: Path, given: Sequence[str]) -> str:
+    command = [sys.executable, "-m", "eps_hil.cli", "diagnose", "--json", "diagnosis.json"]
+    command += ["--write-model", "augmented.yaml", "--report", "report.html", *given]
+    try:
+        ended = subprocess.run(
+            command,
+            cwd=desk,
+            capture_output=True,
+            text=True,
+            timeout=_TIMEOUT_S,
+            check=False,
+            env={**os.environ, **_ONE_THREAD},
+        )
+    except subprocess.TimeoutExpired:
+        return f"no diagnosis within {_TIMEOUT_S:.0f} s"
+    if ended.returncode != 0:
+        said = ended.stderr.strip().splitlines()
+        return f"exit status {ended.returncode}: {said[-1] if said else ''}"
     return ""
 
 
-def arguments(names: Sequence[str]) -> list[str]:
+def arguments(names: Sequence[str], case: Path | None = None) -> list[str]:
     """Command-line arguments for the files of a case folder, CSV or CAN logs."""
     given = ["--model", MODEL]
     for name in names:
@@ -53,25 +85,36 @@ def arguments(names: Sequence[str]) -> list[str]:
             given += ["--dbc", name, "--gaps", "mark"]
         elif name == "signals.yaml":
             given += ["--signals", name]
+        elif name == WITHOUT and case is not None:
+            for effect in (case / name).read_text().split():
+                given += ["--without-effect", effect]
     return given
 
 
 def open_cases(out: Path, results: Path) -> list[Path]:
     """Case folders that have no result yet, in the order of their (meaningless) names."""
     folders = sorted(path.parent for path in out.glob(f"*/{MODEL}"))
-    return [folder for folder in folders if not (results / f"{folder.name}.json").exists()]
+    return [f for f in folders if not (_handed_in(results, f.name) or _failed(results, f.name))]
 
 
-def examine(out: Path, results: Path, jobs: int = 1) -> Iterator[tuple[str, str]]:
-    """Diagnose all open cases, ``jobs`` at once; yields (id, what went wrong or nothing)."""
+def _handed_in(results: Path, id: str) -> bool:
+    return (results / f"{id}.json").exists()
+
+
+def _failed(results: Path, id: str) -> bool:
+    return (results / f"{id}{PROBLEM}").exists()
+
+
+def examine(out: Path, results: Path, jobs: int = 1) -> Iterator[Examined]:
+    """Diagnose all open cases, ``jobs`` at once; yields each as it is done."""
     results.mkdir(parents=True, exist_ok=True)
-    with ThreadPoolExecutor(jobs) as pool:
-        running = {
-            pool.submit(diagnose, case, results / f"{case.name}.json"): case.name
-            for case in open_cases(out, results)
-        }
+    pool = ThreadPoolExecutor(jobs)
+    try:
+        running = [pool.submit(diagnose, case, results) for case in open_cases(out, results)]
         for done in as_completed(running):
-            yield running[done], done.result()
+            yield done.result()
+    finally:  # an interruption does not wait for what has not begun
+        pool.shutdown(cancel_futures=True)
 
 
 def main(given: Sequence[str] | None = None) -> int:
@@ -82,10 +125,10 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1)
     chosen = parser.parse_args(given)
     bad = 0
-    for count, (id, problem) in enumerate(examine(chosen.out, chosen.results, chosen.jobs), 1):
-        if problem:
+    for count, one in enumerate(examine(chosen.out, chosen.results, chosen.jobs), 1):
+        if one.problem:
             bad += 1
-            sys.stderr.write(f"{id}: {problem}\n")
+            sys.stderr.write(f"{one.id}: {one.problem}\n")
         elif sys.stderr.isatty():
             sys.stderr.write(f"\r{count} diagnosed")
     return 1 if bad else 0

@@ -6,18 +6,24 @@ from dataclasses import dataclass
 from typing import Any
 
 UNKNOWN = "unknown"
+_TO_90 = 1.644854 / 1.959964
 _NEUTRAL = {"gain": 1.0, "scale": 1.0}
 """Values at which a parameter changes nothing; errors are taken relative to what lies beyond."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter of a rightly named effect: relative error, and whether ci95 holds the truth."""
+    """One parameter of a rightly named effect: relative error, and whether ci95 holds the truth.
+
+    ``covered_90``: the same of a 90 % interval, which is ci95 about its middle, 1.645/1.960 times
+    as wide (as for a normal distribution).
+    """
 
     effect: str
     parameter: str
     relative_error: float
     covered: bool | None
+    covered_90: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +54,8 @@ class Judgement:
     stated: tuple[tuple[float, bool], ...]
     naive_err: tuple[str, ...] = ()
     naive_stlsq: tuple[str, ...] = ()
+    twin: str = ""
+    twin_in_set: bool = False
 
     @property
     def right_first(self) -> bool:
@@ -58,6 +66,29 @@ class Judgement:
     def clean(self) -> bool:
         """Nothing made up, nor an unknown effect claimed."""
         return self.answered and not self.invented and not self.said_unknown
+
+    @property
+    def all_in_set(self) -> bool:
+        """Whether everything hidden is in the reported set."""
+        return set(self.in_set) == set(self.truths)
+
+
+def failed(j: Judgement) -> bool:
+    """Whether a case is not as it should be; what is asked depends on its kind.
+
+    With hardly any excitation silence is right, and of twins both names are.
+    """
+    if not j.answered or j.invented:
+        return True
+    if not j.truths:
+        return not j.clean
+    if j.kind in ("aliens", "missing"):
+        return not j.said_unknown
+    if j.kind == "pairs":
+        return len(j.named) != len(j.truths)
+    if j.kind == "twins":
+        return not (j.all_in_set and j.twin_in_set)
+    return j.kind != "poor" and not j.right_first
 
 
 def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None) -> Judgement:
@@ -100,6 +131,8 @@ def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | Non
         ),
         naive_err=tuple(concealment.get("naive_err", ())),
         naive_stlsq=tuple(concealment.get("naive_stlsq", ())),
+        twin=str(answer.get("twin", "")),
+        twin_in_set=answer.get("twin") in reported,
     )
 
 
@@ -128,5 +161,9 @@ def _estimate(effect: str, name: str, true: float, stated: Mapping[str, Any]) ->
     else:
         neutral = 0.0 if effect == "rack_ratio" else _NEUTRAL.get(name, 0.0)
         scale = max(abs(true - neutral), 1e-12)
-    covered = bool(low <= true <= high) if interval else None
-    return Estimate(effect, name, (value - true) / scale, covered)
+    error = (value - true) / scale
+    if not interval:
+        return Estimate(effect, name, error, None)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low) * _TO_90
+    in_90 = middle - half <= true <= middle + half
+    return Estimate(effect, name, error, bool(low <= true <= high), bool(in_90))

@@ -14,7 +14,13 @@ _COLUMN = {name: i for i, name in enumerate(PROGRAM)}
 _HANDS_OFF = {"wheel_nm_s_per_rad": 0.05}
 
 
-def _segment(seconds: float, **columns: Floats | float) -> Floats:
+def column(name: str) -> int:
+    """Where a column of ``plant.PROGRAM`` stands."""
+    return _COLUMN[name]
+
+
+def segment(seconds: float, **columns: Floats | float) -> Floats:
+    """A program of ``seconds`` with the named columns set; hands off unless it says otherwise."""
     program = np.zeros((round(seconds * 1000), len(PROGRAM)))
     for name, values in {**_HANDS_OFF, **columns}.items():
         program[:, _COLUMN[name]] = values
@@ -25,7 +31,7 @@ def _times(seconds: float) -> Floats:
     return np.arange(round(seconds * 1000), dtype=np.float64) * 1e-3
 
 
-def _faded(values: Floats, seconds: float = 0.3) -> Floats:
+def faded(values: Floats, seconds: float = 0.3) -> Floats:
     """``values`` with raised-cosine ends, so that segments join without a jump."""
     n = round(seconds * 1000)
     ramp = 0.5 - 0.5 * np.cos(np.pi * np.arange(n) / n)
@@ -34,7 +40,8 @@ def _faded(values: Floats, seconds: float = 0.3) -> Floats:
     return np.asarray(values * window)
 
 
-def _smoothed(values: Floats, seconds: float) -> Floats:
+def smoothed(values: Floats, seconds: float) -> Floats:
+    """``values`` at 1 kHz under a Hann window of that length."""
     n = round(seconds * 1000)
     padded = np.pad(values, (n // 2, n - 1 - n // 2), mode="edge")
     window = np.hanning(n + 2)[1:-1]
@@ -45,9 +52,9 @@ def sweep(rng: np.random.Generator, seconds: float, top_hz: float = 4.0) -> Floa
     """Seed paper, figs 9 to 11: sine sweep of rack force, the motor as spring-damper."""
     t = _times(seconds)
     phase = np.pi * top_hz / seconds * t**2 + rng.uniform(0, 2 * np.pi)
-    return _segment(
+    return segment(
         seconds,
-        force_n=_faded(rng.uniform(700, 850) * np.sin(phase)),
+        force_n=faded(rng.uniform(700, 850) * np.sin(phase)),
         motor_nm_per_rad=rng.uniform(0.02, 0.028),
         motor_nm_s_per_rad=3.0e-4,
     )
@@ -60,9 +67,9 @@ def steps(rng: np.random.Generator, seconds: float) -> Floats:
     signs = np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
     levels = signs * rng.uniform(0.0, 1200.0, count)
     raw = levels[(_times(seconds) / hold).astype(int)]
-    return _segment(
+    return segment(
         seconds,
-        force_n=_faded(_smoothed(raw, 0.08)),
+        force_n=faded(smoothed(raw, 0.08)),
         motor_nm_per_rad=rng.uniform(0.026, 0.034),
         motor_nm_s_per_rad=2.0e-3,
     )
@@ -74,11 +81,11 @@ def weave(rng: np.random.Generator, seconds: float) -> Floats:
     slow, fast = rng.uniform(0.15, 0.3), rng.uniform(0.4, 0.7)
     angle = rng.uniform(1.5, 2.2) * np.sin(2 * np.pi * slow * t + rng.uniform(0, 6))
     angle += rng.uniform(0.2, 0.5) * np.sin(2 * np.pi * fast * t + rng.uniform(0, 6))
-    return _segment(
+    return segment(
         seconds,
         rig_n_per_m=rng.uniform(35e3, 50e3),
         rig_n_s_per_m=500.0,
-        wheel_target_rad=_faded(angle, 0.8),
+        wheel_target_rad=faded(angle, 0.8),
         wheel_nm_per_rad=30.0,
         wheel_nm_s_per_rad=1.0,
         assist=0.1,
@@ -94,13 +101,13 @@ def constant_speed(rng: np.random.Generator, seconds: float) -> Floats:
     preloads = rng.permutation([0.0, 800.0, 1600.0, 2200.0, -800.0, -1600.0])
     which = np.minimum((t / stroke).astype(int), 5)
     direction = np.where((t / stroke) % 1.0 < 0.5, 1.0, -1.0)
-    speed = _smoothed(np.asarray(direction * speeds[which]), 0.12)
-    preload = _faded(_smoothed(preloads[which], 0.25))
+    speed = smoothed(np.asarray(direction * speeds[which]), 0.12)
+    preload = faded(smoothed(preloads[which], 0.25))
     target = np.cumsum(speed) * 1e-3
-    return _segment(
+    return segment(
         seconds,
         force_n=preload,
-        target_rad=_faded(target - target.mean(), 0.5),
+        target_rad=faded(target - target.mean(), 0.5),
         motor_nm_per_rad=0.5,
         motor_nm_s_per_rad=4.0e-3,
         feed_nm=preload / Drive().rack_rad_per_m,
@@ -114,14 +121,14 @@ def slow_reversals(rng: np.random.Generator, seconds: float) -> Floats:
     target = rng.uniform(6, 14) * np.sin(2 * np.pi * f * t + rng.uniform(0, 6))
     target += rng.uniform(0.5, 3) * np.sin(2 * np.pi * rng.uniform(0.4, 0.7) * t)
     force = 500 * np.sin(2 * np.pi * rng.uniform(0.05, 0.11) * t + rng.uniform(0, 6))
-    return _segment(
+    return segment(
         seconds,
-        force_n=_faded(force),
-        target_rad=_faded(target, 0.8),
+        force_n=faded(force),
+        target_rad=faded(target, 0.8),
         motor_nm_per_rad=0.4,
         motor_nm_s_per_rad=4.0e-3,
-        feed_nm=_faded(force) / Drive().rack_rad_per_m,
-        hand_nm=_faded(2.5 * np.sin(2 * np.pi * rng.uniform(0.1, 0.2) * t)),
+        feed_nm=faded(force) / Drive().rack_rad_per_m,
+        hand_nm=faded(2.5 * np.sin(2 * np.pi * rng.uniform(0.1, 0.2) * t)),
         wheel_nm_s_per_rad=0.5,
     )
 
@@ -139,7 +146,7 @@ def dwell(rng: np.random.Generator, seconds: float) -> Floats:
     feed = np.zeros(round(seconds * 1000))
     m = min(len(feed), len(torque))
     feed[:m] = torque[:m]
-    return _segment(
+    return segment(
         seconds, rig_n_per_m=6.0e4, rig_n_s_per_m=8.0e3, feed_nm=feed, wheel_nm_s_per_rad=0.5
     )
 
@@ -149,8 +156,8 @@ def multisine(rng: np.random.Generator, seconds: float) -> Floats:
     t = _times(seconds)
     hz = np.linspace(0.5, 7.0, 25)
     lines = np.sin(2 * np.pi * hz[:, None] * t + rng.uniform(0, 2 * np.pi, (25, 1))).sum(axis=0)
-    feed = _faded(lines / np.std(lines) * rng.uniform(0.35, 0.45))
-    return _segment(seconds, rig_n_per_m=1.2e5, rig_n_s_per_m=4.0e3, feed_nm=feed)
+    feed = faded(lines / np.std(lines) * rng.uniform(0.35, 0.45))
+    return segment(seconds, rig_n_per_m=1.2e5, rig_n_s_per_m=4.0e3, feed_nm=feed)
 
 
 def training(rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -169,11 +176,11 @@ def holdout(rng: np.random.Generator) -> Floats:
 def poor(rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Two recordings with hardly any excitation: straight driving, a little steps."""
     t = _times(20.0)
-    calm = _segment(
+    calm = segment(
         20.0,
         rig_n_per_m=40e3,
         rig_n_s_per_m=500.0,
-        wheel_target_rad=_faded(0.15 * np.sin(2 * np.pi * 0.2 * t + rng.uniform(0, 6)), 0.8),
+        wheel_target_rad=faded(0.15 * np.sin(2 * np.pi * 0.2 * t + rng.uniform(0, 6)), 0.8),
         wheel_nm_per_rad=30.0,
         wheel_nm_s_per_rad=1.0,
         assist=0.1,

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.proof.sensors import RATE_HZ
-from eps_hil.proof.strength import aligned, filtered, residual, sensitivities
+from eps_hil.proof.strength import aligned, beyond_refit, filtered, residual, sensitivities
 from eps_hil.proof.truth import Drive, Floats
 
 _MOST_TERMS, _SPEED_CUT_HZ, _LEAST_LEFT = 8, 40.0, 0.05
@@ -97,10 +97,8 @@ def _data(
         terms.append(filtered(raw))
         target.append(filtered(residual(d, one)))
         base.append(filtered(sensitivities(d, one)))
-    b = np.concatenate(base, axis=1).T
-    b /= np.linalg.norm(b, axis=0)
     both = np.column_stack([np.concatenate(terms, axis=1).T, np.concatenate(target)])
-    rest = both - b @ np.linalg.lstsq(b, both, rcond=None)[0]
+    rest = beyond_refit(np.concatenate(base, axis=1), both)
     return (
         names,
         rest[:, :-1],

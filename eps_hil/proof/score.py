@@ -16,11 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from eps_hil.errors import EpsHilError, InputError
-from eps_hil.proof.judge import Judgement, judge
+from eps_hil.proof.judge import Judgement, failed, judge
 from eps_hil.proof.seal import open_answers
 
 _Z95 = 1.959964
-_OTHERS = ("pairs", "decoys", "aliens")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +47,7 @@ class Share:
 
 
 def _all_in_set(j: Judgement) -> bool:
-    return set(j.in_set) == set(j.truths)
+    return j.all_in_set
 
 
 Hit = Callable[[Judgement], bool]
@@ -74,6 +73,19 @@ _ALIENS: dict[str, Hit] = {
     "said to be unknown": lambda j: j.said_unknown,
     "wrong name, no twin": lambda j: bool(j.invented),
 }
+_TWINS: dict[str, Hit] = {
+    "truth in the reported set": _all_in_set,
+    "truth and twin both named as possible": lambda j: j.all_in_set and j.twin_in_set,
+    "something invented": lambda j: bool(j.invented),
+}
+_EMPTY: dict[str, Hit] = {"false alarm": lambda j: not j.clean}
+_OTHERS: dict[str, tuple[str, dict[str, Hit]]] = {
+    "pairs": ("masked pairs", _PAIRS),
+    "decoys": ("decoys", _DECOYS),
+    "aliens": ("aliens", _ALIENS),
+    "missing": ("family withheld", _ALIENS),
+    "twins": ("twins", _TWINS),
+}
 
 
 def shares(judged: Sequence[Judgement]) -> list[Share]:
@@ -85,15 +97,16 @@ def shares(judged: Sequence[Judgement]) -> list[Share]:
             for level in sorted({j.level for j in one}):
                 at = [j for j in one if j.level == level]
                 table += _counted(f"{form} {kind} at {level:g}", at, _HIDDEN)
-        cases = {k: [j for j in judged if (j.form, j.kind) == (form, k)] for k in _OTHERS}
-        table += _counted(f"{form} masked pairs", cases["pairs"], _PAIRS)
-        table += _counted(f"{form} decoys", cases["decoys"], _DECOYS)
-        for decoy in sorted({j.decoy for j in cases["decoys"]}):
-            of = [j for j in cases["decoys"] if j.decoy == decoy]
-            table += _counted(
-                f"{form} decoys, {decoy}", of, {"false alarm": _DECOYS["false alarm"]}
-            )
-        table += _counted(f"{form} aliens", cases["aliens"], _ALIENS)
+        for kind, (name, counted) in _OTHERS.items():
+            of = [j for j in judged if (j.form, j.kind) == (form, kind)]
+            table += _counted(f"{form} {name}", of, counted)
+            for decoy in sorted({j.decoy for j in of} - {""}):
+                one = [j for j in of if j.decoy == decoy]
+                table += _counted(f"{form} decoys, {decoy}", one, _EMPTY)
+        blind = [j for j in judged if (j.form, j.kind) == (form, "unmeasured")]
+        table += _counted(f"{form} rack force unmeasured", [j for j in blind if j.truths], _HIDDEN)
+        empty = [j for j in blind if not j.truths]
+        table += _counted(f"{form} rack force unmeasured, nothing hidden", empty, _EMPTY)
     intervals = [e for j in judged for e in j.estimates if e.covered is not None]
     if intervals:
         hits = sum(bool(e.covered) for e in intervals)
@@ -145,21 +158,18 @@ def failures(judged: Sequence[Judgement]) -> list[str]:
     """One line a case that went wrong."""
     lines = []
     for j in judged:
-        if j.kind == "aliens":
-            good = j.said_unknown and not j.invented
-        elif j.kind == "decoys":
-            good = j.clean
-        elif j.kind == "pairs":
-            good = len(j.named) == len(j.truths) and not j.invented
-        else:
-            good = j.right_first and not j.invented
-        if not good:
-            said = j.first or j.verdict or "no diagnosis"
-            hidden = ", ".join(j.truths) or j.decoy
-            invented = f"; invented {', '.join(j.invented)}" if j.invented else ""
-            in_set = "; truth in its set" if j.in_set and not j.right_first else ""
-            lines.append(f"{j.id} {j.kind} {j.level:g}: {hidden} → {said}{in_set}{invented}")
+        if failed(j):
+            lines.append(f"{j.id} {j.kind} {j.level:g}: {told(j)}")
     return lines
+
+
+def told(j: Judgement) -> str:
+    """What was hidden and what was said of it, in a few words."""
+    said = j.first or j.verdict or "no diagnosis"
+    hidden = ", ".join(j.truths) or j.decoy or "nothing"
+    invented = f"; invented {', '.join(j.invented)}" if j.invented else ""
+    in_set = "; truth in its set" if j.in_set and not j.right_first else ""
+    return f"{hidden} → {said}{in_set}{invented}"
 
 
 def score(cases: Mapping[str, Any], results: Path) -> list[Judgement]:

@@ -130,9 +130,17 @@ def strength(d: Drive, clean: Sequence[Mapping[str, Floats]], noise_nm: float) -
     """Measure what is hidden in recordings without noise against the noise they will have."""
     rest = np.concatenate([filtered(residual(d, one)) for one in clean])
     free = np.concatenate([filtered(sensitivities(d, one)) for one in clean], axis=1)
-    scaled = (free / np.linalg.norm(free, axis=1, keepdims=True)).T
-    kept = rest - scaled @ np.linalg.lstsq(scaled, rest, rcond=None)[0]
-    return Strength(_rms(kept), _rms(rest), noise_nm)
+    return Strength(_rms(beyond_refit(free, rest)), _rms(rest), noise_nm)
+
+
+def beyond_refit(free: Floats, rest: Floats) -> Floats:
+    """What of ``rest`` (n,) or (n, m) is orthogonal to the sensitivities ``free`` (p, n).
+
+    A parameter that these recordings do not excite takes nothing away.
+    """
+    size = np.linalg.norm(free, axis=1)
+    scaled = (free[size > 0.0] / size[size > 0.0, None]).T
+    return np.asarray(rest - scaled @ np.linalg.lstsq(scaled, rest, rcond=None)[0])
 
 
 def _rms(values: Floats) -> float:

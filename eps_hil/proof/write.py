@@ -14,50 +14,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from eps_hil.proof.can_log import Wire, write_log
-from eps_hil.proof.cases import KINDS, Case, Plan, make, plans
+from eps_hil.proof.cases import Case, make
+from eps_hil.proof.examine import WITHOUT
+from eps_hil.proof.model_file import model_yaml
+from eps_hil.proof.plans import KINDS, Plan, plans
 from eps_hil.proof.seal import opaque_id, seal
-from eps_hil.proof.sensors import SENSORS, SPEED_LATE_S, TORQUE_LATE_S
+from eps_hil.proof.sensors import SENSORS
 from eps_hil.proof.truth import Drive, Floats
 
 DATABASE, MAPPING = "rig.dbc", "signals.yaml"
 LOSSY = Wire(lost_per_frame=2.0e-5)
 _ROOT = Path(__file__).parents[2]
 _DECIMALS = {"time_s": 3, **{name: sensor.decimals for name, sensor in SENSORS.items()}}
-
-
-def model_yaml(drive: Drive) -> str:
-    """The nominal model file (CONTRACT 4) that goes with every case."""
-    friction = {
-        "offset_pos_nm": drive.k0_pos,
-        "offset_neg_nm": drive.k0_neg,
-        "viscous_pos_nm_s_per_rad": drive.kw_pos,
-        "viscous_neg_nm_s_per_rad": drive.kw_neg,
-        "load_pos_nm_per_n": drive.kr_pos,
-        "load_neg_nm_per_n": drive.kr_neg,
-        "sigma0_nm_per_rad": drive.sigma0,
-        "sigma1_nm_s_per_rad": drive.sigma1,
-        "sigma1_speed_rad_s": drive.sigma1_speed,
-    }
-    delays = {
-        "motor_speed": SPEED_LATE_S,
-        "motor_torque": TORQUE_LATE_S,
-        "torque_sensor": 0.0,
-        "rack_force": 0.0,
-    }
-    model = {
-        "inertia_kg_m2": drive.inertia_kg_m2,
-        "pinion_ratio_rad_per_m": drive.pinion_rad_per_m,
-        "rack_to_rotor_ratio_rad_per_m": drive.rack_rad_per_m,
-        "belt_ratio": drive.belt_ratio,
-        "pole_pairs": int(drive.pole_pairs),
-        "delays_s": delays,
-        "friction": friction,
-        "effects": [],
-    }
-    return str(yaml.safe_dump({"model": model}, sort_keys=False))
 
 
 def write_csv(path: Path, columns: Mapping[str, Floats]) -> None:
@@ -72,25 +42,33 @@ def write_csv(path: Path, columns: Mapping[str, Floats]) -> None:
 
 
 def write_case(folder: Path, case: Case) -> None:
-    """One case's recordings and model file; nothing in them or their names tells the answer."""
-    folder.mkdir(parents=True)
+    """One case's recordings and model file; nothing in them or their names tells the answer.
+
+    Effects that the diagnosis is to leave out stand in a file as well.
+    """
+    _begin(folder, case)
     for name, columns in case.recordings.items():
         write_csv(folder / f"{name}.csv", columns)
+
+
+def _begin(folder: Path, case: Case) -> None:
+    folder.mkdir(parents=True)
     (folder / "model.yaml").write_text(model_yaml(Drive()))
+    if case.answer.get("withheld"):
+        (folder / WITHOUT).write_text("\n".join(case.answer["withheld"]) + "\n")
 
 
 def write_can_case(folder: Path, case: Case, wire: Wire = LOSSY) -> None:
     """The same as CAN logs, with the database and the mapping that read them."""
     from eps_hil.bus.database import load_database
 
-    folder.mkdir(parents=True)
+    _begin(folder, case)
     shutil.copy(_ROOT / "dbc" / "eps_rig.dbc", folder / DATABASE)
     shutil.copy(_ROOT / "configs" / "eps_rig_signals.yaml", folder / MAPPING)
     database = load_database([folder / DATABASE])
     rng = np.random.default_rng([case.answer["seed"], 7])
     for name, columns in case.recordings.items():
         write_log(folder / f"{name}.log", columns, database, wire, rng)
-    (folder / "model.yaml").write_text(model_yaml(Drive()))
 
 
 def write(out: Path, planned: Sequence[Plan], *, can: bool = False) -> str:
@@ -99,7 +77,7 @@ def write(out: Path, planned: Sequence[Plan], *, can: bool = False) -> str:
     cases = {}
     for plan in planned:
         id, case = opaque_id(), make(plan)
-        (write_can_case if can else write_case)(out / id, case)
+        (write_can_case if can or plan.can else write_case)(out / id, case)
         cases[id] = case.answer
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{len(cases)}/{len(planned)} cases")

@@ -2,7 +2,8 @@
 
 import pytest
 
-from eps_hil.proof.cases import Case, Plan, make
+from eps_hil.proof.cases import Case, make
+from eps_hil.proof.plans import Plan
 
 
 @pytest.fixture(scope="session")

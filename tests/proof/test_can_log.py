@@ -46,7 +46,12 @@ def test_lost_frames_are_really_missing(tmp_path: Path, decoy_case: Case) -> Non
 
 
 def test_a_can_case_is_complete(tmp_path: Path, decoy_case: Case) -> None:
-    short = Case({name: _short(decoy_case, 500) for name in ("train_1", "holdout")}, {"seed": 1})
+    short = Case(
+        {name: _short(decoy_case, 500) for name in ("train_1", "holdout")},
+        {"seed": 1},
+        np.zeros(1),
+        "",
+    )
     write_can_case(tmp_path / "ab", short)
     names = sorted(path.name for path in (tmp_path / "ab").iterdir())
     assert names == ["holdout.log", "model.yaml", DATABASE, MAPPING, "train_1.log"]

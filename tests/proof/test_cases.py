@@ -9,14 +9,16 @@ import pytest
 import yaml
 
 from eps_hil.proof import manoeuvres
-from eps_hil.proof.cases import DECOYS, KINDS, LEVELS, Case, Plan, make, plans
+from eps_hil.proof.cases import Case, make
 from eps_hil.proof.effects import ALIENS, CATALOGUED, drawn_sign, find
+from eps_hil.proof.model_file import model_yaml
+from eps_hil.proof.plans import DECOYS, KINDS, LEVELS, Plan, plans
 from eps_hil.proof.seal import open_answers
 from eps_hil.proof.sensors import SENSORS
 from eps_hil.proof.strength import strength
 from eps_hil.proof.truth import Drive, Hidden, one_mass
 from eps_hil.proof.world import World
-from eps_hil.proof.write import main, model_yaml
+from eps_hil.proof.write import main
 
 ROOT = Path(__file__).parents[2]
 COLUMNS = {
@@ -143,7 +145,7 @@ def test_pairs_mask_a_weak_effect_with_a_stranger_five_times_as_strong() -> None
 
 
 def test_a_case_can_be_made_again() -> None:
-    plan = Plan("poor", 4, (), decoy="noise_x3", simple=True)
+    plan = Plan("poor", 4, (), decoy="noise_x3", simple=True, programme="poor")
     one, again = make(plan), make(plan)
     assert again.answer == one.answer
     for name, columns in again.recordings.items():

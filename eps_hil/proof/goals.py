@@ -1,0 +1,232 @@
+"""The table of the proof: each figure with its interval beside its goal, met or missed.
+
+Figures are counted on the full truth plant. Shares have Wilson's 95 % interval, medians and pooled
+ratios a bootstrap over cases (a fixed seed, so that the same cases give the same interval).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from eps_hil.proof.judge import Judgement
+from eps_hil.proof.score import Share
+from eps_hil.proof.truth import Floats
+
+_RESAMPLES = 2000
+_LEAST_GAIN = 0.05
+"""The single case's share of the gain counts where the true model lowers the error by this much."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One row. ``low`` and ``high`` bound the 95 % interval; ``met`` is None without cases."""
+
+    what: str
+    value: float | None
+    low: float | None
+    high: float | None
+    cases: int
+    goal: str
+    met: bool | None
+    percent: bool = True
+
+    @property
+    def text(self) -> str:
+        """The value with its interval."""
+        if self.value is None or self.low is None or self.high is None:
+            return "–"
+        if self.percent:
+            return f"{self.value:.1%} ({self.low:.1%} to {self.high:.1%})"
+        return f"{self.value:.3f} ({self.low:.3f} to {self.high:.3f})"
+
+    @property
+    def verdict(self) -> str:
+        """The goal's fate in a word."""
+        return {None: "no cases", True: "met", False: "MISSED"}[self.met]
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """One case with its judgement and what the models were worth on its hold-out."""
+
+    judged: Judgement
+    worth: Mapping[str, Mapping[str, float | None]]
+
+
+Hit = Callable[[Judgement], bool]
+
+
+def figures(cases: Sequence[Scored]) -> list[Figure]:
+    """The rows of DIAGNOSIS.md's table that a run of concealed cases can fill."""
+    judged = [one.judged for one in cases if one.judged.form == "full"]
+    singles = [j for j in judged if j.kind == "singles"]
+    rows = [
+        _least(
+            f"right name first, effect/noise {level:g}",
+            [j for j in singles if j.level == level],
+            lambda j: j.right_first,
+            least,
+        )
+        for level, least in ((0.3, 0.85), (0.6, 0.97), (1.5, 0.99))
+    ]
+    clear = [j for j in singles if j.level >= 0.6]
+    rows.append(_least("truth in the reported set, at 0.6 and more", clear, _in_set, 0.99))
+    pairs = [j for j in judged if j.kind == "pairs"]
+    rows.append(_least("masked pairs, both named", pairs, _both_named, 0.93))
+    decoys = [j for j in judged if j.kind == "decoys"]
+    rows.append(_most("false alarms on decoys", decoys, lambda j: not j.clean, 0.01))
+    missing = [j for j in judged if j.kind == "missing"]
+    rows.append(_most("family withheld: wrong name outside twins", missing, _invented, 0.03))
+    rows.append(_least("family withheld: said to be unknown", missing, _unknown, 0.85))
+    aliens = [j for j in judged if j.kind == "aliens"]
+    rows.append(_least("alien effects said to be unknown", aliens, _unknown, 0.95))
+    rows.append(_coverage(judged))
+    return [*rows, *_residuals(cases), *_gains(cases)]
+
+
+def _in_set(j: Judgement) -> bool:
+    return j.all_in_set
+
+
+def _both_named(j: Judgement) -> bool:
+    return len(j.named) == len(j.truths)
+
+
+def _invented(j: Judgement) -> bool:
+    return bool(j.invented) or not j.answered
+
+
+def _unknown(j: Judgement) -> bool:
+    return j.said_unknown
+
+
+def _least(what: str, cases: Sequence[Judgement], hit: Hit, least: float) -> Figure:
+    return _share(what, cases, hit, f"≥ {least:.0%}", lambda value: value >= least)
+
+
+def _most(what: str, cases: Sequence[Judgement], hit: Hit, most: float) -> Figure:
+    return _share(what, cases, hit, f"≤ {most:.0%}", lambda value: value <= most)
+
+
+def _share(
+    what: str, cases: Sequence[Judgement], hit: Hit, goal: str, good: Callable[[float], bool]
+) -> Figure:
+    share = Share(what, sum(map(hit, cases)), len(cases))
+    return _of_share(share, goal, good)
+
+
+def _of_share(share: Share, goal: str, good: Callable[[float], bool]) -> Figure:
+    if not share.cases:
+        return Figure(share.what, None, None, None, 0, goal, None)
+    value = share.hits / share.cases
+    return Figure(share.what, value, *share.interval, share.cases, goal, good(value))
+
+
+def _coverage(judged: Sequence[Judgement]) -> Figure:
+    inside = [e.covered_90 for j in judged for e in j.estimates if e.covered_90 is not None]
+    share = Share("90 % intervals that hold the truth (parameters)", sum(inside), len(inside))
+    return _of_share(share, "85–95 %", lambda value: 0.85 <= value <= 0.95)
+
+
+def _residuals(cases: Sequence[Scored]) -> list[Figure]:
+    """Held-out residual with what was found over that with the truth."""
+    pairs = _pairs(cases, "residual_nm", ("augmented", "oracle"))
+    words = "held-out residual ÷ the true model's"
+    return [
+        _ratio(f"{words}, median case", pairs, _median_ratio, "≤ 1.05", lambda v: v <= 1.05),
+        _ratio(f"{words}, all cases pooled", pairs, _pooled_ratio, "≤ 1.05", lambda v: v <= 1.05),
+    ]
+
+
+def _gains(cases: Sequence[Scored]) -> list[Figure]:
+    """What of the true model's gain in rack force the augmented model has."""
+    rows = _pairs(cases, "rack_force_rmse_n", ("baseline", "augmented", "oracle"))
+    worthwhile = rows[rows[:, 2] < (1.0 - _LEAST_GAIN) * rows[:, 0]] if len(rows) else rows
+    words = "share of the true model's rack-force gain"
+    return [
+        _ratio(f"{words}, all cases pooled", rows, _pooled_gain, "≥ 90 %", _enough, percent=True),
+        _ratio(f"{words}, median case", worthwhile, _median_gain, "≥ 90 %", _enough, percent=True),
+    ]
+
+
+def _enough(value: float) -> bool:
+    return value >= 0.9
+
+
+def _pairs(cases: Sequence[Scored], name: str, models: Sequence[str]) -> Floats:
+    """(n, models) of hidden single and paired effects that a model file can hold.
+
+    A case without a diagnosis counts with the model as it was.
+    """
+    rows = []
+    for one in cases:
+        if one.judged.kind not in ("singles", "pairs") or "oracle" not in one.worth:
+            continue
+        worth = {**one.worth, "augmented": one.worth.get("augmented", one.worth["baseline"])}
+        row = [worth[model][name] for model in models]
+        if all(value is not None for value in row):
+            rows.append(row)
+    return np.array(rows, dtype=np.float64).reshape(-1, len(models))
+
+
+def _median_ratio(rows: Floats) -> float:
+    return float(np.median(rows[:, 0] / rows[:, 1]))
+
+
+def _pooled_ratio(rows: Floats) -> float:
+    return float(np.sqrt(np.sum(rows[:, 0] ** 2) / np.sum(rows[:, 1] ** 2)))
+
+
+def _pooled_gain(rows: Floats) -> float:
+    return float(np.sum(rows[:, 0] - rows[:, 1]) / np.sum(rows[:, 0] - rows[:, 2]))
+
+
+def _median_gain(rows: Floats) -> float:
+    return float(np.median((rows[:, 0] - rows[:, 1]) / (rows[:, 0] - rows[:, 2])))
+
+
+def _ratio(
+    what: str,
+    rows: Floats,
+    of: Callable[[Floats], float],
+    goal: str,
+    good: Callable[[float], bool],
+    *,
+    percent: bool = False,
+) -> Figure:
+    n = len(rows)
+    if n == 0:
+        return Figure(what, None, None, None, 0, goal, None, percent)
+    rng = np.random.default_rng(1)
+    drawn = [of(rows[rng.integers(0, n, n)]) for _ in range(_RESAMPLES)]
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    value = of(rows)
+    return Figure(what, value, float(low), float(high), n, goal, good(value), percent)
+
+
+def table(rows: Sequence[Figure]) -> str:
+    """The rows as text."""
+    width = max(len(row.what) for row in rows)
+    lines = [f"{'figure':<{width}}  {'found (95 % interval)':<26}{'cases':>7}  {'goal':<9}"]
+    for row in rows:
+        lines.append(
+            f"{row.what:<{width}}  {row.text:<26}{row.cases:>7}  {row.goal:<9}{row.verdict}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def as_json(rows: Sequence[Figure]) -> list[dict[str, Any]]:
+    """The rows as plain values."""
+    return [
+        {
+            "figure": row.what,
+            "value": row.value,
+            "ci95": [row.low, row.high],
+            "cases": row.cases,
+            "goal": row.goal,
+            "met": row.met,
+        }
+        for row in rows
+    ]

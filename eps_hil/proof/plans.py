@@ -1,0 +1,204 @@
+"""What shall be hidden: the kinds of cases, their plans, and the mix that a whole proof is.
+
+Plans come from seeds alone, so that anybody can draw them again; development and proof draw from
+seeds that never meet.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eps_hil.proof.effects import ALIENS, CATALOGUED, find
+
+LEVELS = (0.3, 0.6, 1.5)
+"""Effect-to-noise ratios of the singles."""
+STRONG, MASKED = 3.0, 0.6
+KINDS = (
+    "singles",
+    "pairs",
+    "crowds",
+    "decoys",
+    "aliens",
+    "poor",
+    "missing",
+    "twins",
+    "unmeasured",
+)
+DECOYS = ("nothing", "noise_x3", "heavy_tails", "coarse_encoder", "parameters_off")
+TWINS = (
+    ("motor_torque_offset", "torque_sensor_offset", "training"),
+    ("quadratic_drag", "viscous_friction", "one_speed"),
+    ("torque_ripple", "cogging_torque", "one_torque"),
+    ("torque_sensor_offset", "motor_torque_offset", "training"),
+    ("position_dependent_friction", "friction_warmup", "one_pass"),
+    ("friction_asymmetry", "motor_torque_offset", "training"),
+    ("friction_warmup", "position_dependent_friction", "one_pass"),
+)
+"""(hidden, what it cannot be told from, in which manoeuvres it cannot)."""
+MIX: Mapping[str, int] = {
+    "singles": 405,
+    "decoys": 300,
+    "pairs": 108,
+    "missing": 84,
+    "aliens": 60,
+    "crowds": 54,
+    "unmeasured": 54,
+    "twins": 28,
+    "poor": 27,
+}
+"""Cases of each kind in a full proof; every effect comes as a single at every level five times."""
+QUICK: Mapping[str, int] = {
+    "singles": 6,
+    "decoys": 4,
+    "pairs": 2,
+    "missing": 1,
+    "aliens": 1,
+    "crowds": 1,
+    "unmeasured": 1,
+}
+PROOF_SEEDS = 1_000_000
+_DISTRACTED, _ON_CAN = 10, 8
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What one case shall hold: effects with the effect-to-noise ratio that each shall have.
+
+    ``programme``: the manoeuvres; ``can``: recordings as CAN logs; ``withheld``: effects that the
+    diagnosis is told not to consider; ``twin``: what the hidden effect cannot be told from.
+    """
+
+    kind: str
+    seed: int
+    wanted: tuple[tuple[str, float], ...]
+    decoy: str = ""
+    simple: bool = False
+    programme: str = "training"
+    can: bool = False
+    withheld: tuple[str, ...] = ()
+    twin: str = ""
+
+
+def plans(
+    kind: str, seed: int, count: int, *, simple: bool = False, proof: bool = False
+) -> Iterator[Plan]:
+    """``count`` plans of one of :data:`KINDS`, reproducible by ``seed``.
+
+    Effects and levels take turns, so that every effect comes at every level as often as any.
+    ``proof`` takes the seeds that development never sees.
+    """
+    first = seed * 1000 + (PROOF_SEEDS if proof else 0)
+    rng = np.random.default_rng([first, KINDS.index(kind)])
+    names = _names(kind)
+    order = rng.permutation(len(names))
+    for k in range(count):
+        turn, place = divmod(k, len(names))
+        name, level = names[order[place]], LEVELS[(place + turn) % len(LEVELS)]
+        plan = Plan(kind, first + k, ((name, level),), simple=simple)
+        yield _OF_KIND.get(kind, _single)(plan, k, rng)
+
+
+def mixed(mix: Mapping[str, int], seed: int, *, proof: bool = False) -> list[Plan]:
+    """The plans of a whole proof, evenly mixed: what comes first is a fair sample of all.
+
+    One in eight is recorded over CAN. To one single or decoy in ten the diagnosis is told to leave
+    out a family that has nothing to do with it, so that being told so says nothing.
+    """
+    placed = []
+    for kind, count in mix.items():
+        for k, plan in enumerate(plans(kind, seed, count, proof=proof)):
+            rng = np.random.default_rng([plan.seed, KINDS.index(kind), 11])
+            withheld = plan.withheld
+            if kind in ("singles", "decoys") and k % _DISTRACTED == _DISTRACTED // 2:
+                withheld = _unrelated(plan, rng)
+            on_can = kind != "unmeasured" and k % _ON_CAN == _ON_CAN - 1
+            placed.append(((k + 0.5) / count, replace(plan, withheld=withheld, can=on_can)))
+    return [plan for _, plan in sorted(placed, key=lambda one: one[0])]
+
+
+def near(name: str) -> set[str]:
+    """An effect and its twins, whichever of the two names the other."""
+    return {name, *find(name).twins, *(n for n, e in CATALOGUED.items() if name in e.twins)}
+
+
+def lasting() -> list[str]:
+    """Effects that no refit of the baseline's own parameters takes away."""
+    return sorted(n for n, effect in CATALOGUED.items() if not effect.free)
+
+
+def _names(kind: str) -> list[str]:
+    if kind == "aliens":
+        return list(ALIENS)
+    if kind == "missing":
+        return [n for n in lasting() if CATALOGUED[n].kind != "parameter"]
+    if kind == "twins":
+        return [str(k) for k in range(len(TWINS))]
+    return list(CATALOGUED)
+
+
+def _single(plan: Plan, _k: int, _rng: np.random.Generator) -> Plan:
+    return plan
+
+
+def _decoy(plan: Plan, k: int, _rng: np.random.Generator) -> Plan:
+    return replace(plan, wanted=(), decoy=DECOYS[k % len(DECOYS)])
+
+
+def _pair(plan: Plan, _k: int, rng: np.random.Generator) -> Plan:
+    ((name, _),) = plan.wanted
+    stranger = str(rng.choice(sorted(set(lasting()) - near(name))))
+    return replace(plan, wanted=((stranger, STRONG), (name, MASKED)))
+
+
+def _crowd(plan: Plan, _k: int, rng: np.random.Generator) -> Plan:
+    ((name, _),) = plan.wanted
+    others = [n for n in rng.permutation(list(CATALOGUED)).tolist() if n != name][:10]
+    return replace(plan, wanted=(*((other, 0.15) for other in others), (name, 1.5)))
+
+
+def _louder(plan: Plan, k: int, _rng: np.random.Generator) -> Plan:
+    ((name, _),) = plan.wanted
+    return replace(plan, wanted=((name, LEVELS[1 + k % 2]),))
+
+
+def _poor(plan: Plan, _k: int, _rng: np.random.Generator) -> Plan:
+    return replace(plan, programme="poor")
+
+
+def _missing(plan: Plan, k: int, rng: np.random.Generator) -> Plan:
+    louder = _louder(plan, k, rng)
+    ((name, _),) = louder.wanted
+    return replace(louder, withheld=tuple(sorted(near(name))))
+
+
+def _twins(plan: Plan, k: int, _rng: np.random.Generator) -> Plan:
+    ((place, _),) = plan.wanted
+    name, twin, programme = TWINS[int(place)]
+    return replace(plan, wanted=((name, LEVELS[1 + k % 2]),), twin=twin, programme=programme)
+
+
+def _unmeasured(plan: Plan, k: int, _rng: np.random.Generator) -> Plan:
+    """Every third holds nothing; half of them has a rack that nothing pushes."""
+    ((name, _),) = plan.wanted
+    wanted = () if k % 3 == 2 else ((name, LEVELS[1 + k % 2]),)
+    return replace(plan, wanted=wanted, programme="free_rack" if k % 4 < 2 else "training")
+
+
+_OF_KIND: Mapping[str, Callable[[Plan, int, np.random.Generator], Plan]] = {
+    "decoys": _decoy,
+    "pairs": _pair,
+    "crowds": _crowd,
+    "aliens": _louder,
+    "poor": _poor,
+    "missing": _missing,
+    "twins": _twins,
+    "unmeasured": _unmeasured,
+}
+
+
+def _unrelated(plan: Plan, rng: np.random.Generator) -> tuple[str, ...]:
+    """A family that is neither hidden nor tolerated in this case."""
+    kept = {other for name, _ in plan.wanted for other in near(name)}
+    strangers = [n for n in lasting() if not near(n) & kept and CATALOGUED[n].kind != "parameter"]
+    return tuple(sorted(near(str(rng.choice(strangers))) - kept))

@@ -1,0 +1,284 @@
+"""A whole proof, batch by batch: hide, seal, have it diagnosed, open, measure, note down.
+
+A batch is sealed, and its hash published, before anything in it is diagnosed. Whatever was
+interrupted goes on where it stopped: finished batches are not touched, a batch that was sealed is
+diagnosed further, one that was not is made anew. The folder:
+
+    run.json                what was asked for
+    seals.txt               batch, hash of its answers: as they were printed
+    batch_001/cases/        recordings and model file under opaque ids
+    batch_001/answers.json  the sealed answers        batch_001/truth/   true rack forces
+    batch_001/results/      what the diagnosis handed in
+    batch_001/lines.jsonl   the batch's cases, opened and measured
+    cases.jsonl             all of these lines        reports/   the pages of the diagnoses
+"""
+
+import hashlib
+import json
+import math
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eps_hil.errors import InputError
+from eps_hil.proof.cases import make
+from eps_hil.proof.examine import MODEL, PROBLEM, Examined, examine
+from eps_hil.proof.judge import Judgement, failed, judge
+from eps_hil.proof.plans import MIX, QUICK, Plan, mixed
+from eps_hil.proof.seal import opaque_id, open_answers, seal
+from eps_hil.proof.truth import Floats
+from eps_hil.proof.write import write_can_case, write_case
+
+BATCH = 28
+LINES, SEALS, REPORTS = "cases.jsonl", "seals.txt", "reports"
+Worths = dict[str, dict[str, float | None]]
+Measure = Callable[[Path, Floats, Mapping[str, Path]], Worths]
+"""(case folder, true rack force, model files by name) -> figures by model."""
+Say = Callable[[str], None]
+Part = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What a run was asked for; a run goes on only with the same."""
+
+    seed: int
+    quick: bool
+    proof: bool
+    cases: int
+
+    def plans(self) -> list[Plan]:
+        """The plans, in the order in which they are examined."""
+        return mixed(QUICK if self.quick else MIX, self.seed, proof=self.proof)[: self.cases]
+
+
+@dataclass(frozen=True, slots=True)
+class Desk:
+    """How a run works: workers, whether recordings are kept, and who is told."""
+
+    measure: Measure
+    jobs: int = 1
+    keep: bool = False
+    say: Say = lambda _line: None
+    part: Part = lambda _part: None
+
+
+def run(out: Path, setting: Setting, desk: Desk, *, resume: bool = False) -> list[dict[str, Any]]:
+    """Run or finish a proof in ``out``; returns the lines of all cases."""
+    _begin(out, setting, resume)
+    plans = setting.plans()
+    batches = [plans[k : k + BATCH] for k in range(0, len(plans), BATCH)]
+    # spawned, so that a worker knows nothing but what it is handed
+    with ProcessPoolExecutor(desk.jobs, mp_context=get_context("spawn")) as pool:
+        for number, batch in enumerate(batches, 1):
+            if not (_folder(out, number) / "lines.jsonl").exists():
+                _Batch(out, number, len(batches), batch, desk, pool).run()
+            _gather(out, number)
+            desk.part(number / len(batches))
+    return read_lines(out)
+
+
+def read_lines(out: Path) -> list[dict[str, Any]]:
+    """The cases that a run has finished so far."""
+    path = out / LINES
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def judgement(line: Mapping[str, Any]) -> Judgement:
+    """One line of ``cases.jsonl`` judged."""
+    return judge(line["id"], line["answer"], line["diagnosis"])
+
+
+def _begin(out: Path, setting: Setting, resume: bool) -> None:
+    path = out / "run.json"
+    if path.exists():
+        if not resume:
+            raise InputError(out, "--out", "holds a proof already", "add --resume, or name another")
+        if json.loads(path.read_text()) != asdict(setting):
+            raise InputError(out, "--resume", "was begun with other options", "name another folder")
+    elif out.exists() and any(out.iterdir()):
+        raise InputError(out, "--out", "is not empty", "name a folder that is new")
+    out.mkdir(parents=True, exist_ok=True)
+    (out / REPORTS).mkdir(exist_ok=True)
+    path.write_text(json.dumps(asdict(setting), indent=1) + "\n")
+
+
+def _folder(out: Path, number: int) -> Path:
+    return out / f"batch_{number:03d}"
+
+
+def _gather(out: Path, number: int) -> None:
+    """``cases.jsonl`` anew up to this batch: whole lines of whole batches only."""
+    parts = [(_folder(out, k) / "lines.jsonl").read_text() for k in range(1, number + 1)]
+    temporary = out / f".{LINES}"
+    temporary.write_text("".join(parts))
+    temporary.replace(out / LINES)
+
+
+@dataclass(frozen=True)
+class _Batch:
+    out: Path
+    number: int
+    batches: int
+    plans: Sequence[Plan]
+    desk: Desk
+    pool: Executor
+
+    @property
+    def folder(self) -> Path:
+        return _folder(self.out, self.number)
+
+    def run(self) -> None:
+        published = self._published()
+        if published is None:
+            published = self._hide()
+        examined = self._examine()
+        self._open(published, examined)
+
+    def _say(self, words: str) -> None:
+        self.desk.say(f"batch {self.number}/{self.batches}: {words}")
+
+    def _progress(self, share: float) -> None:
+        self.desk.part((self.number - 1 + share) / self.batches)
+
+    def _published(self) -> str | None:
+        seals = self.out / SEALS
+        known = (
+            dict(line.split() for line in seals.read_text().splitlines()) if seals.exists() else {}
+        )
+        return known.get(str(self.number))
+
+    def _hide(self) -> str:
+        """Make the cases, seal their answers, publish the hash."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        (self.folder / "truth").mkdir(parents=True)
+        making = [self.pool.submit(hide, plan, self.folder, opaque_id()) for plan in self.plans]
+        answers = {}
+        for done in as_completed(making):
+            id, answer = done.result()
+            answers[id] = answer
+            self._progress(0.25 * len(answers) / len(making))
+        value = seal(self.folder / "answers.json", answers)
+        with (self.out / SEALS).open("a") as file:
+            file.write(f"{self.number} {value}\n")
+        self._say(f"{len(answers)} cases hidden, answers sealed: sha256 {value}")
+        return value
+
+    def _examine(self) -> dict[str, Examined]:
+        done = {}
+        for one in examine(self.folder / "cases", self.folder / "results", self.desk.jobs):
+            done[one.id] = one
+            self._progress(0.25 + 0.7 * len(done) / len(self.plans))
+        return done
+
+    def _open(self, published: str, examined: Mapping[str, Examined]) -> None:
+        """The seal is opened: measure each case and note it down."""
+        answers = open_answers(self.folder / "answers.json", published)
+        measuring = {
+            self.pool.submit(measured, self.folder, id, answer, self.desk.measure): id
+            for id, answer in answers.items()
+        }
+        worths = {measuring[done]: done.result() for done in as_completed(measuring)}
+        lines, wrong = [], 0
+        for id, answer in sorted(answers.items()):
+            line = self._line(id, answer, worths[id], examined.get(id))
+            wrong += bool(line["failed"])
+            lines.append(json.dumps(line, allow_nan=False))
+        temporary = self.folder / ".lines.jsonl"
+        temporary.write_text("\n".join(lines) + "\n")
+        temporary.replace(self.folder / "lines.jsonl")
+        if not self.desk.keep:
+            for name in ("cases", "results", "truth"):
+                shutil.rmtree(self.folder / name, ignore_errors=True)
+        self._say(f"seal opened, {len(lines) - wrong} of {len(lines)} cases as they should be")
+
+    def _line(
+        self, id: str, answer: dict[str, Any], worths: Worths, examined: Examined | None
+    ) -> dict[str, Any]:
+        results = self.folder / "results"
+        diagnosis = _json(results / f"{id}.json")
+        problem = results / f"{id}{PROBLEM}"
+        wrong = failed(judge(id, answer, diagnosis))
+        page = results / f"{id}.html"
+        report = ""
+        if page.exists() and (wrong or self.desk.keep):
+            report = f"{REPORTS}/{id}.html"
+            shutil.move(page, self.out / report)
+        return {
+            "id": id,
+            "batch": self.number,
+            "failed": wrong,
+            "report": report,
+            "code": code_version(),
+            "seconds": round(examined.seconds, 2) if examined else None,
+            "problem": problem.read_text().strip() if problem.exists() else "",
+            "worth": worths,
+            "diagnosis": diagnosis,
+            "answer": answer,
+        }
+
+
+def hide(plan: Plan, folder: Path, id: str) -> tuple[str, dict[str, Any]]:
+    """Make one case and write it; its answer also holds the true model and the force's hash."""
+    since = time.monotonic()
+    case = make(plan)
+    (write_can_case if plan.can else write_case)(folder / "cases" / id, case)
+    np.save(folder / "truth" / f"{id}.npy", case.force_n)
+    seconds = round(time.monotonic() - since, 2)
+    sealed = {"oracle": case.oracle, "force_sha256": _digest(case.force_n), "seconds": seconds}
+    return id, {**case.answer, **sealed}
+
+
+def measured(folder: Path, id: str, answer: Mapping[str, Any], measure: Measure) -> Worths:
+    """What nominal, augmented and true model are worth on the hold-out of one case."""
+    force_n = np.load(folder / "truth" / f"{id}.npy")
+    if _digest(force_n) != answer["force_sha256"]:
+        raise InputError(folder / "truth" / f"{id}.npy", "", "is not the force that was sealed")
+    case, augmented = folder / "cases" / id, folder / "results" / f"{id}.yaml"
+    models = {"baseline": case / MODEL}
+    if augmented.exists():
+        models["augmented"] = augmented
+    if answer["oracle"]:
+        models["oracle"] = folder / "truth" / f"{id}.yaml"
+        models["oracle"].write_text(answer["oracle"])
+    worths = measure(case, force_n, models)
+    return {
+        model: {name: v if v is not None and math.isfinite(v) else None for name, v in one.items()}
+        for model, one in worths.items()
+    }
+
+
+@cache
+def code_version() -> str:
+    """Which code this is: the checkout's commit, else the package's version."""
+    with suppress(OSError, subprocess.CalledProcessError):
+        said = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=10"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return said.stdout.strip()
+    with suppress(PackageNotFoundError):
+        return version("eps_hil")
+    return "unknown"
+
+
+def _digest(values: Floats) -> str:
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+
+
+def _json(path: Path) -> dict[str, Any] | None:
+    return dict(json.loads(path.read_text())) if path.exists() else None

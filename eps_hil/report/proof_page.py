@@ -1,0 +1,136 @@
+"""A proof as one page: figures beside their goals, pictures, failures with links, every case."""
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from eps_hil.proof import goals, score
+from eps_hil.proof.judge import Judgement, failed
+from eps_hil.proof.run import SEALS, Setting, judgement
+from eps_hil.recordings.files import replacing
+from eps_hil.report import proof_figures
+from eps_hil.report.diagnosis_page import check, number
+
+__all__ = ["PAGE", "RESULT", "check", "render", "write"]
+
+PAGE, RESULT = "index.html", "proof.json"
+
+
+def write(out: Path, setting: Setting, lines: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Page, pictures and JSON into ``out``; returns ``table`` and ``details`` as text, and the
+    JSON's content as ``result``."""
+    judged = [judgement(line) for line in lines]
+    cases = [goals.Scored(j, line["worth"]) for j, line in zip(judged, lines, strict=True)]
+    rows = goals.figures(cases)
+    curve = score.reliability(judged, bins=10)
+    pictures = {
+        "confusion": proof_figures.confusion(judged, out / "confusion.png"),
+        "reliability": proof_figures.reliability(curve, out / "reliability.png"),
+        "concealment": proof_figures.concealment(lines, judged, out / "concealment.png"),
+        "closed_loop": proof_figures.closed_loop(cases, out / "closed_loop.png"),
+    }
+    result = {
+        "schema": "eps-hil/proof-concealed/1",
+        "seed": setting.seed,
+        "seeds": "proof" if setting.proof else "development",
+        "quick": setting.quick,
+        "cases": len(lines),
+        "code": sorted({line["code"] for line in lines}),
+        "seals": dict(line.split() for line in (out / SEALS).read_text().splitlines()),
+        "figures": goals.as_json(rows),
+        "shares": [
+            {"what": s.what, "hits": s.hits, "cases": s.cases, "ci95": s.interval}
+            for s in score.shares(judged)
+        ],
+        "reliability": [
+            {"stated": stated, "right": right, "findings": n} for stated, right, n in curve
+        ],
+        "seconds": _seconds(lines),
+        "failures": [line["id"] for line, j in zip(lines, judged, strict=True) if failed(j)],
+    }
+    with replacing(out / RESULT) as temporary:
+        temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    with replacing(out / PAGE) as temporary:
+        temporary.write_text(render(result, rows, lines, judged, pictures), encoding="utf-8")
+    return {"table": goals.table(rows), "details": score.report(judged), "result": result}
+
+
+def render(
+    result: Mapping[str, Any],
+    rows: Sequence[goals.Figure],
+    lines: Sequence[Mapping[str, Any]],
+    judged: Sequence[Judgement],
+    pictures: Mapping[str, Path],
+) -> str:
+    """The page's HTML, pictures inside."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("eps_hil.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = number
+    told = [_told(line, j) for line, j in zip(lines, judged, strict=True)]
+    return environment.get_template("proof.html.jinja").render(
+        result=result,
+        rows=rows,
+        shares=score.shares(judged),
+        errors=score.parameter_errors(judged),
+        told=told,
+        failures=[one for one in told if one["failed"]],
+        unanswered=sum(not j.answered for j in judged),
+        pictures={name: _inside(path) for name, path in pictures.items()},
+        page_css=(files("eps_hil.report") / "assets" / "diagnosis.css").read_text("utf-8"),
+    )
+
+
+def _told(line: Mapping[str, Any], j: Judgement) -> dict[str, Any]:
+    """One case for reading: what was hidden, how well, and what was said of it."""
+    answer = line["answer"]
+    concealed = answer["concealment"]
+    findings = (line["diagnosis"] or {}).get("findings", [])
+    worth = line["worth"]
+    return {
+        "id": j.id,
+        "kind": j.kind,
+        "hidden": [
+            {"effect": e["effect"], "ratio": e["effect_to_noise"], "reached": e["reached"]}
+            for e in answer["effects"]
+        ],
+        "decoy": j.decoy,
+        "withheld": answer.get("withheld", []),
+        "said": [(f["effect"], f["confidence"], f.get("confusable_with", [])) for f in findings],
+        "verdict": j.verdict or line["problem"] or "no diagnosis",
+        "failed": failed(j),
+        "report": line["report"],
+        "fit": concealed["wrong_model_fit_percent"],
+        "above": 100 * concealed["seconds_above_noise"],
+        "err": concealed["naive_err"],
+        "stlsq": concealed["naive_stlsq"],
+        "newtons": {
+            name: worth[name]["rack_force_rmse_n"] if name in worth else None
+            for name in ("baseline", "augmented", "oracle")
+        },
+        "on": "CAN" if answer.get("can") else "CSV",
+        "programme": answer.get("programme", ""),
+    }
+
+
+def _seconds(lines: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+    """Median time of hiding and of diagnosing a case (s, wall clock, beside what else ran)."""
+    hidden = sorted(line["answer"]["seconds"] for line in lines)
+    seen = sorted(line["seconds"] for line in lines if line["seconds"] and not line["problem"])
+    return {
+        "hiding": hidden[len(hidden) // 2] if hidden else None,
+        "diagnosing": seen[len(seen) // 2] if seen else None,
+    }
+
+
+def _inside(path: Path) -> str:
+    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
