@@ -63,7 +63,7 @@ def concealed(
         desk = Desk(
             closed_loop,
             jobs or os.cpu_count() or 1,
-            keep,
+            keep=keep,
             say=typer.echo,
             part=bar or (lambda _part: None),
         )

@@ -72,20 +72,6 @@ def _one_torque(rng: np.random.Generator) -> Programme:
     return _three(one, rng)
 
 
-def _one_pass(rng: np.random.Generator) -> Programme:
-    """Once along the rack, swinging on the way: place and time go together."""
-
-    def one(rng: np.random.Generator) -> Floats:
-        seconds = 36.0
-        t = np.arange(round(seconds * 1000)) * 1e-3
-        swing = rng.uniform(6.0, 8.0) * np.sin(2 * np.pi * rng.uniform(0.4, 0.6) * t)
-        target = np.interp(t, [0.0, 1.5, seconds], [0.0, -40.0, 40.0])
-        load = 400.0 * np.sin(2 * np.pi * rng.uniform(0.1, 0.2) * t)
-        return _held(seconds, m.faded(m.smoothed(target, 0.4) + swing, 0.5), m.faded(load))
-
-    return _three(one, rng)
-
-
 def _strokes(
     rng: np.random.Generator,
     seconds: float,
@@ -130,5 +116,4 @@ PROGRAMMES: Mapping[str, Callable[[np.random.Generator], Programme]] = {
     "free_rack": _free_rack,
     "one_speed": _one_speed,
     "one_torque": _one_torque,
-    "one_pass": _one_pass,
 }

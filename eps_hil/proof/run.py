@@ -49,6 +49,11 @@ Say = Callable[[str], None]
 Part = Callable[[float], None]
 
 
+def strangers(jobs: int) -> Executor:
+    """Processes that are spawned, and so know nothing but what they are handed."""
+    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
+
+
 @dataclass(frozen=True, slots=True)
 class Setting:
     """What a run was asked for; a run goes on only with the same."""
@@ -65,10 +70,11 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Desk:
-    """How a run works: workers, whether recordings are kept, and who is told."""
+    """How a run works: its workers, whether recordings are kept, and who is told."""
 
     measure: Measure
     jobs: int = 1
+    workers: Callable[[int], Executor] = strangers
     keep: bool = False
     say: Say = lambda _line: None
     part: Part = lambda _part: None
@@ -79,8 +85,7 @@ def run(out: Path, setting: Setting, desk: Desk, *, resume: bool = False) -> lis
     _begin(out, setting, resume)
     plans = setting.plans()
     batches = [plans[k : k + BATCH] for k in range(0, len(plans), BATCH)]
-    # spawned, so that a worker knows nothing but what it is handed
-    with ProcessPoolExecutor(desk.jobs, mp_context=get_context("spawn")) as pool:
+    with desk.workers(desk.jobs) as pool:
         for number, batch in enumerate(batches, 1):
             if not (_folder(out, number) / "lines.jsonl").exists():
                 _Batch(out, number, len(batches), batch, desk, pool).run()

@@ -90,8 +90,7 @@ def concealment(lines: Sequence[dict[str, Any]], judged: Sequence[Judgement], pa
             (axes[0, 0], "wrong_model_fit_percent", np.linspace(90, 100, 41)),
             (axes[0, 1], "seconds_above_noise", np.linspace(0, 1, 21)),
         ):
-            factor = 1.0
-            values = np.clip([factor * one[name] for one in at], bins[0], bins[-1])
+            values = np.clip([one[name] for one in at], bins[0], bins[-1])
             axis.hist(values, bins=bins, histtype="step", color=colour, label=label, linewidth=1.5)
     axes[0, 0].set_xlabel("fit of the refitted wrong model in % (rms)")
     axes[0, 1].set_xlabel("share of seconds with the effect above the noise")
@@ -108,11 +107,11 @@ def _named_first(axis: Any, judged: Sequence[Judgement]) -> None:
         ("STLSQ", lambda j: j.naive_stlsq[:1] == j.truths[-1:]),
         ("eps-hil diagnose", lambda j: j.right_first),
     )
+    at_level = {x: [j for j in judged if j.kind == "singles" and j.level == x] for x in LEVELS}
+    shown = [level for level in LEVELS if at_level[level]]
     for k, (name, hit) in enumerate(methods):
-        for place, level in enumerate(LEVELS):
-            at = [j for j in judged if j.kind == "singles" and j.level == level]
-            if not at:
-                continue
+        for level in shown:
+            place, at = LEVELS.index(level), at_level[level]
             share = Share("", sum(map(hit, at)), len(at))
             value, (low, high) = share.hits / share.cases, share.interval
             axis.bar(
@@ -122,13 +121,14 @@ def _named_first(axis: Any, judged: Sequence[Judgement]) -> None:
                 color=figures.COLOURS[k],
                 yerr=[[value - low], [high - value]],
                 capsize=3,
-                label=name if place == 0 else None,
+                label=name if level == shown[0] else None,
             )
     axis.set_xticks(range(len(LEVELS)), [f"{level:g}" for level in LEVELS])
     axis.set_xlabel("effect/noise")
     axis.set_ylabel("right name first, share of singles")
     axis.set_ylim(0, 1.25)
-    axis.legend(loc="upper left", ncols=3, fontsize="small")
+    if shown:
+        axis.legend(loc="upper left", ncols=3, fontsize="small")
 
 
 def closed_loop(cases: Sequence[Scored], path: Path) -> Path:

@@ -1,0 +1,89 @@
+"""The table: what is counted for which row, its interval, and whether it is met."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.proof.goals import Figure, Scored, as_json, figures, table
+from eps_hil.proof.judge import Estimate, Judgement
+
+
+def _judged(kind: str, level: float = 0.6, **more: object) -> Judgement:
+    values: dict[str, object] = {
+        "id": "a", "kind": kind, "form": "full", "decoy": "", "level": level,
+        "truths": ("stribeck",), "answered": True, "verdict": "explained", "first": "stribeck",
+        "named": ("stribeck",), "in_set": ("stribeck",), "invented": (), "said_unknown": False,
+        "estimates": (), "stated": (),
+    }  # fmt: skip
+    return Judgement(**{**values, **more})  # type: ignore[arg-type]
+
+
+def _worth(baseline: float, augmented: float, oracle: float) -> dict[str, dict[str, float | None]]:
+    names = {"baseline": baseline, "augmented": augmented, "oracle": oracle}
+    return {n: {"rack_force_rmse_n": v, "residual_nm": v / 1e3} for n, v in names.items()}
+
+
+def _row(rows: list[Figure], start: str) -> Figure:
+    (found,) = (row for row in rows if row.what.startswith(start))
+    return found
+
+
+def test_shares_are_of_their_own_kind_and_level() -> None:
+    cases = [Scored(_judged("singles", 0.6), {}) for _ in range(39)]
+    cases += [Scored(_judged("singles", 0.6, first="inertia"), {})]
+    cases += [Scored(_judged("singles", 0.3, first=""), {}), Scored(_judged("pairs"), {})]
+    rows = figures(cases)
+    row = _row(rows, "right name first, effect/noise 0.6")
+    assert (row.value, row.cases, row.met) == (39 / 40, 40, True)
+    assert row.low is not None
+    assert row.low < 0.95
+    assert _row(rows, "right name first, effect/noise 0.3").met is False
+    assert _row(rows, "right name first, effect/noise 1.5").met is None
+    assert _row(rows, "masked pairs").met is True
+
+
+def test_no_diagnosis_is_a_false_alarm_and_a_wrong_name() -> None:
+    silent: dict[str, Any] = {"answered": False, "first": "", "named": (), "in_set": ()}
+    cases = [Scored(_judged("decoys", truths=(), **silent), {})]
+    cases += [Scored(_judged("missing", **silent), {})]
+    rows = figures(cases)
+    assert _row(rows, "false alarms").value == 1.0
+    assert _row(rows, "family withheld: wrong").value == 1.0
+    assert _row(rows, "family withheld: said").value == 0.0
+
+
+@pytest.mark.parametrize(("inside", "met"), [(5, False), (9, True), (10, False)])
+def test_intervals_must_be_neither_too_narrow_nor_too_wide(inside: int, met: bool) -> None:
+    estimates = tuple(Estimate("e", "p", 0.0, True, k < inside) for k in range(10))
+    rows = figures([Scored(_judged("singles", estimates=estimates), {})])
+    assert _row(rows, "90 %").met is met
+
+
+def test_the_gain_counts_against_the_true_models() -> None:
+    cases = [Scored(_judged("singles"), _worth(30.0, 12.0, 10.0)) for _ in range(9)]
+    cases += [Scored(_judged("singles"), _worth(20.0, 20.0, 10.0))]
+    rows = figures(cases)
+    pooled = _row(rows, "share of the true model's rack-force gain, all")
+    assert pooled.value == pytest.approx(9 * 18 / (9 * 20 + 10))
+    assert _row(rows, "share of the true model's rack-force gain, median").value == 0.9
+    ratio = _row(rows, "held-out residual ÷ the true model's, median")
+    assert ratio.value == pytest.approx(1.2)
+    assert ratio.met is False
+    assert ratio.low == pytest.approx(1.2)
+
+
+def test_a_case_without_a_diagnosis_gains_nothing() -> None:
+    worth = _worth(30.0, 0.0, 10.0)
+    del worth["augmented"]
+    rows = figures([Scored(_judged("singles"), worth)])
+    assert _row(rows, "share of the true model's rack-force gain, all").value == 0.0
+
+
+def test_the_table_says_missed() -> None:
+    rows = figures([Scored(_judged("singles", 0.3, first=""), {})])
+    text = table(rows)
+    assert "MISSED" in text
+    assert "no cases" in text
+    assert len(as_json(rows)) == len(rows) == len(text.splitlines()) - 1
+    assert np.isfinite(as_json(rows)[0]["value"])

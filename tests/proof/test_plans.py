@@ -1,0 +1,74 @@
+"""A whole proof is mixed evenly, and what the diagnosis is told to leave out gives nothing away."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from eps_hil.proof.effects import CATALOGUED
+from eps_hil.proof.plans import DECOYS, KINDS, LEVELS, MIX, QUICK, TWINS, mixed, near
+from eps_hil.proof.programmes import PROGRAMMES, programme
+from eps_hil.proof.world import World
+
+
+def test_a_full_proof_has_a_thousand_cases_and_every_kind() -> None:
+    plans = mixed(MIX, 1, proof=True)
+    assert len(plans) >= 1000
+    assert Counter(plan.kind for plan in plans) == MIX
+    assert set(MIX) == set(KINDS)
+    singles = Counter(plan.wanted[0] for plan in plans if plan.kind == "singles")
+    assert singles.keys() == {(name, level) for name in CATALOGUED for level in LEVELS}
+    decoys = Counter(plan.decoy for plan in plans if plan.kind == "decoys")
+    assert decoys == dict.fromkeys(DECOYS, 60)
+
+
+def test_the_quick_proof_is_of_development_and_has_nearly_every_kind() -> None:
+    kinds = {plan.kind for plan in mixed(QUICK, 1)}
+    assert kinds == set(KINDS) - {"twins", "poor"}
+
+
+@pytest.mark.parametrize("count", [100, 250, 500])
+def test_what_comes_first_is_a_fair_sample(count: int) -> None:
+    first = Counter(plan.kind for plan in mixed(MIX, 1)[:count])
+    for kind, whole in MIX.items():
+        assert first[kind] == pytest.approx(whole * count / sum(MIX.values()), abs=1.5)
+
+
+def test_being_told_to_leave_a_family_out_says_nothing() -> None:
+    plans = mixed(MIX, 2)
+    for plan in plans:
+        hidden = {name for name, _ in plan.wanted}
+        if plan.kind == "missing":
+            assert near(plan.wanted[0][0]) == set(plan.withheld)
+        else:
+            assert not hidden & set(plan.withheld)
+    told = Counter(plan.kind for plan in plans if plan.withheld)
+    assert told["singles"] + told["decoys"] > 0.8 * told["missing"]
+
+
+def test_seeds_of_development_and_proof_never_meet() -> None:
+    development = {(plan.kind, plan.seed) for plan in mixed(MIX, 3)}
+    assert not development & {(plan.kind, plan.seed) for plan in mixed(MIX, 3, proof=True)}
+    assert mixed(MIX, 3) == mixed(MIX, 3)
+
+
+def test_twins_are_twins_in_the_catalogue() -> None:
+    for name, twin, manoeuvres in TWINS:
+        assert twin in near(name)
+        assert manoeuvres in PROGRAMMES
+
+
+@pytest.mark.parametrize("name", PROGRAMMES)
+def test_every_programme_stays_within_the_travel(name: str) -> None:
+    *_, last = programme(name, np.random.default_rng(5))
+    truth = World(True).run(last[:12000])
+    assert np.abs(truth["rack_position_m"]).max() < 0.07
+    assert np.abs(truth["motor_speed_rad_s"]).max() > 5.0
+    if name == "free_rack":
+        assert not truth["rack_force_n"].any()
+    if name == "one_speed":
+        speed = np.abs(truth["motor_speed_rad_s"])[1500:-1000]
+        assert np.mean(np.abs(speed - 20.0) < 3.0) > 0.8
+    if name == "one_torque":
+        slow = np.abs(truth["motor_speed_rad_s"] - 6.0) < 1.5
+        assert np.std(truth["motor_torque_nm"][slow][2000:]) < 0.03

@@ -1,0 +1,162 @@
+"""A proof in batches: sealed before diagnosed, and nothing done twice after a kill."""
+
+import json
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.errors import InputError
+from eps_hil.proof import run as module
+from eps_hil.proof.cases import Case
+from eps_hil.proof.examine import WITHOUT, Examined, arguments
+from eps_hil.proof.model_file import model_yaml
+from eps_hil.proof.plans import Plan
+from eps_hil.proof.run import LINES, Desk, Setting, judgement, read_lines, run
+from eps_hil.proof.truth import Drive
+from eps_hil.proof.write import write_case
+
+SETTING = Setting(seed=1, quick=True, proof=False, cases=5)
+WORTH: dict[str, dict[str, float | None]] = {
+    "baseline": {"rack_force_rmse_n": 2.0, "residual_nm": float("nan")}
+}
+
+
+def _case(plan: Plan) -> Case:
+    effects = [
+        {"effect": name, "twins": [], "wanted": level, "parameters": {}, "effect_to_noise": level}
+        for name, level in plan.wanted
+    ]
+    answer = {"kind": plan.kind, "form": "full", "decoy": plan.decoy, "tolerated": []}
+    one = {"time_s": np.arange(3.0), "motor_torque_nm": np.zeros(3)}
+    recordings = {name: one for name in ("train_1", "holdout")}
+    more = {"effects": effects, "withheld": list(plan.withheld), "seed": plan.seed}
+    return Case(recordings, {**answer, **more}, np.arange(3.0), model_yaml(Drive()))
+
+
+@pytest.fixture
+def examined(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Ids in the order of their diagnosis, which is a stub that says nothing is missing."""
+    seen: list[str] = []
+
+    def examine(cases: Path, results: Path, _jobs: int) -> Iterator[Examined]:
+        results.mkdir(exist_ok=True)
+        for case in sorted(cases.iterdir()):
+            if not (results / f"{case.name}.json").exists():
+                seen.append(case.name)
+                said = {"verdict": "no_mismatch", "findings": []}
+                (results / f"{case.name}.json").write_text(json.dumps(said))
+                (results / f"{case.name}.html").write_text("page")
+                yield Examined(case.name, "", 1.0)
+
+    monkeypatch.setattr(module, "make", _case)
+    monkeypatch.setattr(module, "write_can_case", write_case)
+    monkeypatch.setattr(module, "examine", examine)
+    monkeypatch.setattr(module, "BATCH", 2)
+    return seen
+
+
+def _desk(said: list[str], **more: Any) -> Desk:
+    return Desk(lambda *_: WORTH, workers=ThreadPoolExecutor, say=said.append, **more)
+
+
+def test_a_run_from_end_to_end(tmp_path: Path, examined: list[str]) -> None:
+    said: list[str] = []
+    lines = run(tmp_path / "proof", SETTING, _desk(said))
+    assert len(lines) == len(set(examined)) == 5
+    assert [line["batch"] for line in lines] == [1, 1, 2, 2, 3]
+    assert lines == read_lines(tmp_path / "proof")
+    assert lines[0]["worth"]["baseline"] == {"rack_force_rmse_n": 2.0, "residual_nm": None}
+    assert {judgement(line).verdict for line in lines} == {"no_mismatch"}
+    wrong = [line for line in lines if line["failed"]]
+    assert wrong
+    for line in lines:  # pages of failures are kept, recordings are not
+        assert bool(line["report"]) == bool(line["failed"])
+    for line in wrong:
+        assert (tmp_path / "proof" / line["report"]).read_text() == "page"
+    assert not list((tmp_path / "proof").glob("batch_*/cases"))
+
+
+def test_the_hash_is_published_before_a_diagnosis_begins(
+    tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    out = tmp_path / "proof"
+    diagnose = vars(module)["examine"]
+
+    def watched(cases: Path, results: Path, jobs: int) -> Iterator[Examined]:
+        number = int(cases.parent.name.removeprefix("batch_"))
+        (value,) = (
+            line.split()[1]
+            for line in (out / "seals.txt").read_text().splitlines()
+            if line.startswith(f"{number} ")
+        )
+        assert any(value in line for line in said)
+        return diagnose(cases, results, jobs)
+
+    monkeypatch.setattr(module, "examine", watched)
+    assert len(run(out, SETTING, _desk(said))) == len(examined)
+
+
+def test_a_killed_run_goes_on_where_it_stopped(
+    tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "proof"
+    diagnose = vars(module)["examine"]
+
+    def killed(cases: Path, results: Path, jobs: int) -> Iterator[Examined]:
+        for one in diagnose(cases, results, jobs):
+            yield one
+            if len(examined) == 3:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "examine", killed)
+    with pytest.raises(KeyboardInterrupt):
+        run(out, SETTING, _desk([]))
+    assert len(read_lines(out)) == 2  # the whole batch that was finished
+    seals = (out / "seals.txt").read_text()
+    monkeypatch.setattr(module, "examine", diagnose)
+    with pytest.raises(InputError, match="--resume"):
+        run(out, SETTING, _desk([]))
+    lines = run(out, SETTING, _desk([]), resume=True)
+    assert len(lines) == 5
+    assert len(examined) == len(set(examined)) == 5  # none was diagnosed twice
+    assert (out / "seals.txt").read_text().startswith(seals)
+
+
+def test_other_options_are_another_run(tmp_path: Path, examined: list[str]) -> None:
+    run(tmp_path / "proof", SETTING, _desk([]))
+    other = Setting(seed=2, quick=True, proof=False, cases=5)
+    with pytest.raises(InputError, match="other options"):
+        run(tmp_path / "proof", other, _desk([]), resume=True)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("do not touch")
+    with pytest.raises(InputError, match="not empty"):
+        run(tmp_path / "mine", SETTING, _desk([]))
+    assert len(examined) == 5
+
+
+def test_answers_that_were_changed_are_noticed(
+    tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "proof"
+    diagnose = vars(module)["examine"]
+
+    def forged(cases: Path, results: Path, jobs: int) -> Iterator[Examined]:
+        yield from diagnose(cases, results, jobs)
+        path = cases.parent / "answers.json"
+        path.write_text(path.read_text().replace('"full"', '"simple"'))
+
+    monkeypatch.setattr(module, "examine", forged)
+    with pytest.raises(InputError, match="seal is broken"):
+        run(out, SETTING, _desk([]))
+    assert not (out / LINES).exists()
+
+
+def test_what_is_to_be_left_out_reaches_the_diagnosis(tmp_path: Path) -> None:
+    (tmp_path / WITHOUT).write_text("stribeck\nbreakaway_dwell\n")
+    given = " ".join(arguments(["model.yaml", "train_1.csv", WITHOUT], tmp_path))
+    assert given.endswith("--without-effect stribeck --without-effect breakaway_dwell")
