@@ -1,6 +1,7 @@
 """``eps-hil estimate REC…``: the rack force of recordings (CONTRACT 6)."""
 
 import enum
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,6 +37,14 @@ class Block(enum.StrEnum):
     LOW_PASS = "low-pass"
 
 
+class Kind(enum.StrEnum):
+    """An estimator (docs/theory-second-estimator.md)."""
+
+    OBSERVER = "observer"
+    BRISTLE_FILTER = "bristle_filter"
+    SMOOTHER = "smoother"
+
+
 ModelPath = Annotated[Path, typer.Option("--model", help="Model file of the rig (YAML).")]
 
 
@@ -58,6 +67,10 @@ def estimate(
     without: Annotated[
         list[Block] | None, typer.Option("--without", help="Switch a block off; may repeat.")
     ] = None,
+    kind: Annotated[
+        Kind | None,
+        typer.Option("--estimator", help="The paper's observer, or one with the bristle inside."),
+    ] = None,
     friction: Annotated[
         bool,
         typer.Option("--friction", help="Rack force known: give the friction torque instead."),
@@ -76,7 +89,7 @@ def estimate(
     from eps_hil.physics.model import load_model
 
     rig = load_model(model)
-    chosen = _settings(settings, without or [], friction)
+    chosen = _settings(settings, without or [], friction, kind)
     if signals:
         chosen = _with_window(chosen, signals)
     if out:
@@ -107,7 +120,9 @@ def estimate(
         )
 
 
-def _settings(path: Path | None, without: list[Block], friction: bool) -> "EstimatorSettings":
+def _settings(
+    path: Path | None, without: list[Block], friction: bool, kind: Kind | None
+) -> "EstimatorSettings":
     from dataclasses import replace
 
     from eps_hil import yaml_file
@@ -120,6 +135,8 @@ def _settings(path: Path | None, without: list[Block], friction: bool) -> "Estim
     changes: dict[str, Any] = dict.fromkeys(names, False)
     if friction:
         changes["quantity"] = "friction"
+    if kind is not None:
+        changes["kind"] = kind.value
     return replace(chosen, **changes)
 
 
@@ -146,11 +163,13 @@ def _one(
     from eps_hil.errors import InputError
     from eps_hil.estimation import batch
     from eps_hil.estimation.score import score
-    from eps_hil.estimation.stream import StreamEstimator
+    from eps_hil.estimation.settings import problem
 
+    if wrong := problem(settings, live=False):
+        raise InputError("settings", "kind", wrong)
     try:
         trace = batch.estimate(recording.series, rig, settings)
-        latency = StreamEstimator(rig, settings, batch.sample_periods_s(recording.series)).latency_s
+        latency = batch.latency_s(rig, settings, batch.sample_periods_s(recording.series))
     except ValueError as error:
         there = ", ".join(sorted(recording.series))
         raise InputError(path, "", str(error), f"it holds {there}") from None
@@ -172,7 +191,7 @@ def _say(
 ) -> None:
     typer.echo(
         f"{path.name}: {len(trace.t_ns)} estimates, {100 * trace.valid.mean():.2f} % valid, "
-        f"latency {1e3 * latency_s:.1f} ms"
+        + ("smoothed afterwards" if math.isnan(latency_s) else f"latency {1e3 * latency_s:.1f} ms")
     )
     if "torque_sensor_nm" not in recording.series:
         typer.echo(

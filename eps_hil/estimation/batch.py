@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.estimation.levels import LevelChange
-from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator, Trace
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -44,6 +44,27 @@ def events(
     return kind[order], t_ns[order], value[order]
 
 
+def latency_s(model: Model, settings: EstimatorSettings, periods_s: Mapping[str, float]) -> float:
+    """From a sync frame back to the instant of its estimate; NaN for the smoother, that waits."""
+    if settings.kind == "smoother":
+        return float("nan")
+    return StreamEstimator(model, settings, periods_s).latency_s
+
+
+def _smoothed(
+    model: Model,
+    settings: EstimatorSettings,
+    periods_s: Mapping[str, float],
+    series: Mapping[str, Series],
+) -> Trace:
+    from eps_hil.estimation.bristle_smoother import smooth
+
+    if wrong := problem(settings, live=False):
+        raise ValueError(wrong)
+    found = smooth(model, settings, periods_s, events(series))
+    return Trace(found.t_ns, found.rack_force_n, found.friction_torque_nm, found.reason)
+
+
 def estimate(
     series: Mapping[str, Series],
     model: Model,
@@ -58,8 +79,13 @@ def estimate(
     ``ValueError`` if motor torque, or both speed and angle, are missing.
     """
     periods = dict(periods_s) if periods_s is not None else sample_periods_s(series)
-    stream = StreamEstimator(model, settings or EstimatorSettings(), periods)
-    trace = stream.run(*events(series), changes)
+    chosen = settings or EstimatorSettings()
+    if chosen.kind == "smoother":
+        if changes:
+            raise ValueError("the smoother knows no change of friction levels")
+        trace = _smoothed(model, chosen, periods, series)
+    else:
+        trace = StreamEstimator(model, chosen, periods).run(*events(series), changes)
     first = min(int(s.t_ns[0]) for name, s in series.items() if name in SIGNALS)
     keep = trace.t_ns >= first
     return Trace(

@@ -133,7 +133,7 @@ def estimator_step(
     if not abs(s[LP2]) < _IMPOSSIBLE_N or not abs(s[BRISTLE]) < _IMPOSSIBLE_N:
         forget(s)
         return _DIVERGED
-    _publish(c, s, friction)
+    publish(c, s, friction)
     if s[SETTLE] > 0.0:
         s[SETTLE] -= 1.0
         return _SETTLING
@@ -141,7 +141,7 @@ def estimator_step(
 
 
 @njit
-def _publish(c: Constants, s: npt.NDArray[np.float64], friction: float) -> None:
+def publish(c: Constants, s: npt.NDArray[np.float64], friction: float) -> None:
     """Outputs of one instant: the friction waits for as long as the force was filtered."""
     if c.known_force:
         s[OUT_FORCE], s[OUT_FRICTION] = 0.0, s[LP2] / c.ratio

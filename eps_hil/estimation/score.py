@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -34,10 +35,21 @@ VARIANTS: Mapping[str, Mapping[str, bool]] = {
 }
 """The paper's variants of figs 11 and 12, by their names there, as changes of the settings."""
 
+SECOND: Mapping[str, Literal["bristle_filter", "smoother"]] = {
+    "bristle filter": "bristle_filter",
+    "smoother": "smoother",
+}
+"""The estimators beside the paper's (docs/theory-second-estimator.md), by their kind."""
+
 
 def variant(settings: EstimatorSettings, name: str) -> EstimatorSettings:
-    """The settings with the blocks switched off that variant ``name`` does without."""
-    return replace(settings, **VARIANTS[name])  # type: ignore[arg-type]
+    """The settings with the blocks switched off that variant ``name`` does without.
+
+    Names of :data:`VARIANTS` are the paper's estimator, those of :data:`SECOND` the others.
+    """
+    if name in SECOND:
+        return replace(settings, kind=SECOND[name])
+    return replace(settings, kind="observer", **VARIANTS[name])  # type: ignore[arg-type]
 
 
 def score(trace: Trace, series: Mapping[str, Series], model: Model) -> Score | None:

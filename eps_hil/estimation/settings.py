@@ -1,12 +1,35 @@
 """How the estimator is set up: blocks on or off, thresholds, noise, filters. All have defaults."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, with_config
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+@with_config(ConfigDict(extra="forbid"))
+@dataclass(frozen=True, slots=True)
+class BristleSettings:
+    """Settings of the bristle filter and smoother; sensor noise is the estimator's own.
+
+    The rack force's rate wanders by ``rate_walk_n_per_s_per_sqrt_s`` and forgets itself within
+    ``rate_memory_s``, and the force wanders by ``force_walk_n_per_sqrt_s`` beside it.
+    """
+
+    force_walk_n_per_sqrt_s: NotNegative = 30.0
+    rate_walk_n_per_s_per_sqrt_s: Positive = 2e4
+    rate_memory_s: Positive = 0.1
+    lag_s: Annotated[float, Field(ge=0, le=0.06)] = 0.017
+    """How far the filter looks back over what it has seen; as much as the paper's own lag."""
+    slip_sigma: NotNegative = 3.0
+    """Speeds below as many of the filter's own standard deviations count as rest or creep."""
+    slip_least_rad_s: NotNegative = 0.02
+    gap_rad: NotNegative = 1.8e-3
+    """Path of a resting rotor that wears no bristle: the noise of the observed angle."""
+    gap_without_angle_rad: NotNegative = 5e-3
+    """The same where no angle is measured."""
 
 
 @with_config(ConfigDict(extra="forbid"))
@@ -18,6 +41,11 @@ class EstimatorSettings:
     fast the rack force may wander, ``speed_noise_rad_s`` how noisy one speed sample is; a larger
     ratio is a faster and noisier estimate.
     """
+
+    kind: Literal["observer", "bristle_filter", "smoother"] = "observer"
+    """The paper's estimator; the Kalman filter with the bristle inside; the same over a whole
+    recording, forth and back (not live). docs/theory-second-estimator.md says which is when."""
+    bristle: BristleSettings = field(default_factory=BristleSettings)
 
     friction_compensation: bool = True
     """Subtract the friction model's torque (2Q-fa); off shows 'w/o FC' of figs 10 to 12."""
@@ -66,3 +94,16 @@ class EstimatorSettings:
     """How long inputs must be good before the estimate is called valid again."""
     stale_after_s: Positive = 0.02
     """An input older than this (and than 3 of its periods) is lost."""
+
+
+def problem(settings: EstimatorSettings, *, live: bool = True) -> str:
+    """Why these settings cannot be used together (or not ``live``); empty if they can."""
+    if settings.kind == "observer":
+        return ""
+    if live and settings.kind == "smoother":
+        return "estimator kind 'smoother' needs the whole recording; live, use 'bristle_filter'"
+    if settings.quantity == "friction":
+        return f"estimator kind '{settings.kind}' gives the rack force only; use 'observer'"
+    if not settings.friction_compensation:
+        return f"estimator kind '{settings.kind}' has its friction inside; use 'observer'"
+    return ""

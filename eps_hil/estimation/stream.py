@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
-from eps_hil.estimation import alignment, levels, rack_force, setup
+from eps_hil.estimation import alignment, bristle_filter, levels, rack_force, setup
+from eps_hil.estimation.bristle_setup import Belief, new_belief
 from eps_hil.estimation.levels import FrictionLevels, LevelChange
-from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.setup import STEP_NS, STEP_S, Constants, Inputs, Physics
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects.catalogue import with_model_effects
@@ -67,6 +68,7 @@ class Memory(NamedTuple):
     estimate: Float64
     reason: Int64
     levels: levels.Queue
+    belief: Belief
 
 
 class Estimate(NamedTuple):
@@ -106,7 +108,7 @@ def push(m: Memory, timing: Timing, i: int, t: int, v: float) -> None:
 
 
 @njit
-def _gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int]:
+def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int]:
     """All inputs at physical instant ``at`` and what is wrong with them."""
     got = (0.0, 0.0, 0.0, 0.0, 0.0)
     torque, sensor, speed, angle, force = got
@@ -152,9 +154,12 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     while m.grid[0] <= t + STEP_NS // 2 and n < _BATCH_ROWS:
         levels.hand_over(m.levels, m.state, m.grid[0])
         at = m.grid[0] - timing.lookback
-        inputs, reason = _gather(m, timing, at)
+        inputs, reason = gather(m, timing, at)
         reason |= extra
-        m.reason[n] = rack_force.estimator_step(c, x, m.state, inputs, reason)
+        if c.bristle_inside:
+            m.reason[n] = bristle_filter.filter_step(c, x, m.belief, m.state, inputs, reason)
+        else:
+            m.reason[n] = rack_force.estimator_step(c, x, m.state, inputs, reason)
         m.t_ns[n] = at - lag
         m.estimate[n, 0] = m.state[setup.OUT_FORCE]
         m.estimate[n, 1] = m.state[setup.OUT_FRICTION]
@@ -206,6 +211,8 @@ class StreamEstimator:
     def __init__(
         self, model: Model, settings: EstimatorSettings, periods_s: Mapping[str, float]
     ) -> None:
+        if wrong := problem(settings):
+            raise ValueError(wrong)
         self.settings = settings
         model = with_model_effects(model)
         angle_seen = "motor_angle_rad" in periods_s
@@ -324,6 +331,7 @@ def _new_memory() -> Memory:
         np.zeros((_BATCH_ROWS, 2)),
         np.full(_BATCH_ROWS, _NOT_STARTED, np.int64),
         levels.new_queue(),
+        new_belief(),
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from eps_hil.errors import InputError
 from eps_hil.estimation import batch
-from eps_hil.estimation.score import VARIANTS, Score, score, variant
+from eps_hil.estimation.score import SECOND, VARIANTS, Score, score, variant
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.stream import Trace
 from eps_hil.physics.model import Model
@@ -29,6 +29,8 @@ DESCRIPTIONS: Mapping[str, str] = {
     "2Q-fa": "friction compensation, dead zone and limiter",
     "no exten": "friction compensation, without dead zone and limiter",
     "w/o FC": "no friction compensation",
+    "bristle filter": "Kalman filter with the bristle inside, the same delay",
+    "smoother": "the same over the whole recording, forth and back",
 }
 
 
@@ -42,15 +44,22 @@ class Candidate:
 
 
 def compare(
-    recording: Recording, model: Model, settings: EstimatorSettings, live: Trace | None = None
+    recording: Recording,
+    model: Model,
+    settings: EstimatorSettings,
+    live: Trace | None = None,
+    *,
+    second: bool = False,
 ) -> list[Candidate]:
     """All variants over one recording, after what was published live if that is given.
+
+    ``second`` adds the estimators beside the paper's.
 
     :class:`InputError` if the recording lacks an input or the load cell, or is too short.
     """
     traces = {} if live is None else {LIVE: live}
     try:
-        for name in VARIANTS:
+        for name in (*VARIANTS, *(SECOND if second else ())):
             chosen = variant(settings, name)
             traces[name] = batch.estimate(recording.series, model, chosen)
     except ValueError as error:

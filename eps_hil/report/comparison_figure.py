@@ -16,12 +16,16 @@ _LABELS = {
     "2Q-fa": "2Q-fa",
     "no exten": "2Q-fa, no dead zone and limiter",
     "w/o FC": "without friction compensation",
+    "bristle filter": "bristle filter",
+    "smoother": "smoother",
 }
 _STYLES = {
     "w/o FC": {"color": figures.COLOURS[2], "linewidth": 1.0},
     "no exten": {"color": figures.COLOURS[1], "linewidth": 1.0},
     "2Q-fa": {"color": figures.COLOURS[0], "linewidth": 1.3},
     LIVE: {"color": figures.COLOURS[0], "linewidth": 1.3},
+    "smoother": {"color": figures.COLOURS[4], "linewidth": 1.0},
+    "bristle filter": {"color": figures.COLOURS[3], "linewidth": 1.1},
 }
 _REAL = {"color": "black", "linewidth": 1.0, "linestyle": (0, (4, 2)), "label": "load cell"}
 

@@ -12,7 +12,7 @@ from eps_hil.bus.codec import FrameDecoder, FrameEncoder
 from eps_hil.bus.database import find_message, load_database, nearest
 from eps_hil.bus.mapping import SignalMapping, load_mapping
 from eps_hil.errors import InputError
-from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator
 from eps_hil.physics.model import load_model
 from eps_hil.service.config import ServiceConfig
@@ -135,6 +135,8 @@ def _estimator(
                 "add GenMsgCycleTime",
             )  # fmt: skip
     settings = derived_settings(config.estimator, mapping)
+    if wrong := problem(settings):
+        raise InputError(file, "estimator.kind", wrong)
     try:
         return StreamEstimator(model, settings, decoder.period_s)
     except ValueError as error:

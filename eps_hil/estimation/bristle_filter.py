@@ -1,0 +1,259 @@
+"""The second estimator: an extended Kalman filter with the bristle inside, and a fixed lag.
+
+One compiled step; live, replay and batch call the same machine code. Where the paper's estimator
+hands a friction torque to a linear observer, this filter estimates [φ, ω, z, F_r, Ḟ_r] together:
+the motion that follows tells how far the bristle was bent, so a reversal or a break-away is
+evidence instead of an error (docs/theory-second-estimator.md). The published force is that of
+``lag`` steps ago given all measurements since. No I/O, no clock.
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.estimation.bristle_model import Step, transition
+from eps_hil.estimation.bristle_setup import (
+    BRISTLE,
+    FORCE,
+    OMEGA,
+    PHI,
+    RATE,
+    SIZE,
+    Belief,
+    FilterConstants,
+)
+from eps_hil.estimation.compensation import drive_torque_nm, instant_of
+from eps_hil.estimation.levels import approach, forget
+from eps_hil.estimation.rack_force import publish
+from eps_hil.estimation.setup import (
+    ADDED_NEG,
+    ADDED_POS,
+    CLOCK,
+    HELD,
+    LP2,
+    RUNNING,
+    SETTLE,
+    SLOPE,
+    STEP_S,
+    TORQUE,
+    Constants,
+    Inputs,
+    Physics,
+)
+from eps_hil.estimation.setup import BRISTLE as S_BRISTLE
+from eps_hil.estimation.setup import FORCE as S_FORCE
+from eps_hil.estimation.setup import OMEGA as S_OMEGA
+from eps_hil.estimation.setup import PHI as S_PHI
+from eps_hil.estimation.validity import Reason
+from eps_hil.physics.effects import added
+from eps_hil.physics.effects.effect import Instant
+from eps_hil.physics.friction import (
+    SMALLEST_LEVEL_NM,
+    FrictionLaw,
+    friction_torque_nm,
+    static_level_nm,
+)
+
+Floats = npt.NDArray[np.float64]
+
+_SETTLING = int(Reason.SETTLING)
+_DIVERGED = int(Reason.DIVERGED)
+_IMPOSSIBLE_N = 1e6
+_RELAXED = 0.33
+"""Standard deviation of an unknown bristle, in parts of the deflection at which it gives way."""
+_SLIDING = 0.1
+"""The same where the rotor is seen to move."""
+
+
+@njit
+def filter_step(
+    c: Constants, x: Physics, b: Belief, s: npt.NDArray[np.float64], u: Inputs, reason: int
+) -> int:
+    """One millisecond: updates belief and state vector ``s``; returns the reason bits.
+
+    ``s`` is the state vector of the paper's estimator; the places that outputs and added effects
+    read are kept up. ``reason`` other than 0 holds the last estimate.
+    """
+    if reason != 0:
+        s[CLOCK] += STEP_S if s[CLOCK] > 0.0 else 0.0
+        s[RUNNING] = min(s[RUNNING], 0.0)
+        return reason
+    f = c.filter
+    approach(c, s)
+    law = _law_in_use(x.law, s)
+    i = instant_of(c, s, u)
+    b.extra[1] = added.torque_nm(x.effects, i, 0.0)
+    torque = drive_torque_nm(c, x, i, u) - b.extra[1]
+    if s[RUNNING] <= 0.0:
+        _start(c, law, b, s, u, torque)
+    else:
+        b.extra[0] = _extra_level_nm(x, law, i, b.mean)
+        _predict(f, law, b, s, 0.5 * (torque + s[TORQUE]))
+    added.advance(x.effects, i, STEP_S)
+    s[TORQUE] = torque
+    s[CLOCK] += STEP_S
+    _open(f, b)
+    _correct(f, b, 0, OMEGA, u.motor_speed_rad_s, f.speed_variance)
+    if f.angle:
+        _correct(f, b, 1, PHI, u.motor_angle_rad, f.angle_variance)
+    b.place[0] += 1
+    if not _possible(b):
+        forget(s)
+        return _DIVERGED
+    s[S_PHI], s[S_OMEGA], s[S_BRISTLE] = b.mean[PHI], b.mean[OMEGA], b.mean[BRISTLE]
+    s[S_FORCE], s[SLOPE] = b.mean[FORCE], 0.0
+    size = f.lag + 1
+    s[LP2] = b.ring[b.place[0] % size] if b.place[0] >= size else b.ring[0]
+    publish(c, s, friction_nm(law, b.extra, b.mean))
+    if s[SETTLE] > 0.0:
+        s[SETTLE] -= 1.0
+        return _SETTLING
+    return 0
+
+
+@njit
+def friction_nm(law: FrictionLaw, extra: Floats, mean: Floats) -> float:
+    """T_f of eq. 2d and added torques (Nm) for a state; ``extra`` as in :class:`Belief`.
+
+    The direction of a resting rotor is the bristle's.
+    """
+    direction = mean[OMEGA] if mean[OMEGA] * mean[BRISTLE] > 0.0 else mean[BRISTLE]
+    level = max(static_level_nm(direction, mean[FORCE], law) + extra[0], SMALLEST_LEVEL_NM)
+    return extra[1] + friction_torque_nm(mean[BRISTLE], mean[OMEGA], level, law)
+
+
+@njit
+def _law_in_use(law: FrictionLaw, s: Floats) -> FrictionLaw:
+    """The friction law with what adaptation has added to k0± so far."""
+    return FrictionLaw(
+        max(law.offset_pos_nm + s[ADDED_POS], 0.0),
+        max(law.offset_neg_nm + s[ADDED_NEG], 0.0),
+        law.viscous_pos_nm_s_per_rad,
+        law.viscous_neg_nm_s_per_rad,
+        law.load_pos_nm_per_n,
+        law.load_neg_nm_per_n,
+        law.sigma0_nm_per_rad,
+        law.sigma1_nm_s_per_rad,
+        law.sigma1_speed_rad_s,
+    )
+
+
+@njit
+def _extra_level_nm(x: Physics, law: FrictionLaw, i: Instant, mean: Floats) -> float:
+    """What added effects make of T_fs (Nm) at this state, beyond eq. 3."""
+    level = static_level_nm(mean[BRISTLE], mean[FORCE], law)
+    now = Instant(
+        i.time_s,
+        mean[OMEGA],
+        i.angle_rad,
+        i.position_m,
+        i.rack_force_n,
+        i.pinion_rad,
+        i.motor_torque_nm,
+    )
+    return added.level_nm(x.effects, now, level) - level
+
+
+@njit
+def _start(c: Constants, law: FrictionLaw, b: Belief, s: Floats, u: Inputs, torque: float) -> None:
+    """Begin, or begin again: torque balance, with the bristle's ignorance shared by the force."""
+    f = c.filter
+    ratio, stiffness = f.drive.ratio, law.sigma0_nm_per_rad
+    mean, cov = b.mean, b.cov
+    speed = u.motor_speed_rad_s
+    level = static_level_nm(speed if speed != 0.0 else -1.0, ratio * torque, law)
+    bend, unsure = 0.0, _RELAXED * level / stiffness
+    if abs(speed) > c.limiter_speed:
+        bend, unsure = math.copysign(level / stiffness, speed), _SLIDING * level / stiffness
+    mean[PHI], mean[OMEGA], mean[BRISTLE] = u.motor_angle_rad, speed, bend
+    mean[FORCE], mean[RATE] = ratio * (torque - stiffness * bend), 0.0
+    cov[:, :] = 0.0
+    cov[PHI, PHI] = f.angle_variance if f.angle else 0.0
+    cov[OMEGA, OMEGA] = f.speed_variance
+    cov[BRISTLE, BRISTLE] = unsure * unsure
+    cov[BRISTLE, FORCE] = cov[FORCE, BRISTLE] = -ratio * stiffness * unsure * unsure
+    cov[FORCE, FORCE] = (ratio * stiffness * unsure) ** 2 + f.force_variance
+    cov[RATE, RATE] = f.rate_start
+    b.place[0], b.place[1] = 0, 1
+    b.extra[0] = 0.0
+    s[HELD] = u.motor_angle_rad
+    s[RUNNING], s[SETTLE] = 1.0, max(c.settle_steps, float(f.lag))
+
+
+@njit
+def _predict(f: FilterConstants, law: FrictionLaw, b: Belief, s: Floats, torque: float) -> None:
+    cov, a, t = b.cov, b.jacobian, b.scratch
+    gate = max(f.slip_least_rad_s, f.slip_sigma * math.sqrt(cov[OMEGA, OMEGA]))
+    step = Step(torque, b.extra[0], gate, s[HELD], f.gap_rad)
+    _, s[HELD] = transition(f.drive, law, step, b.mean, a)
+    for i in range(SIZE):
+        for j in range(SIZE):
+            t[i, j] = 0.0
+            for m in range(SIZE):
+                t[i, j] += a[i, m] * cov[m, j]
+    for i in range(SIZE):
+        for j in range(i, SIZE):
+            total = 0.0
+            for m in range(SIZE):
+                total += t[i, m] * a[j, m]
+            cov[i, j] = cov[j, i] = total
+    if not f.angle:  # φ is integrated only and tells nothing: keep it out
+        cov[PHI, :] = 0.0
+        cov[:, PHI] = 0.0
+    kick, half = f.torque_speed, 0.5 * f.drive.step_s
+    cov[OMEGA, OMEGA] += kick * kick
+    if f.angle:
+        cov[PHI, PHI] += half * half * kick * kick
+        cov[PHI, OMEGA] += half * kick * kick
+        cov[OMEGA, PHI] += half * kick * kick
+    cov[FORCE, FORCE] += f.force_variance
+    cov[RATE, RATE] += f.rate_variance
+    for k in range(min(b.place[0], f.lag + 1)):
+        for i in range(SIZE):
+            total = 0.0
+            for m in range(SIZE):
+                total += a[i, m] * b.ring_cov[k, m]
+            t[0, i] = total
+        b.ring_cov[k, :] = t[0, :]
+    b.place[1] = 0
+
+
+@njit
+def _open(f: FilterConstants, b: Belief) -> None:
+    """The present rack force enters the ring, in the place of the oldest."""
+    at = b.place[0] % (f.lag + 1)
+    b.ring[at] = b.mean[FORCE]
+    b.ring_cov[at, :] = b.cov[FORCE, :]
+
+
+@njit
+def _correct(
+    f: FilterConstants, b: Belief, which: int, i: int, measured: float, variance: float
+) -> None:
+    """One scalar measurement of state ``i``: state, covariance, and the lagged forces."""
+    cov, gain = b.cov, b.gain[which]
+    spread = cov[i, i] + variance
+    innovation = measured - b.mean[i]
+    b.innovation[which], b.spread[which] = innovation, spread
+    for k in range(min(b.place[0] + 1, f.lag + 1)):
+        share = b.ring_cov[k, i] / spread
+        b.ring[k] += share * innovation
+        for j in range(SIZE):
+            b.ring_cov[k, j] -= share * cov[i, j]
+    for j in range(SIZE):
+        gain[j] = cov[j, i] / spread
+        b.mean[j] += gain[j] * innovation
+    for j in range(SIZE):
+        for m in range(j, SIZE):
+            cov[j, m] -= gain[j] * spread * gain[m]
+            cov[m, j] = cov[j, m]
+
+
+@njit
+def _possible(b: Belief) -> bool:
+    for i in range(SIZE):
+        if not b.cov[i, i] >= 0.0:
+            return False
+    return abs(b.mean[FORCE]) < _IMPOSSIBLE_N and abs(b.mean[BRISTLE]) < _IMPOSSIBLE_N

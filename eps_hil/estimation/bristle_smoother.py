@@ -1,0 +1,203 @@
+"""The bristle filter over a whole recording, forth and back: what an estimate can know afterwards.
+
+Forward the filter of ``bristle_filter.py``; backward the modified Bryson-Frazier recursion, which
+needs no inverse of a covariance that sliding makes singular. A stretch that begins with a start
+(first samples, a gap) is smoothed by itself. Done in blocks that look ``AHEAD_STEPS`` beyond their
+end, so memory does not grow with the recording.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.estimation import stream as streams
+from eps_hil.estimation.bristle_filter import filter_step, friction_nm
+from eps_hil.estimation.bristle_setup import FORCE, OMEGA, PHI, SIZE, Belief, new_belief
+from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.setup import STEP_NS, Constants, Inputs, Physics, new_state
+from eps_hil.estimation.validity import Reason
+from eps_hil.physics.friction import FrictionLaw
+from eps_hil.physics.model import Model
+
+BLOCK_STEPS = 60_000
+AHEAD_STEPS = 5_000
+
+Floats = npt.NDArray[np.float64]
+Int64 = npt.NDArray[np.int64]
+
+_NOT_STARTED, _TIME = int(Reason.NOT_STARTED), int(Reason.TIME)
+_SETTLING, _DIVERGED = int(Reason.SETTLING), int(Reason.DIVERGED)
+_JUMP_NS = 1_000_000_000
+_START, _HELD, _STEP = 0, 1, 2
+
+
+class Forward(NamedTuple):
+    """What the backward pass needs of each step; ``kind`` says start, held or step."""
+
+    kind: npt.NDArray[np.int8]
+    reason: Int64
+    mean: Floats
+    cov: Floats
+    jacobian: Floats
+    gain: Floats
+    innovation: Floats
+    spread: Floats
+    extra: Floats
+
+
+def _room(steps: int) -> Forward:
+    return Forward(
+        np.zeros(steps, np.int8),
+        np.zeros(steps, np.int64),
+        np.zeros((steps, SIZE)),
+        np.zeros((steps, SIZE, SIZE)),
+        np.zeros((steps, SIZE, SIZE)),
+        np.zeros((steps, 2, SIZE)),
+        np.zeros((steps, 2)),
+        np.ones((steps, 2)),
+        np.zeros((steps, 2)),
+    )
+
+
+@njit
+def _gather(
+    m: streams.Memory,
+    timing: streams.Timing,
+    signal: npt.NDArray[np.int8],
+    t_ns: Int64,
+    value: Floats,
+    out_t: Int64,
+    out: Floats,
+    out_reason: Int64,
+) -> int:
+    """All inputs on the grid of the stream, as :func:`streams.advance` reads them; rows written."""
+    rows, grid, first = 0, 0, True
+    for k in range(len(signal)):
+        if signal[k] >= 0:
+            streams.push(m, timing, signal[k], t_ns[k], value[k])
+            continue
+        t, extra = t_ns[k], 0
+        if first:
+            grid, first, extra = t, False, _NOT_STARTED
+        elif abs(t - grid) > _JUMP_NS:
+            grid, extra = t, _TIME
+            m.filled[:] = 0
+        while grid <= t + STEP_NS // 2 and rows < len(out_t):
+            at = grid - timing.lookback
+            inputs, reason = streams.gather(m, timing, at)
+            out_t[rows], out_reason[rows] = at, reason | extra
+            out[rows, 0], out[rows, 1], out[rows, 2] = inputs[0], inputs[1], inputs[2]
+            out[rows, 3] = inputs[3]
+            grid += STEP_NS
+            rows += 1
+    return rows
+
+
+@njit
+def _forward(
+    c: Constants,
+    x: Physics,
+    b: Belief,
+    s: Floats,
+    inputs: Floats,
+    wrong: Int64,
+    to: Forward,
+    since: int,
+    until: int,
+) -> None:
+    for k in range(since, until):
+        u = Inputs(inputs[k, 0], inputs[k, 1], inputs[k, 2], inputs[k, 3], 0.0)
+        why = filter_step(c, x, b, s, u, wrong[k])
+        to.kind[k] = _HELD
+        if wrong[k] == 0 and why & _DIVERGED == 0:
+            to.kind[k] = _START if b.place[1] == 1 else _STEP
+        to.reason[k] = why & ~_SETTLING
+        to.mean[k], to.cov[k], to.jacobian[k] = b.mean, b.cov, b.jacobian
+        to.gain[k], to.innovation[k], to.spread[k], to.extra[k] = (
+            b.gain,
+            b.innovation,
+            b.spread,
+            b.extra,
+        )
+
+
+@njit
+def _backward(c: Constants, law: FrictionLaw, of: Forward, n: int, out: Floats) -> None:
+    """[rack force (N), friction (Nm)] (n, 2) given all measurements up to step ``n``."""
+    adjoint, scratch, smooth = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE)
+    for k in range(n - 1, -1, -1):
+        for i in range(SIZE):
+            smooth[i] = of.mean[k, i]
+            for j in range(SIZE):
+                smooth[i] -= of.cov[k, i, j] * adjoint[j]
+        out[k, 0], out[k, 1] = smooth[FORCE], friction_nm(law, of.extra[k], smooth)
+        if of.kind[k] == _HELD:
+            continue
+        for which in range(1, -1, -1):
+            if which == 1 and not c.filter.angle:
+                continue
+            taken = of.innovation[k, which] / of.spread[k, which]
+            for j in range(SIZE):
+                taken += of.gain[k, which, j] * adjoint[j]
+            adjoint[PHI if which == 1 else OMEGA] -= taken
+        for j in range(SIZE):
+            scratch[j] = 0.0
+            if of.kind[k] == _STEP:
+                for i in range(SIZE):
+                    scratch[j] += of.jacobian[k, i, j] * adjoint[i]
+        adjoint[:] = scratch
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothed:
+    """Estimates at the instants of their inputs, all (n,), and the filter's innovations.
+
+    ``nis`` (n, 2): squared innovation over its variance, [speed, angle]: about 1 on average where
+    the assumed noise is that of the recording; NaN where there was no step.
+    """
+
+    t_ns: Int64
+    rack_force_n: Floats
+    friction_torque_nm: Floats
+    reason: Int64
+    nis: Floats
+
+
+def smooth(
+    model: Model,
+    settings: EstimatorSettings,
+    periods_s: Mapping[str, float],
+    events: tuple[npt.NDArray[np.int8], Int64, Floats],
+) -> Smoothed:
+    """All events of a recording (``batch.events``) through filter and smoother.
+
+    ``ValueError`` for settings or signals that will not do.
+    """
+    like = streams.StreamEstimator(model, replace(settings, kind="bristle_filter"), periods_s)
+    c, x, s, b = like.constants, like.physics, new_state(), new_belief()
+    kind, t_ns, _ = events
+    rows = int((t_ns[-1] - t_ns[0]) // STEP_NS) + 2 * int(np.count_nonzero(kind < 0)) + 2
+    t, inputs, wrong = np.empty(rows, np.int64), np.empty((rows, 4)), np.empty(rows, np.int64)
+    n = int(_gather(like.memory, like.timing, *events, t, inputs, wrong))
+    t, inputs, wrong = t[:n], inputs[:n], wrong[:n]
+    out, reason, nis = np.empty((n, 2)), np.empty(n, np.int64), np.full((n, 2), np.nan)
+    room = _room(min(n, BLOCK_STEPS + AHEAD_STEPS))
+    for since in range(0, n, BLOCK_STEPS):
+        own, whole = min(BLOCK_STEPS, n - since), min(BLOCK_STEPS + AHEAD_STEPS, n - since)
+        part = slice(since, since + whole)
+        _forward(c, x, b, s, inputs[part], wrong[part], room, 0, own)
+        kept = [array.copy() for array in (*b, s, x.effects.state)]
+        _forward(c, x, b, s, inputs[part], wrong[part], room, own, whole)
+        both = np.empty((whole, 2))
+        _backward(c, x.law, room, whole, both)
+        for array, before in zip((*b, s, x.effects.state), kept, strict=True):
+            array[...] = before
+        out[since : since + own] = both[:own]
+        reason[since : since + own] = room.reason[:own]
+        stepped = room.kind[:own] != _HELD
+        nis[since : since + own][stepped] = (room.innovation**2 / room.spread)[:own][stepped]
+    return Smoothed(t, out[:, 0], out[:, 1], reason, nis)
