@@ -146,3 +146,13 @@ def test_a_recording_without_load_cell_is_one_line(
 def test_a_zoom_is_a_span(recording: Path, zoom: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", str(recording), "--model", str(MODEL), "--zoom", zoom]) == 2
     assert "FROM:TO" in capsys.readouterr().err
+
+
+def test_the_second_estimator_stands_beside_the_papers(recording: Path, tmp_path: Path) -> None:
+    summary, figure = tmp_path / "c.json", tmp_path / "c.png"
+    words = ["compare", str(recording), "--model", str(MODEL), "--second", "--json", str(summary)]
+    assert main([*words, "--figure", str(figure)]) == 0
+    rows = {one["estimate"]: one for one in json.loads(summary.read_text("utf-8"))["estimates"]}
+    assert list(rows) == ["2Q-fa", "no exten", "w/o FC", "bristle filter", "smoother"]
+    assert rows["bristle filter"]["rmse_moving_n"] < rows["2Q-fa"]["rmse_moving_n"]
+    assert figure.stat().st_size > 10_000

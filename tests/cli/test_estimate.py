@@ -215,3 +215,17 @@ def test_out_may_not_be_the_recording(weave: Path, capsys: pytest.CaptureFixture
     assert main(["estimate", str(weave), "--model", MODEL, "--out", str(weave)]) == 2
     assert weave.read_bytes() == before
     assert "recording itself" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["bristle_filter", "smoother"])
+def test_another_estimator(
+    tmp_path: Path, weave: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    summary = tmp_path / "e.json"
+    words = ["estimate", str(weave), "--model", MODEL, "--estimator", kind]
+    assert main([*words, "--json", str(summary)]) == 0
+    (one,) = json.loads(summary.read_text(encoding="utf-8"))["recordings"]
+    assert one["rack_force_error_n"]["rms_moving"] < 6
+    assert (one["latency_s"] is None) == (kind == "smoother")
+    assert main([*words, "--without", "friction-compensation"]) == 2
+    assert "friction inside" in capsys.readouterr().err

@@ -15,8 +15,9 @@ from eps_hil.estimation.batch import estimate, events, latency_s, sample_periods
 from eps_hil.estimation.bristle_model import Step, transition
 from eps_hil.estimation.bristle_setup import FORCE, OMEGA, PHI, RATE, SIZE, Drive
 from eps_hil.estimation.bristle_smoother import smooth
+from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.settings import BristleSettings, EstimatorSettings, problem
-from eps_hil.estimation.stream import SIGNALS, StreamEstimator, Trace
+from eps_hil.estimation.stream import SIGNALS, Estimate, StreamEstimator, Trace
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.friction import friction_law
 from eps_hil.physics.model import Delays, Friction, Model
@@ -45,7 +46,7 @@ def drive_of(model: Model) -> Drive:
 
 def series_of(truth: Any, names: tuple[str, ...], rows: int | None = None) -> dict[str, Series]:
     t_ns = np.round(truth.columns["time_s"] * 1e9).astype(np.int64)[:rows]
-    return {n: Series(t_ns, np.asarray(truth.columns[n][:rows], dtype=np.float64)) for n in names}
+    return {n: Series(t_ns, np.array(truth.columns[n][:rows], dtype=np.float64)) for n in names}
 
 
 def errors(truth: Any, trace: Trace) -> tuple[Floats, Floats]:
@@ -310,7 +311,7 @@ def test_live_and_batch_agree_bit_for_bit(
     series = series_of(weave_truth, names, 3000)
     stream = StreamEstimator(reference_model, FILTER, sample_periods_s(series))
     stream.warm_up()
-    rows = []
+    rows: list[Estimate] = []
     for kind, t_ns, value in zip(*events(series), strict=True):
         if kind >= 0:
             stream.push(SIGNALS[kind], int(t_ns), float(value))
@@ -339,6 +340,21 @@ def test_a_gap_is_named_and_left_behind(
     whole = estimate(series_of(weave_truth, ANGLE, 9000), reference_model, settings)
     late = slice(-2000, -500)
     assert rms(trace.rack_force_n[late] - whole.rack_force_n[late]) < 30.0
+
+
+def test_adapted_levels_are_gone_over_to(reference_model: Model, weave_truth: Any) -> None:
+    """With the right levels handed over at once, a wrong model file estimates like a right one."""
+    series, f = series_of(weave_truth, ANGLE, 9000), reference_model.friction
+    wrong = replace(reference_model, friction=replace(f, offset_pos_nm=0.5 * f.offset_pos_nm))
+    change = LevelChange(0, f.offset_pos_nm, f.offset_neg_nm)
+    settings = replace(FILTER, level_slew_nm_per_s=0.05)
+    right = estimate(series, reference_model, FILTER)
+    adapted = estimate(series, wrong, settings, changes=[change])
+    assert np.array_equal(right.t_ns, adapted.t_ns)
+    late = right.t_ns > 4_000_000_000
+    assert rms((right.rack_force_n - adapted.rack_force_n)[late]) < 2.0
+    with pytest.raises(ValueError, match="change of friction levels"):
+        estimate(series, wrong, SMOOTHER, changes=[change])
 
 
 def test_it_starts_again_from_the_impossible(reference_model: Model, weave_truth: Any) -> None:
