@@ -21,6 +21,7 @@ NEWTON_PER = {  # at the rack of the reference rig, per unit of the signal's qua
     "MotorTorque": (2513.0, "times i_APA"),
     "AppliedMotorTorque": (2513.0, "times i_APA"),
     "RequestedMotorTorque": (2513.0, "times i_APA"),
+    "CommandedTorque": (2513.0, "times i_APA"),
     "FrictionTorque": (2513.0, "times i_APA"),
     "TorsionBarTorque": (125.7, "times i_pi"),
     "RackForce": (1.0, ""),
@@ -103,7 +104,7 @@ def _labels(database: Any) -> list[str]:
 
 def _bus_load(database: Any) -> list[str]:
     everything = list(database.messages)
-    override = ("EPSHIL_TorqueOverride", "EPS_OverrideStatus")
+    override = ("EPSHIL_TorqueOverride", "EPSHIL_OverrideState", "EPS_OverrideStatus")
     listening = [m for m in everything if m.name not in override]
     lines = [
         "| bus | estimating | with the torque override |",

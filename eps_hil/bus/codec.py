@@ -109,7 +109,7 @@ class FrameDecoder:
         place = f"messages.{message.name}"
         if rules.crc is not None:
             signal = self._signal(message, rules.crc, f"{place}.crc")
-            plan.crc = _crc_rule(message, signal, rules, self._files[0], f"{place}.crc")
+            plan.crc = crc_rule(message, signal, rules, self._files[0], f"{place}.crc")
         if rules.counter is None:
             return
         counter = self._signal(message, rules.counter, f"{place}.counter")
@@ -211,7 +211,7 @@ class FrameEncoder:
         self.fd: bool = message.is_fd
         self.clipped = 0
         self.not_available = 0
-        rules = rules or _rules_of(message)
+        rules = rules or rules_of(message)
         self._counter = rules.counter
         self._modulo = self._next = 0
         self._crc: CrcRule | None = None
@@ -219,7 +219,7 @@ class FrameEncoder:
             if signal.name == rules.counter:
                 self._modulo = rules.counter_modulo or 2**signal.length
             elif signal.name == rules.crc:
-                self._crc = _crc_rule(message, signal, rules, dbc_file, message_name)
+                self._crc = crc_rule(message, signal, rules, dbc_file, message_name)
         own = {rules.counter, rules.crc}
         self._signals = tuple(WriteSignal(s) for s in message.signals if s.name not in own)
         self._raw: dict[str, int | float] = {s.name: 0 for s in message.signals}
@@ -255,7 +255,7 @@ def data_id_of(message: Any) -> int:
     return int(message.frame_id) & 0xFFFF
 
 
-def _crc_rule(message: Any, signal: Any, rules: MessageRules, file: object, place: str) -> CrcRule:
+def crc_rule(message: Any, signal: Any, rules: MessageRules, file: object, place: str) -> CrcRule:
     byte = crc_byte(signal)
     if byte is None:
         raise InputError(file, place, f"{signal.name} is not one whole byte", "name a CRC-8 signal")
@@ -265,7 +265,7 @@ def _crc_rule(message: Any, signal: Any, rules: MessageRules, file: object, plac
     return CrcRule.make(byte, rules.crc_profile, data_id)
 
 
-def _rules_of(message: Any) -> MessageRules:
+def rules_of(message: Any) -> MessageRules:
     """Counter and CRC by the DBC's own words (attribute ``GenSigFuncType``)."""
     found: dict[str, str] = {}
     for signal in message.signals:

@@ -2,7 +2,8 @@
 
 No I/O and no clock of its own. What a real ECU must do is here: CRC and counter are checked, and
 when good commands stop for ``timeout`` the motor torque goes to zero and stays there (latched)
-until the override is released in so many words, or commanded anew.
+until the override is released in so many words: commands alone, of a process that was stopped and
+goes on, say, bring no torque back.
 """
 
 import math
@@ -103,6 +104,8 @@ class Override:
         self._heard_ns = now_ns
         if not command.enable:
             self.state, self.reason = OverrideState.RELEASED, OverrideReason.NONE
+        elif self.state is OverrideState.TIMED_OUT:
+            self.reason = OverrideReason.COMMAND_TIMEOUT
         elif not abs(command.torque_nm) <= self._limit_nm:  # also NaN
             self.state, self.reason = OverrideState.REJECTED, OverrideReason.TORQUE_RANGE
         else:

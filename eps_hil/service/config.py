@@ -8,8 +8,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, with_config
 
 from eps_hil.bus.config import NAME, BusSetup, load_as
+from eps_hil.bus.e2e import E2eProfile
 from eps_hil.errors import InputError
 from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.service.limits import Limits
 
 Seconds = Annotated[float, Field(gt=0, le=60, allow_inf_nan=False)]
 _STRICT = ConfigDict(extra="forbid")
@@ -60,12 +62,41 @@ class RuntimeConfig:
 
 @with_config(_STRICT)
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OverrideConfig:
+    """The torque override. A file without this block can never command a torque.
+
+    ``limits``: see :class:`~eps_hil.service.limits.Limits`, all of them. ``command_message``
+    carries ``torque_signal`` (in the DBC's unit times ``torque_scale`` = Nm at the rotor) and
+    ``request_signal`` (``enable_value``, ``release_value``). ``status_message`` (null: the ECU has
+    none) says by ``status_signal`` = ``status_active`` that the ECU obeys. ``state_message``
+    publishes the state machine (null: it does not). ``e2e``: an AUTOSAR profile for the command
+    where the ECU wants one; without it counter and CRC are the DBC's.
+    """
+
+    limits: Limits
+    command_message: NAME = "EPSHIL_TorqueOverride"
+    torque_signal: NAME = "RequestedMotorTorque"
+    torque_scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
+    request_signal: NAME = "OverrideRequest"
+    enable_value: int = 1
+    release_value: int = 0
+    status_message: NAME | None = "EPS_OverrideStatus"
+    status_signal: NAME = "OverrideState"
+    status_active: int = 1
+    state_message: NAME | None = "EPSHIL_OverrideState"
+    e2e: E2eProfile | None = None
+
+
+@with_config(_STRICT)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceConfig(BusSetup):
-    """The whole file. ``rig`` belongs to the simulated rig, which validates it itself."""
+    """The whole file. ``rig`` and ``calibration`` are checked by the verbs that use them."""
 
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     publish: PublishConfig = field(default_factory=PublishConfig)
     service: RuntimeConfig = field(default_factory=RuntimeConfig)
+    override: OverrideConfig | None = None
+    calibration: Mapping[str, Any] | None = None
     rig: Mapping[str, Any] | None = None
 
 

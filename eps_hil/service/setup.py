@@ -3,7 +3,7 @@
 Everything that can be refused is refused here, before the bus is opened.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -58,7 +58,7 @@ def prepare(config: ServiceConfig, file: str | Path) -> Parts:
                 config.signals, f"id 0x{can_id:X}", "is both listened to and sent",
                 f"publish under another message, or set publish.enabled: false in {file}",
             )  # fmt: skip
-    estimator = _estimator(config, mapping, decoder, file)
+    estimator = make_estimator(config, mapping, decoder, file)
     core = ServiceCore(decoder, estimator, encoders[0], send_ids)
     sync_period_s = _sync_period_s(mapping, decoder)
     if config.service.no_input_after_s <= sync_period_s:
@@ -80,12 +80,12 @@ def prepare(config: ServiceConfig, file: str | Path) -> Parts:
     )
 
 
-def service_mapping(mapping: SignalMapping) -> SignalMapping:
-    """The part of a mapping that the estimator reads: one file serves recorders as well.
+def service_mapping(mapping: SignalMapping, wanted: Collection[str] = SIGNALS) -> SignalMapping:
+    """The part of a mapping that is ``wanted`` (by the estimator): one file serves recorders too.
 
     What is left out (vehicle signals, our own estimate) costs no decoding and is not received.
     """
-    signals = {name: source for name, source in mapping.signals.items() if name in SIGNALS}
+    signals = {name: source for name, source in mapping.signals.items() if name in wanted}
     if not signals:
         return mapping  # the estimator will say what it misses
     carriers = {source.carrier for source in signals.values()} | {mapping.sync_message}
@@ -124,9 +124,10 @@ def _encoders(
     return estimate, silent, encoder(publish.health_message, "publish.health_message", ())
 
 
-def _estimator(
+def make_estimator(
     config: ServiceConfig, mapping: SignalMapping, decoder: FrameDecoder, file: str | Path
 ) -> StreamEstimator:
+    """The estimator of a configuration; :class:`InputError` names what it misses."""
     model = load_model(config.model)
     for name, source in mapping.signals.items():
         if source.carrier is not None and name not in decoder.period_s:

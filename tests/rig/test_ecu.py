@@ -117,13 +117,24 @@ class TestOverride:
         assert override.torque_nm(102 * MS) is None
         assert override.torque_nm(500 * MS) is None, "a release needs no further frames"
 
-    def test_a_new_sender_takes_over_after_a_timeout_with_any_counter(
+    def test_after_a_timeout_commands_alone_bring_nothing_back(self, override: Override) -> None:
+        override.hear(enable(9, 1.0), 0)
+        assert override.torque_nm(100 * MS) == 0.0
+        for ms in range(101, 200):
+            override.hear(enable(ms, 1.0), ms * MS)
+            assert override.torque_nm(ms * MS) == 0.0
+        assert override.state is OverrideState.TIMED_OUT
+        assert override.reason is OverrideReason.COMMAND_TIMEOUT
+
+    def test_a_new_sender_takes_over_with_a_release_and_any_counter(
         self, override: Override
     ) -> None:
         override.hear(enable(9, 1.0), 0)
         assert override.torque_nm(100 * MS) == 0.0
-        override.hear(enable(9, 2.0), 101 * MS)
-        assert override.torque_nm(101 * MS) == 2.0
+        override.hear(Command(9, False, 0.0), 101 * MS)
+        assert override.state is OverrideState.RELEASED
+        override.hear(enable(10, 2.0), 102 * MS)
+        assert override.torque_nm(102 * MS) == 2.0
 
     def test_the_status_fits_its_message(self, override: Override) -> None:
         override.hear(enable(200, 1.25), 0)

@@ -110,7 +110,7 @@ def parts(config: ServiceConfig, config_file: Path) -> Parts:
     return made
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def vcan0() -> str:
     """The kernel's virtual bus; without one: a loud skip, or a failure where CI forbids it."""
     try:

@@ -1,0 +1,58 @@
+"""Every transition of an override session as a line of JSON, handed to the system at once.
+
+Appended, so that one file holds the story of a rig. What was written survives the process, however
+it ends; it is not forced onto the disk, for the loop must not wait for one.
+"""
+
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from eps_hil.errors import InputError
+from eps_hil.service.guard import Trip
+from eps_hil.service.override import Transition
+
+
+def as_json(transition: Transition, wall_ns: int) -> dict[str, Any]:
+    """One transition; ``utc`` by the wall clock, ``t_ns`` by the session's steady one."""
+    stamp = datetime.fromtimestamp(wall_ns * 1e-9, UTC).isoformat(timespec="milliseconds")
+    return {
+        "utc": stamp,
+        "t_ns": transition.t_ns,
+        "from": transition.before.name.lower(),
+        "to": transition.after.name.lower(),
+        "why": transition.why,
+        "trips": [bit.name.lower() for bit in Trip if bit & transition.trips and bit.name],
+        "input_verdict": int(transition.reason),
+    }
+
+
+class Journal:
+    """An open journal; ``path`` None: nothing is kept. :class:`InputError` if not writable."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        try:
+            self._file = None if path is None else path.open("a", encoding="utf-8")
+        except OSError as error:
+            raise InputError(path, "", f"cannot be written: {error.strerror}") from None
+
+    def note(self, event: dict[str, Any]) -> None:
+        """One line."""
+        if self._file is None:
+            return
+        self._file.write(json.dumps(event) + "\n")
+        self._file.flush()
+
+    def write(self, transitions: Sequence[Transition], wall_ns: int) -> None:
+        """The transitions, in order."""
+        for transition in transitions:
+            self.note(as_json(transition, wall_ns))
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None

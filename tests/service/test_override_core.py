@@ -1,0 +1,354 @@
+"""The session in lock-step with rig and ECU: normal run, every end, what is on the bus."""
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from eps_hil.bus.codec import FrameEncoder
+from eps_hil.bus.database import find_message, load_database
+from eps_hil.bus.e2e import E2eProfile, E2eProtector
+from eps_hil.bus.frame import Frame
+from eps_hil.bus.port import BusState
+from eps_hil.errors import InputError
+from eps_hil.rig.ecu import OverrideState
+from eps_hil.service.config import load_config
+from eps_hil.service.guard import Command, Trip
+from eps_hil.service.override import State
+from eps_hil.service.override_core import RELEASES, OverrideCore
+from eps_hil.service.override_setup import CommandEncoder, OverrideParts, prepare_override
+
+from .lockstep import CONFIG, ROOT, Lockstep, Sawtooth, parts_of
+
+DATABASE = load_database([ROOT / "dbc" / "eps_rig.dbc"])
+COMMAND, STATE = 0x80, 0x140
+TIMEOUT_MS = 20
+
+
+@pytest.fixture
+def parts() -> OverrideParts:
+    return parts_of()
+
+
+@pytest.fixture
+def bench(parts: OverrideParts) -> Lockstep:
+    return Lockstep(parts, Sawtooth())
+
+
+def injecting(bench: Lockstep) -> Lockstep:
+    bench.arm()
+    bench.step(100)
+    assert bench.state is State.INJECTING
+    assert abs(bench.ticks[-1].applied_nm) > 0.01
+    bench.story()
+    return bench
+
+
+def zero_from_here(bench: Lockstep, within_ms: int) -> None:
+    """Zero after at most so many milliseconds, and for ever."""
+    start = bench.ms
+    bench.step(within_ms + 300)
+    loud = [tick.ms for tick in bench.ticks if tick.ms >= start and tick.applied_nm != 0.0]
+    assert not loud or loud[-1] - start < within_ms, (loud, bench.story())
+
+
+def tapped(bench: Lockstep) -> list[Frame]:
+    """What the session sends from now on."""
+    sent: list[Frame] = []
+
+    def tap(frames: list[Frame]) -> list[Frame]:
+        sent.extend(frames)
+        return frames
+
+    bench.spoil_commands = tap
+    return sent
+
+
+def trips(bench: Lockstep) -> Trip:
+    return bench.core.override.guard.trips
+
+
+class TestRun:
+    def test_a_torque_reaches_the_motor_and_is_the_one_that_was_wanted(
+        self, bench: Lockstep
+    ) -> None:
+        bench.arm()
+        bench.step(700)
+        assert bench.state is State.INJECTING, bench.story()
+        applied = [tick.applied_nm for tick in bench.ticks[-500:]]
+        assert max(applied) == pytest.approx(0.12, abs=2e-3)
+        assert min(applied) == pytest.approx(-0.12, abs=2e-3)
+        steps = [abs(b - a) for a, b in pairwise(applied)]
+        assert max(steps) == pytest.approx(1e-3, abs=1e-5)
+
+    def test_release_comes_before_the_first_torque(self, bench: Lockstep) -> None:
+        """An ECU that timed out once obeys again only after a release."""
+        bench.arm()
+        bench.step(60)
+        commands = [command for tick in bench.ticks for command in tick.commands]
+        assert [command.enable for command in commands[:RELEASES]] == [False] * RELEASES
+        assert commands[-1].enable
+        counters = [command.counter for command in commands]
+        assert counters == list(range(len(counters)))
+
+    def test_nothing_is_sent_before_arming_but_the_state(self, bench: Lockstep) -> None:
+        sent = tapped(bench)
+        bench.step(300)
+        assert {frame.can_id for frame in sent} == {STATE}
+        assert len(sent) == pytest.approx(30, abs=2)
+
+    def test_the_state_on_the_bus(self, bench: Lockstep) -> None:
+        sent = tapped(bench)
+        injecting(bench)
+        bench.core.on_bus(bench.now_ns, BusState.ERROR_PASSIVE)
+        bench.step(30)
+        message = DATABASE.get_message_by_frame_id(STATE)
+        told = [message.decode(f.data, decode_choices=False) for f in sent if f.can_id == STATE]
+        states = [int(each["State"]) for each in told]
+        assert states == sorted(states)
+        assert set(states) == {1, 2, 3, 4}
+        assert told[-1]["TripReason"] == Trip.BUS
+        assert told[-1]["CommandedTorque"] == 0.0
+        assert any(each["CommandedTorque"] != 0.0 for each in told if each["State"] == 3)
+        beats = [int(each["Heartbeats"]) for each in told]
+        assert beats[0] < beats[-1]
+        assert "injecting -> fault: bus: the bus is error passive" in bench.story()
+
+    def test_an_end_in_good_order(self, bench: Lockstep) -> None:
+        injecting(bench)
+        last = bench.core.end(bench.now_ns, "done")
+        assert [frame.can_id for frame in last] == [COMMAND] * RELEASES + [STATE]
+        bench.send(last)
+        bench.dead = True
+        zero_from_here(bench, 2)
+        assert bench.rig.override.state is OverrideState.RELEASED
+        assert bench.story() == ["injecting -> off: done"]
+
+    def test_an_end_by_fault_is_told_as_one(self, bench: Lockstep) -> None:
+        injecting(bench)
+        bench.core.end(bench.now_ns, "SIGTERM", fault=True)
+        assert bench.story() == ["injecting -> fault: operator: SIGTERM", "fault -> off: SIGTERM"]
+
+    def test_a_dry_run_returns_nothing_ever(self, parts: OverrideParts) -> None:
+        bench = Lockstep(parts, Sawtooth())
+        bench.core = OverrideCore(parts, Sawtooth(), dry_run=True)
+        bench.core.start(bench.now_ns)
+        bench.accepts = lambda: pytest.fail("a frame was to be sent")
+        bench.step(100)
+        assert not bench.core.prepare(bench.now_ns)
+        bench.step(250)
+        assert not bench.core.arm(bench.now_ns)
+        bench.step(100)
+        assert bench.core.end(bench.now_ns, "done") == []
+        assert bench.core.values["motor_speed_rad_s"] != 0.0
+
+
+class TestTrips:
+    def test_a_process_that_dies(self, bench: Lockstep) -> None:
+        injecting(bench)
+        bench.dead = True
+        zero_from_here(bench, TIMEOUT_MS + 1)
+        assert bench.rig.override.state is OverrideState.TIMED_OUT
+
+    @pytest.mark.parametrize("stopped_ms", [16, 25, 500])
+    def test_a_process_that_stops_and_goes_on(self, bench: Lockstep, stopped_ms: int) -> None:
+        injecting(bench)
+        bench.running = False
+        bench.step(stopped_ms)
+        bench.running = True
+        before = len([c for tick in bench.ticks for c in tick.commands if c.enable])
+        zero_from_here(bench, max(TIMEOUT_MS + 1 - stopped_ms, 2))
+        after = len([c for tick in bench.ticks for c in tick.commands if c.enable])
+        assert after == before
+        assert trips(bench) & Trip.CLOCK
+
+    def test_a_silent_bus(self, bench: Lockstep) -> None:
+        injecting(bench)
+        bench.spoil = lambda frames: []
+        zero_from_here(bench, TIMEOUT_MS)
+        assert trips(bench) & Trip.STALE_INPUT
+        assert bench.rig.override.state is OverrideState.RELEASED, "not by the ECU's time-out"
+
+    def test_a_full_send_queue(self, bench: Lockstep) -> None:
+        injecting(bench)
+        bench.accepts = lambda: False
+        bench.step(1)
+        assert (bench.core.dropped, trips(bench)) == (1, Trip.BUS)
+        assert not bench.core.command.enable or bench.state is State.FAULT
+        bench.accepts = lambda: True
+        zero_from_here(bench, 2)
+
+    def test_another_transmitter(self, bench: Lockstep) -> None:
+        injecting(bench)
+        foreign = FrameEncoder(DATABASE, "EPSHIL_TorqueOverride")
+        frame = foreign.frame({"RequestedMotorTorque": 0.0, "OverrideRequest": 0})
+        bench.waiting.append(replace(frame, t_ns=bench.wall_ns))
+        zero_from_here(bench, 2)
+        assert trips(bench) == Trip.OTHER_TRANSMITTER | Trip.INVALID_INPUT
+
+    @pytest.mark.parametrize(
+        ("disturb", "trip"),
+        [
+            (lambda core, now: core.on_bus(now, BusState.BUS_OFF), Trip.BUS),
+            (lambda core, now: core.on_bus(now, BusState.LOST), Trip.BUS),
+            (lambda core, now: core.on_bus(now, BusState.ERROR_ACTIVE, 1), Trip.BUS),
+        ],
+    )
+    def test_the_bus(
+        self, bench: Lockstep, disturb: Callable[[OverrideCore, int], None], trip: Trip
+    ) -> None:
+        injecting(bench)
+        disturb(bench.core, bench.now_ns)
+        assert trips(bench) == trip
+        zero_from_here(bench, 2)
+
+    def test_a_good_bus_is_no_trip(self, bench: Lockstep) -> None:
+        injecting(bench)
+        bench.core.on_bus(bench.now_ns, BusState.ERROR_ACTIVE)
+        bench.core.on_bus(bench.now_ns, BusState.UNKNOWN)
+        bench.step(50)
+        assert bench.state is State.INJECTING
+
+    def test_an_error_frame(self, bench: Lockstep) -> None:
+        injecting(bench)
+        bench.waiting.append(Frame(bench.wall_ns, 0x40, b"", error=True))
+        zero_from_here(bench, 2)
+        assert trips(bench) == Trip.BUS
+
+    def test_the_ecu_says_no(self, bench: Lockstep) -> None:
+        injecting(bench)
+        bench.rig.override.state = OverrideState.REJECTED
+        bench.rig.override.hear = lambda command, now_ns: None  # type: ignore[method-assign]
+        zero_from_here(bench, TIMEOUT_MS)
+        assert trips(bench) & (Trip.ECU_STATUS | Trip.TORQUE_ERROR)
+
+    def test_the_hand_lets_go_of_the_key(self, bench: Lockstep) -> None:
+        injecting(bench)
+        bench.beating = False
+        bench.step(490)
+        assert bench.state is State.INJECTING, bench.story()
+        zero_from_here(bench, 22)
+        assert trips(bench) == Trip.HEARTBEAT
+
+    @pytest.mark.parametrize("wish", [math.nan, math.inf, 0.5, -0.2])
+    def test_a_source_gone_mad(self, parts: OverrideParts, wish: float) -> None:
+        source = Sawtooth()
+        bench = injecting(Lockstep(parts, source))
+        source.wish = lambda _: wish
+        zero_from_here(bench, 2)
+        assert trips(bench) & (Trip.NOT_FINITE | Trip.TORQUE | Trip.STEP)
+
+    @pytest.mark.parametrize("jump_s", [-3600.0, -0.05, 0.05, 3600.0])
+    def test_the_wall_clock_jumps_between_stamp_and_reading(
+        self, bench: Lockstep, jump_s: float
+    ) -> None:
+        injecting(bench)
+        shift = round(jump_s * 1e9)
+        bench.spoil = lambda frames: [replace(f, t_ns=f.t_ns - shift) for f in frames]
+        zero_from_here(bench, 2)
+        assert trips(bench) & Trip.STALE_INPUT
+
+    def test_cleared_and_armed_again_it_goes_on(self, bench: Lockstep) -> None:
+        injecting(bench)
+        bench.core.on_bus(bench.now_ns, BusState.BUS_OFF)
+        bench.step(300)
+        bench.core.override.clear(bench.now_ns)
+        source = Sawtooth()
+        bench.core._source = source
+        bench.arm()
+        bench.step(100)
+        assert bench.state is State.INJECTING
+        assert abs(bench.ticks[-1].applied_nm) > 0.01
+
+
+class TestSetup:
+    def broken(self, tmp_path: Path, old: str, new: str) -> Path:
+        text = CONFIG.read_text()
+        assert old in text
+        text = text.replace(old, new).replace("../dbc", f"{ROOT}/dbc")
+        text = text.replace("signals: ", f"signals: {ROOT}/configs/")
+        text = text.replace("model: ", f"model: {ROOT}/configs/")
+        path = tmp_path / "c.yaml"
+        path.write_text(text)
+        return path
+
+    @pytest.mark.parametrize(
+        ("old", "new", "said"),
+        [
+            ("max_torque_nm: 0.4", "max_torque_nm: 1.5", "override.limits.max_torque_nm"),
+            ("max_torque_nm: 0.4", "max_torque_nm: .nan", "override.limits.max_torque_nm"),
+            ("    max_step_nm: 0.02\n", "", "override.limits.max_step_nm: is missing"),
+            ("min_m: -0.01", "min_m: 0.02", "rack_position_min_m is not below"),
+            ("limits:", "command_message: EPS_Nothing\n  limits:", "override.command_message"),
+            ("limits:", "torque_signal: Torque\n  limits:", "has no signal Torque"),
+            ("limits:", "status_signal: Nope\n  limits:", "has no signal Nope"),
+            ("limits:", "state_message: Nope\n  limits:", "override.state_message"),
+            ("limits:", "torque_scale: 0.01\n  limits:", "carries -8.38861 to 8.38861 Nm only"),
+            ("limits:", "torque_scale: 0\n  limits:", "carries -8.38861 to 8.38861 Nm only"),
+            ("max_input_age_s: 0.015", "max_input_age_s: 0.001", "not longer than the cycle"),
+            ("timeout_s: 0.05", "timeout_s: 0.01", "cycle of EPS_OverrideStatus (0.01 s)"),
+            ("hop_limit: 0}", "hop_limit: 0, hardware_stamps: true}", "hardware_stamps"),
+            ("limits:", "e2e: {profile: p09}\n  limits:", "override.e2e.profile"),
+        ],
+    )
+    def test_a_mistake_names_the_field(self, tmp_path: Path, old: str, new: str, said: str) -> None:
+        path = self.broken(tmp_path, old, new)
+        with pytest.raises(InputError, match=re.escape(said)):
+            prepare_override(load_config(path), path)
+
+    def test_without_the_block_there_is_no_override(self) -> None:
+        config = replace(load_config(CONFIG), override=None)
+        with pytest.raises(InputError, match="override: block is missing"):
+            prepare_override(config, CONFIG)
+
+    @pytest.mark.parametrize("name", ["motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s"])
+    def test_an_input_that_the_guard_needs(self, tmp_path: Path, name: str) -> None:
+        text = (ROOT / "configs" / "eps_rig_signals.yaml").read_text()
+        mapping = tmp_path / "s.yaml"
+        mapping.write_text(re.sub(rf"  {name}: .*\n", "", text))
+        config = replace(load_config(CONFIG), signals=mapping)
+        with pytest.raises(InputError, match=name):
+            prepare_override(config, CONFIG)
+
+    def test_the_rack_position_may_come_from_the_rotor(self, tmp_path: Path) -> None:
+        text = (ROOT / "configs" / "eps_rig_signals.yaml").read_text()
+        mapping = tmp_path / "s.yaml"
+        mapping.write_text(re.sub(r"  rack_position_m: .*\n", "", text))
+        parts = parts_of(replace(load_config(CONFIG), signals=mapping))
+        bench = injecting(Lockstep(parts, Sawtooth()))
+        position = bench.core._readings["rack_position_m"].value
+        assert position == pytest.approx(bench.core.values["motor_angle_rad"] / 2513.0)
+        mapping.write_text(re.sub(r"  (rack_position_m|motor_angle_rad): .*\n", "", text))
+        with pytest.raises(InputError, match="one of them"):
+            prepare_override(replace(load_config(CONFIG), signals=mapping), CONFIG)
+
+    def test_a_command_with_an_autosar_profile(self) -> None:
+        rule = E2eProfile("p01", data_id=0x80)
+        override = load_config(CONFIG).override
+        assert override is not None
+        encoder = CommandEncoder(DATABASE, replace(override, e2e=rule), "DBC")
+        message = find_message(DATABASE, "EPSHIL_TorqueOverride")
+        assert message is not None
+        checker = E2eProtector(rule, 8)
+        for k in range(20):
+            frame = encoder.frame(Command(0.01 * k, True))
+            assert checker.good(frame.data)
+            told = message.decode(frame.data, decode_choices=False)
+            assert told["RequestedMotorTorque"] == pytest.approx(0.01 * k, abs=1e-6)
+            assert told["OverrideRequest"] == 1
+
+    def test_state_and_trip_bits_are_those_of_the_dbc(self) -> None:
+        message = find_message(DATABASE, "EPSHIL_OverrideState")
+        assert message is not None
+        labels = message.get_signal_by_name("State").choices
+        named = {int(raw): str(text) for raw, text in labels.items() if str(text) != "SNA"}
+        assert named == {int(state): state.name.lower() for state in State}
+        reason = message.get_signal_by_name("TripReason")
+        assert max(Trip) < 2**reason.length
+        for bit in Trip:
+            if bit and bit.name:
+                assert f"{bit.value} {bit.name.lower().replace('_', ' ')}" in reason.comment
