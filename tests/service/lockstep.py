@@ -145,7 +145,7 @@ class Lockstep:
     def _step(self) -> None:
         tick = Tick(self.ms, 0.0, own=False)
         for frame in self.spoil_commands(self._on_wire):
-            if frame.can_id in self.rig.listens_to and self.rig.reader is not None:
+            if self.rig.reader is not None and frame.can_id == self.rig.reader.can_id:
                 command = self.rig.reader.read(frame)
                 tick.commands += [] if command is None else [command]
             self.rig.hear(frame, self.now_ns)
