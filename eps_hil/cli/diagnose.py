@@ -16,6 +16,7 @@ from eps_hil.cli._inputs import (
     Signals,
     progress,
     read_recordings,
+    say_notes,
 )
 from eps_hil.cli.estimate import ModelPath
 
@@ -36,6 +37,20 @@ def diagnose(
     holdout: Annotated[
         list[Path] | None,
         typer.Option("--holdout", help="Recordings kept from the fit, to judge it."),
+    ] = None,
+    simulation: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--simulation",
+            metavar="SIM...",
+            help="Traces of your own simulator for the same manoeuvres: what do they lack?",
+        ),
+    ] = None,
+    simulation_signals: Annotated[
+        Path | None,
+        typer.Option(
+            "--simulation-signals", help="Mapping (YAML) of the traces' columns to our names."
+        ),
     ] = None,
     json: Annotated[Path | None, typer.Option("--json", help="The result as JSON.")] = None,
     report: Annotated[
@@ -60,7 +75,9 @@ def diagnose(
 
     Needs motor torque, rotor speed or angle, and the rack force; torsion-bar torque where a driver
     or robot turns the wheel. Without --holdout a part of the recordings is kept from the fit.
+    With --simulation the question is what the recordings hold and those traces lack.
     """
+    from eps_hil.diagnosis.against import diagnose_against
     from eps_hil.diagnosis.diagnose import diagnose as run
     from eps_hil.errors import InputError
     from eps_hil.physics.model import dump_model, load_model
@@ -84,7 +101,11 @@ def diagnose(
     with progress("diagnosing") as bar:
         try:
             say = (lambda _what, part: bar(part)) if bar else None
-            result = run(rig, fitted, judged, say, without)
+            if simulation:
+                traces = _traces(simulation, simulation_signals)
+                result = diagnose_against(traces, rig, fitted, judged, say, without)
+            else:
+                result = run(rig, fitted, judged, say, without)
         except ValueError as error:
             raise InputError(", ".join([*fitted, *judged]), "", str(error)) from None
     _say(result.content)
@@ -130,6 +151,18 @@ def _read(paths: list[Path], options: Mapping[str, Any]) -> "dict[str, Mapping[s
     return found
 
 
+def _traces(paths: list[Path], mapping: Path | None) -> "dict[str, Mapping[str, Series]]":
+    from eps_hil.recordings.foreign import load_columns, read_foreign
+
+    columns = load_columns(mapping) if mapping else None
+    found = {}
+    for path in paths:
+        one = read_foreign(path, columns)
+        say_notes(path, one.notes)
+        found[str(path)] = one.series
+    return found
+
+
 def _say(content: Mapping[str, Any]) -> None:
     words = {
         "no_mismatch": "Nothing is missing: what differs is sensor noise.",
@@ -149,6 +182,7 @@ def _say(content: Mapping[str, Any]) -> None:
         if finding["confusable_with"]:
             typer.echo(f"    could also be {', '.join(finding['confusable_with'])}; "
                        f"{finding['next_experiment']}")  # fmt: skip
+    _say_simulation(content.get("simulation"))
     holdout = content["fit"]["holdout"]
     units = {"torque_nrmse": "", "speed_fit_percent": " %", "rack_force_rmse_n": " N"}
     for name, unit in units.items():
@@ -156,3 +190,16 @@ def _say(content: Mapping[str, Any]) -> None:
             typer.echo(f"  on hold-outs, {name}: {holdout['baseline'][name]:.4g}{unit} before, "
                        f"{holdout['augmented'][name]:.4g}{unit} after")  # fmt: skip
     typer.echo(f"  sensor noise alone: torque_nrmse {holdout['noise_floor']['torque_nrmse']:.4g}")
+
+
+def _say_simulation(simulation: Mapping[str, Any] | None) -> None:
+    if simulation is None:
+        return
+    for one in simulation["traces"]:
+        if one["recording"] is not None:
+            typer.echo(f"  {one['file']} is {one['recording']}, {one['offset_s']:+.4f} s apart")
+    moved = {**simulation["parameters"], **{e["effect"]: e for e in simulation["effects"]}}
+    if moved:
+        typer.echo(f"  the traces are your model file with another {', '.join(moved)}")
+    for caveat in simulation["caveats"]:
+        typer.echo(f"  note: {caveat}")

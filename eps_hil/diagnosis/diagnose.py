@@ -51,18 +51,20 @@ def diagnose(
     holdouts: Mapping[str, Mapping[str, Series]],
     say: Say | None = None,
     without: Collection[str] = (),
+    unexplained_nm: float = 0.0,
 ) -> Diagnosis:
     """Find what physics ``model`` lacks to explain the recordings.
 
     Without hold-outs the last recording (of several), or the last third (of one), is kept from
-    the fit. Effects in ``without`` (ids) are not considered. ``ValueError`` where a recording lacks
-    what a diagnosis needs.
+    the fit. Effects in ``without`` (ids) are not considered. ``unexplained_nm`` (rms, at the rotor)
+    is known to be the model's own fault and no finding. ``ValueError`` where a recording lacks what
+    a diagnosis needs.
     """
     fitted, kept = _split(recordings, holdouts)
-    problem = Problem([prepare(name, one) for name, one in fitted.items()], model)
+    problem = Problem([prepare(name, one, unexplained_nm) for name, one in fitted.items()], model)
     if np.sum(problem.sliding) < 500:
         raise ValueError("moves for less than 4 s; a diagnosis needs a rotor that slides")
-    judged = [Holdout(prepare(name, one), one) for name, one in kept.items()]
+    judged = [Holdout(prepare(name, one, unexplained_nm), one) for name, one in kept.items()]
     selection = select(problem, say, without)
     findings = _held_out(problem, selection, judged)
     if findings and not _better(problem, selection.found, findings, judged):

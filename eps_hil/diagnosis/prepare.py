@@ -46,6 +46,8 @@ class Prepared:
     raw: Mapping[str, Floats]
     noise: Mapping[str, float]
     speed_is_derived: bool
+    unexplained_nm: float = 0.0
+    """What somebody's simulator leaves open (``simulation.py``): no difference below it counts."""
     _shifted: dict[tuple[int, float], Floats] = field(default_factory=dict)
 
     def motion(self, model: Model) -> Motion:
@@ -153,7 +155,7 @@ class Prepared:
         return np.asarray(np.abs(mean) < max(4.0 * sigma, 0.02))
 
 
-def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
+def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0) -> Prepared:
     """Put one recording on a 1 kHz grid; ``ValueError`` says what is missing for a diagnosis."""
     derived = "motor_speed_rad_s" not in series
     for needed in (*_NEEDED, "motor_angle_rad" if derived else "motor_speed_rad_s"):
@@ -172,7 +174,7 @@ def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
         raw["motor_speed_rad_s"] = np.gradient(low_pass(raw["motor_angle_rad"], SMOOTH_HZ), STEP_S)
     noise = {name: noise_of(values) for name, values in raw.items()}
     time_s = np.asarray(t_ns * 1e-9 + (origin - start) * 1e-9, dtype=np.float64)
-    return Prepared(name, time_s, raw, noise, derived)
+    return Prepared(name, time_s, raw, noise, derived, unexplained_nm)
 
 
 def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:

@@ -39,7 +39,7 @@ class Problem:
         number = 0
         for recording in self.recordings:
             mask = sliding(recording, self.model)
-            floor = recording.floor_nm(self.model)
+            floor = float(np.hypot(recording.floor_nm(self.model), recording.unexplained_nm))
             masks.append(mask)
             unsure = PRESLIDING_SIGMA_NM * max(1.0, recording.noise["motor_speed_rad_s"] / 0.2)
             floors.append(np.where(mask, floor, np.hypot(floor, unsure)))
