@@ -79,8 +79,35 @@ def cells_of(
         start, end = first + round(settled_s * 1000), last - round(_EDGE_S * 1000)
         if abs(rate[first]) < 1e-6 or end - start < 100:
             continue
-        found.append(_cell(physical, start, end, rate[first] * ratio, load[first], model))
+        part = {name: value[start:end] for name, value in physical.items()}
+        seconds = (end - start) / 1000.0
+        found.append(reading(rate[first] * ratio, load[first], part, seconds, model))
     return found
+
+
+def reading(
+    set_speed_rad_s: float,
+    set_load_n: float,
+    samples: Mapping[str, Floats],
+    seconds: float,
+    model: Model,
+) -> Cell:
+    """One pass at constant speed: T_f = T_1m − F/i_APA − J ω̇ in the mean (eq. 1d).
+
+    ``samples``: evenly spaced over the same ``seconds``, each signal at a rate of its own.
+    """
+    mean = {name: float(np.mean(value)) for name, value in samples.items()}
+    speed = samples["motor_speed_rad_s"]
+    slope = float(np.polyfit(np.linspace(0.0, seconds, len(speed)), speed, 1)[0])
+    torque = mean["motor_torque_nm"] + model.sensor_to_rotor * mean["torque_sensor_nm"]
+    load = mean["rack_force_n"] / model.rack_to_rotor_ratio_rad_per_m
+    return Cell(
+        float(set_speed_rad_s),
+        float(set_load_n),
+        mean["motor_speed_rad_s"],
+        mean["rack_force_n"],
+        torque - load - model.inertia_kg_m2 * slope,
+    )
 
 
 def measured_map(cells: Sequence[Cell]) -> FrictionMap:
@@ -131,19 +158,3 @@ def _aligned(columns: Mapping[str, Floats], model: Model) -> dict[str, Floats]:
         for name, value in columns.items()
         if name != "time_s"
     }
-
-
-def _cell(
-    physical: Mapping[str, Floats], start: int, end: int, speed: float, load: float, model: Model
-) -> Cell:
-    part = {name: value[start:end] for name, value in physical.items()}
-    torque = part["motor_torque_nm"] + model.sensor_to_rotor * part["torque_sensor_nm"]
-    rest = torque - part["rack_force_n"] / model.rack_to_rotor_ratio_rad_per_m
-    slope = np.polyfit(np.arange(end - start) / 1000.0, part["motor_speed_rad_s"], 1)[0]
-    return Cell(
-        float(speed),
-        float(load),
-        float(np.mean(part["motor_speed_rad_s"])),
-        float(np.mean(part["rack_force_n"])),
-        float(np.mean(rest) - model.inertia_kg_m2 * slope),
-    )

@@ -1,0 +1,119 @@
+"""``eps-hil programme FILE``: drive the rig through its identification, record it, identify."""
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from eps_hil.physics.model import Model
+    from eps_hil.programme.run import OnProgress, Summary
+    from eps_hil.programme.summary import Identified
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("programme")(programme)
+
+
+def programme(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Programme file (YAML).")],
+    config: Annotated[Path, typer.Option("--config", help="Configuration (bus, DBC, model).")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for logs and results.")],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the programme that --out holds.")
+    ] = False,
+    write_model: Annotated[
+        Path | None, typer.Option("--write-model", help="Model file with the friction found.")
+    ] = None,
+    json: Annotated[Path | None, typer.Option("--json", help="Cells and fit as JSON.")] = None,
+) -> None:
+    """Run every cell of speed and preload on the rig, both ways, and identify the friction.
+
+    The rig must run and follow RIG_Command (the simulated one: eps-hil rig --manoeuvre idle
+    --loop). Each cell is a log of its own; finished cells outlive an interruption, kill -9
+    included. Ctrl-C brings speed and preload to zero first.
+    """
+    from eps_hil.bus.config import load_bus_setup
+    from eps_hil.cli._bus_options import stop_on_signals
+    from eps_hil.cli._files import write_json
+    from eps_hil.physics.model import load_model
+    from eps_hil.programme.plan import load_plan
+    from eps_hil.programme.run import ProgrammeRun, prepare_folder
+    from eps_hil.programme.summary import content, identified, table_file
+
+    setup = load_bus_setup(config)
+    model = load_model(setup.model)
+    plan = load_plan(file, model)
+    run = ProgrammeRun(setup, model, plan, out)
+    finished = prepare_folder(out, plan, resume=resume)
+    if finished:
+        typer.echo(f"{len(finished)} of {len(plan.cells())} cells are there already")
+    with _progress() as on_progress:
+        summary = run.run(finished, stop=stop_on_signals(), on_progress=on_progress)
+    table_file(summary, out / "cells.csv")
+    found = identified(summary, model)
+    _say(summary, model, found)
+    if json:
+        write_json(json, content(plan, summary, found))
+    if write_model:
+        _write_model(write_model, model, found)
+    typer.echo(f"logs and cells.csv: {out}")
+
+
+@contextlib.contextmanager
+def _progress() -> "Iterator[OnProgress | None]":
+    """Cell and phase on stderr while the programme runs; nothing where that is no terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress
+
+    columns = (*Progress.get_default_columns(), MofNCompleteColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("programme", total=None)
+
+        def show(number: int, total: int, phase: str) -> None:
+            bar.update(task, total=total, completed=number - 1, description=phase)
+
+        yield show
+
+
+def _say(summary: "Summary", model: "Model", found: "Identified") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    good = len(summary.accepted)
+    typer.echo(f"{len(summary.results)} cells, {good} good, {summary.resumed} from before")
+    for one in summary.results:
+        if not one.accepted:
+            typer.echo(f"  left out: {one.cell.name}: {'; '.join(one.problems)}")
+    if found.friction is None:
+        typer.echo(f"no friction identified: {found.problem}")
+        return
+    table = Table(title="friction (eq. 3)", title_justify="left", box=None)
+    table.add_column("parameter")
+    for heading in ("found", "95 % half width", "in the model file"):
+        table.add_column(heading, justify="right")
+    for name, width in found.half_widths.items():
+        values = getattr(found.friction, name), width, getattr(model.friction, name)
+        table.add_row(name, *(f"{value:.4g}" for value in values))
+    Console(width=100, highlight=False).print(table)
+
+
+def _write_model(path: Path, model: "Model", found: "Identified") -> None:
+    from dataclasses import replace
+
+    from eps_hil.errors import EpsHilError
+    from eps_hil.physics.model import dump_model
+    from eps_hil.recordings.files import replacing
+
+    if found.friction is None:
+        raise EpsHilError(f"{path}: not written, {found.problem}")
+    with replacing(path) as temporary:
+        temporary.write_text(dump_model(replace(model, friction=found.friction)), encoding="utf-8")
+    typer.echo(f"model with the friction found: {path}")

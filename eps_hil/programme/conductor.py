@@ -1,0 +1,142 @@
+"""One cell on the rig, step by step: preload, start position, constant speed, stop.
+
+A pure state machine: readings in, set-points out, 100 times a second of sample time. It believes
+only what the bus says that the rig did, and gives up with a reason when the rig does not follow.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+from eps_hil.physics.model import Model
+from eps_hil.programme.plan import Plan, PlannedCell, way_m
+
+TICK_S = 0.01
+_HOLD_S = 0.15
+_PHASE_LIMIT_S = 15.0
+_FORCE_SHARE, _FORCE_LEAST_N = 0.02, 15.0
+_SPEED_SHARE = 0.1
+_POSITION_M = 1e-3
+_APPROACH_GAIN_PER_S = 4.0
+_APPROACH_RAD_S = 60.0
+_REST_RAD_S = 1.0
+
+
+class Reading(NamedTuple):
+    """Means over the last tick: rotor speed, rack position from its centre, load cell."""
+
+    speed_rad_s: float
+    position_m: float
+    force_n: float
+
+
+class Wanted(NamedTuple):
+    """Set-points of the next tick: rotor speed (the robot's, at the rotor), preload."""
+
+    speed_rad_s: float
+    force_n: float
+
+
+class Phase(StrEnum):
+    """Where a cell is."""
+
+    APPROACH = "to the start"
+    LOAD = "preload"
+    SPEED_UP = "speeding up"
+    SETTLE = "settling"
+    MEASURE = "measuring"
+    STOP = "stopping"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclass(slots=True)
+class Conductor:
+    """Leads the rig through one cell; :attr:`phase` is DONE or FAILED in the end."""
+
+    cell: PlannedCell
+    plan: Plan
+    model: Model
+    phase: Phase = Phase.APPROACH
+    reason: str = ""
+    _in_phase_s: float = 0.0
+    _held_s: float = 0.0
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more will happen."""
+        return self.phase in {Phase.DONE, Phase.FAILED}
+
+    @property
+    def start_m(self) -> float:
+        """Where the pass begins: half its way before the centre."""
+        half = 0.5 * way_m(self.plan, self.cell.speed_rad_s, self.model)
+        return -math.copysign(half, self.cell.speed_rad_s)
+
+    def step(self, reading: Reading) -> Wanted:
+        """Take what was read over the last tick, and say what the rig shall do."""
+        self._in_phase_s += TICK_S
+        match self.phase:
+            case Phase.APPROACH:
+                self._held(abs(reading.position_m - self.start_m) < _POSITION_M, Phase.LOAD)
+            case Phase.LOAD:
+                near = abs(reading.force_n - self.cell.preload_n) < self._force_band_n
+                still = abs(reading.speed_rad_s) < _REST_RAD_S
+                self._held(near and still, Phase.SPEED_UP)
+            case Phase.SPEED_UP:
+                away = abs(reading.speed_rad_s - self.cell.speed_rad_s)
+                self._held(away < self._speed_band, Phase.SETTLE, 0.03)
+            case Phase.SETTLE:
+                self._after(self.plan.settling_s(self.cell.speed_rad_s), Phase.MEASURE)
+            case Phase.MEASURE:
+                self._after(self.plan.run_s, Phase.STOP)
+            case Phase.STOP:
+                self._held(abs(reading.speed_rad_s) < _REST_RAD_S, Phase.DONE, 0.05)
+            case _:
+                pass
+        if not self.over and self._in_phase_s > _PHASE_LIMIT_S + self.plan.run_s:
+            self._fail(reading)
+        return self._wanted(reading)
+
+    @property
+    def _force_band_n(self) -> float:
+        return max(_FORCE_LEAST_N, _FORCE_SHARE * abs(self.cell.preload_n))
+
+    @property
+    def _speed_band(self) -> float:
+        return max(_REST_RAD_S, _SPEED_SHARE * abs(self.cell.speed_rad_s))
+
+    def _wanted(self, reading: Reading) -> Wanted:
+        match self.phase:
+            case Phase.APPROACH:
+                # Without load: the approach may be long, and the robot then has nothing to hold.
+                ratio = self.model.rack_to_rotor_ratio_rad_per_m
+                speed = _APPROACH_GAIN_PER_S * (self.start_m - reading.position_m) * ratio
+                return Wanted(min(max(speed, -_APPROACH_RAD_S), _APPROACH_RAD_S), 0.0)
+            case Phase.SPEED_UP | Phase.SETTLE | Phase.MEASURE:
+                return Wanted(self.cell.speed_rad_s, self.cell.preload_n)
+            case Phase.LOAD | Phase.STOP:
+                return Wanted(0.0, self.cell.preload_n)
+            case _:
+                return Wanted(0.0, 0.0)
+
+    def _held(self, there: bool, then: Phase, hold_s: float = _HOLD_S) -> None:
+        self._held_s = self._held_s + TICK_S if there else 0.0
+        if self._held_s >= hold_s - 1e-9:
+            self._enter(then)
+
+    def _after(self, seconds: float, then: Phase) -> None:
+        if self._in_phase_s >= seconds - 1e-9:
+            self._enter(then)
+
+    def _fail(self, reading: Reading) -> None:
+        self.reason = (
+            f"the rig does not follow ({self.phase.value}): speed {reading.speed_rad_s:.3g} rad/s, "
+            f"rack {1e3 * reading.position_m:.3g} mm, force {reading.force_n:.4g} N, asked for "
+            f"{self.cell.speed_rad_s:g} rad/s at {self.cell.preload_n:g} N"
+        )
+        self._enter(Phase.FAILED)
+
+    def _enter(self, phase: Phase) -> None:
+        self.phase, self._in_phase_s, self._held_s = phase, 0.0, 0.0

@@ -1,0 +1,90 @@
+"""What a finished programme comes to: a table of cells, and the friction of eq. 3 from them."""
+
+import csv
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from eps_hil.identification.constant_speed import Cell, fitted
+from eps_hil.physics.model import Friction, Model
+from eps_hil.programme.plan import Plan
+from eps_hil.programme.run import Summary
+from eps_hil.recordings.files import replacing
+
+SCHEMA = "eps-hil/programme-result/1"
+_COLUMNS = (
+    "number", "repetition", "speed_rad_s", "preload_n", "mean_speed_rad_s", "mean_load_n",
+    "friction_nm", "samples", "lost_frames", "attempt", "problems",
+)  # fmt: skip
+_LEAST = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Identified:
+    """Friction of eq. 3 with the half width of each 95 % interval; or why there is none."""
+
+    friction: Friction | None
+    half_widths: dict[str, float]
+    problem: str = ""
+
+
+def identified(summary: Summary, model: Model) -> Identified:
+    """Eq. 3 from the accepted cells; it needs two speeds and two loads in each direction."""
+    cells = [one.measured for one in summary.accepted]
+    for sign, word in ((1.0, "positive"), (-1.0, "negative")):
+        own = [cell for cell in cells if cell.set_speed_rad_s * sign > 0]
+        speeds = len({cell.set_speed_rad_s for cell in own})
+        loads = len({abs(cell.set_load_n) for cell in own})
+        if speeds < _LEAST or loads < _LEAST:
+            problem = (
+                f"{word} direction: {speeds} speeds and {loads} loads are good, "
+                f"eq. 3 needs {_LEAST} of each"
+            )
+            return Identified(None, {}, problem)
+    friction, widths = fitted(cells, model.friction)
+    return Identified(friction, widths)
+
+
+def table_file(summary: Summary, path: Path) -> None:
+    """Every cell as one line of CSV."""
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, _COLUMNS)
+        writer.writeheader()
+        writer.writerows(_rows(summary))
+
+
+def content(plan: Plan, summary: Summary, found: Identified) -> dict[str, Any]:
+    """JSON-ready."""
+    return {
+        "schema": SCHEMA,
+        "programme": plan.content(),
+        "cells": _rows(summary),
+        "friction": asdict(found.friction) if found.friction else None,
+        "half_width95": found.half_widths,
+        "problem": found.problem,
+    }
+
+
+def _rows(summary: Summary) -> list[dict[str, Any]]:
+    return [
+        {
+            "number": one.cell.number,
+            "repetition": one.cell.repetition,
+            "speed_rad_s": one.cell.speed_rad_s,
+            "preload_n": one.cell.preload_n,
+            **_measured(one.measured),
+            "samples": one.samples,
+            "lost_frames": one.lost_frames,
+            "attempt": one.attempt,
+            "problems": "; ".join(one.problems),
+        }
+        for one in summary.results
+    ]
+
+
+def _measured(cell: Cell) -> dict[str, float]:
+    return {
+        "mean_speed_rad_s": cell.speed_rad_s,
+        "mean_load_n": cell.load_n,
+        "friction_nm": cell.friction_nm,
+    }

@@ -1,0 +1,147 @@
+"""One cell on the simulated rig without a bus, and a rig that does not follow."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eps_hil.bus.codec import FrameDecoder, FrameEncoder
+from eps_hil.bus.database import load_database
+from eps_hil.bus.mapping import load_mapping
+from eps_hil.bus.message_decoder import Sample
+from eps_hil.physics.friction import friction_law, static_level_nm
+from eps_hil.physics.model import load_model
+from eps_hil.programme import cell_record
+from eps_hil.programme.cell_record import CellResult, Collector
+from eps_hil.programme.conductor import Conductor, Phase, Reading
+from eps_hil.programme.plan import Plan, PlannedCell
+from eps_hil.rig.config import load_rig_setup
+from eps_hil.rig.process import RigSimulation
+
+ROOT = Path(__file__).parents[2]
+MODEL = load_model(ROOT / "configs" / "reference_rig.yaml")
+PLAN = Plan("p", (20.0,), (0.0,), run_s=0.5, settle_s=0.3)
+MS = 1_000_000
+
+
+class Bench:
+    """Rig and conductor in lock-step: 10 ms of frames, one command."""
+
+    def __init__(self, folder: Path) -> None:
+        text = f"""\
+bus: {{interface: virtual, channel: conductor_{folder.name}}}
+dbc: [{ROOT / "dbc" / "eps_rig.dbc"}]
+signals: {ROOT / "configs" / "eps_rig_signals.yaml"}
+model: {ROOT / "configs" / "reference_rig.yaml"}
+rig: {{manoeuvre: idle, realtime: false}}
+"""
+        (folder / "c.yaml").write_text(text)
+        database = load_database([ROOT / "dbc" / "eps_rig.dbc"])
+        mapping = load_mapping(ROOT / "configs" / "eps_rig_signals.yaml")
+        self.rig = RigSimulation(load_rig_setup(folder / "c.yaml"))
+        self.decoder = FrameDecoder(database, mapping)
+        self.encoder = FrameEncoder(database, "RIG_Command")
+        self.ms = 0
+
+    def run(self, cell: PlannedCell) -> tuple[Conductor, Collector, list[Phase]]:
+        conductor, collector = Conductor(cell, PLAN, MODEL), Collector(MODEL)
+        phases = [conductor.phase]
+        while not conductor.over:
+            sums: dict[str, list[float]] = {}
+            for _ in range(10):
+                for frame in self.rig.step(self.ms * MS):
+                    samples = self.decoder.decode(replace(frame, t_ns=self.ms * MS))
+                    if conductor.phase is Phase.MEASURE:
+                        collector.take(samples)
+                    for name, _, value in samples:
+                        sums.setdefault(name, []).append(value)
+                self.ms += 1
+            names = ("motor_speed_rad_s", "rack_position_m", "rack_force_n")
+            wanted = conductor.step(Reading(*(float(np.mean(sums[name])) for name in names)))
+            values = {
+                "WheelSpeedSetPoint": wanted.speed_rad_s * MODEL.sensor_to_rotor,
+                "RackForceSetPoint": wanted.force_n,
+                "MotorShare": 100.0,
+                "CommandRequest": 1.0,
+            }
+            self.rig.hear(self.encoder.frame(values), self.ms * MS)
+            if conductor.phase is not phases[-1]:
+                phases.append(conductor.phase)
+        return conductor, collector, phases
+
+
+@pytest.mark.parametrize(("speed", "load"), [(20.0, 0.0), (-40.0, 2000.0), (5.0, -1000.0)])
+def test_a_cell_reads_the_rigs_friction(tmp_path: Path, speed: float, load: float) -> None:
+    cell = PlannedCell(1, speed, load, 1)
+    _, collector, phases = Bench(tmp_path).run(cell)
+    assert phases == list(Phase)[:-1]
+    result = collector.result(cell, 0, 1)
+    assert result.accepted, result.problems
+    assert result.samples > 450
+    truth = math.copysign(static_level_nm(speed, load, friction_law(MODEL.friction)), speed)
+    assert result.measured.friction_nm == pytest.approx(truth, rel=0.03)
+    assert result.measured.load_n == pytest.approx(load, abs=5.0)
+
+
+def test_cells_follow_each_other_from_wherever_the_rack_is(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    for number, speed in enumerate((40.0, 40.0, -5.0), 1):
+        conductor, *_ = bench.run(PlannedCell(number, speed, 500.0, 1))
+        assert conductor.phase is Phase.DONE
+
+
+def test_a_rig_that_does_not_follow_is_said(tmp_path: Path) -> None:
+    conductor = Conductor(PlannedCell(1, 20.0, 1000.0, 1), PLAN, MODEL)
+    for _ in range(10_000):
+        wanted = conductor.step(Reading(0.0, conductor.start_m, 0.0))
+        if conductor.over:
+            break
+    assert conductor.phase is Phase.FAILED
+    assert "preload" in conductor.reason
+    assert "asked for 20 rad/s at 1000 N" in conductor.reason
+    assert tuple(wanted) == (0.0, 0.0)
+
+
+class TestRecord:
+    CELL = PlannedCell(3, 20.0, 0.0, 1)
+
+    def collected(
+        self, speed: float = 20.0, force: float = 0.0, torque: float = 0.064
+    ) -> Collector:
+        collector = Collector(MODEL)
+        values = {"motor_torque_nm": torque, "torque_sensor_nm": 0.0, "rack_force_n": force}
+        for ms in range(500):
+            for name, value in ({"motor_speed_rad_s": speed} | values).items():
+                collector.take([Sample(name, ms * MS, value)])
+        return collector
+
+    def test_written_and_read_back(self, tmp_path: Path) -> None:
+        result = self.collected().result(self.CELL, 0, 2)
+        assert result.accepted
+        cell_record.write(result, tmp_path)
+        assert cell_record.read(self.CELL, tmp_path) == result
+        assert cell_record.read(PlannedCell(4, 20.0, 0.0, 1), tmp_path) is None
+
+    def test_delays_are_taken_out(self) -> None:
+        """Only the stretch in which every signal speaks of the same instants counts: 4 ms less."""
+        assert self.collected().result(self.CELL, 0, 1).samples == 496
+
+    @pytest.mark.parametrize(
+        ("change", "word"),
+        [({"speed": 15.0}, "speed 15"), ({"force": 50.0}, "force 50"), ({"torque": -0.1}, "sign")],
+    )
+    def test_a_bad_pass_says_why(self, change: dict[str, float], word: str) -> None:
+        result = self.collected(**change).result(self.CELL, 0, 1)
+        assert not result.accepted
+        assert word in "; ".join(result.problems)
+
+    def test_lost_frames_and_missing_signals(self, tmp_path: Path) -> None:
+        assert self.collected().result(self.CELL, 7, 1).problems == ("7 frames lost",)
+        nothing = Collector(MODEL).result(self.CELL, 0, 1)
+        assert "too few samples of motor_torque_nm" in nothing.problems[0]
+        cell_record.write(nothing, tmp_path)
+        again = cell_record.read(self.CELL, tmp_path)
+        assert isinstance(again, CellResult)
+        assert math.isnan(again.measured.friction_nm)
