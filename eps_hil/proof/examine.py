@@ -3,11 +3,13 @@
     python -m eps_hil.proof.examine OUT_DIR RESULTS_DIR [--jobs 2]
 
 runs ``eps-hil diagnose`` on a copy of each case in a temporary folder, so that no path leads from
-there to the answers. Cases that have a result are left alone: an examination that was
+there to the answers. Processes that have only loaded the code (``eps_hil/cli/_warm.py``) fork
+themselves for each case. Cases that have a result are left alone: an examination that was
 interrupted goes on where it stopped.
 """
 
 import argparse
+import json
 import os
 import shutil
 import subprocess
@@ -18,13 +20,23 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
+from types import TracebackType
+
+from eps_hil.errors import EpsHilError
 
 MODEL, WITHOUT = "model.yaml", "without.txt"
 PROBLEM = ".problem.txt"
 """What went wrong with a case stands in ``<id>.problem.txt`` instead of ``<id>.json``."""
 _TIMEOUT_S = 900.0
+_ASKED_FOR = (
+    *("--json", "diagnosis.json"),
+    *("--write-model", "augmented.yaml"),
+    *("--report", "report.html"),
+)
 _HANDED_IN = {"diagnosis.json": ".json", "augmented.yaml": ".yaml", "report.html": ".html"}
-_ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+"""Environment that keeps linear algebra on one core."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,41 +48,62 @@ class Examined:
     seconds: float
 
 
-def diagnose(case: Path, results: Path) -> Examined:
-    """Diagnose one case folder; results/<id>.json, .yaml (the augmented model), .html."""
-    since = time.monotonic()
-    with tempfile.TemporaryDirectory() as folder:
-        desk = Path(folder)
-        for path in case.iterdir():
-            shutil.copy(path, desk / path.name)
-        problem = _run(desk, arguments(sorted(path.name for path in case.iterdir()), case))
-        for name, suffix in _HANDED_IN.items():
-            if not problem and (desk / name).exists():
-                shutil.move(desk / name, results / f"{case.name}{suffix}")
-    if problem:
-        (results / f"{case.name}{PROBLEM}").write_text(problem + "\n")
-    return Examined(case.name, problem, time.monotonic() - since)
+class Diagnoser:
+    """A process that diagnoses one case after the other, each in a fork of its own."""
 
-
-def _run(desk: Path, given: Sequence[str]) -> str:
-    command = [sys.executable, "-m", "eps_hil.cli", "diagnose", "--json", "diagnosis.json"]
-    command += ["--write-model", "augmented.yaml", "--report", "report.html", *given]
-    try:
-        ended = subprocess.run(
-            command,
-            cwd=desk,
-            capture_output=True,
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "eps_hil.cli._warm"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
             text=True,
-            timeout=_TIMEOUT_S,
-            check=False,
-            env={**os.environ, **_ONE_THREAD},
+            env={**os.environ, **ONE_THREAD},
         )
-    except subprocess.TimeoutExpired:
-        return f"no diagnosis within {_TIMEOUT_S:.0f} s"
-    if ended.returncode != 0:
-        said = ended.stderr.strip().splitlines()
-        return f"exit status {ended.returncode}: {said[-1] if said else ''}"
-    return ""
+
+    def __enter__(self) -> "Diagnoser":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: object, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.terminate()
+        self._process.communicate()
+
+    def diagnose(self, case: Path, results: Path) -> Examined:
+        """Diagnose one case folder; results/<id>.json, .yaml (the augmented model), .html."""
+        since = time.monotonic()
+        with tempfile.TemporaryDirectory() as folder:
+            desk = Path(folder)
+            for path in case.iterdir():
+                shutil.copy(path, desk / path.name)
+            given = arguments(sorted(path.name for path in case.iterdir()), case)
+            problem = self._run(desk, ["diagnose", *_ASKED_FOR, *given])
+            for name, suffix in _HANDED_IN.items():
+                if not problem and (desk / name).exists():
+                    shutil.move(desk / name, results / f"{case.name}{suffix}")
+        if problem:
+            (results / f"{case.name}{PROBLEM}").write_text(problem + "\n")
+        return Examined(case.name, problem, time.monotonic() - since)
+
+    def _run(self, desk: Path, given: Sequence[str]) -> str:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps([str(desk), _TIMEOUT_S, given]) + "\n")
+        self._process.stdin.flush()
+        answer = self._process.stdout.readline()
+        if not answer:
+            raise EpsHilError("the process that diagnoses ended by itself")
+        status = json.loads(answer)
+        if status is None:
+            return f"no diagnosis within {_TIMEOUT_S:.0f} s"
+        if status != 0:
+            said = (desk / "stderr.txt").read_text().strip().splitlines()
+            return f"exit status {status}: {said[-1] if said else ''}"
+        return ""
 
 
 def arguments(names: Sequence[str], case: Path | None = None) -> list[str]:
@@ -108,12 +141,26 @@ def _failed(results: Path, id: str) -> bool:
 def examine(out: Path, results: Path, jobs: int = 1) -> Iterator[Examined]:
     """Diagnose all open cases, ``jobs`` at once; yields each as it is done."""
     results.mkdir(parents=True, exist_ok=True)
+    cases = open_cases(out, results)
     pool = ThreadPoolExecutor(jobs)
+    diagnosers = [Diagnoser() for _ in range(min(jobs, len(cases)))]
+    idle: SimpleQueue[Diagnoser] = SimpleQueue()
+    for one in diagnosers:
+        idle.put(one)
+
+    def diagnose(case: Path) -> Examined:
+        one = idle.get()
+        try:
+            return one.diagnose(case, results)
+        finally:
+            idle.put(one)
+
     try:
-        running = [pool.submit(diagnose, case, results) for case in open_cases(out, results)]
-        for done in as_completed(running):
+        for done in as_completed([pool.submit(diagnose, case) for case in cases]):
             yield done.result()
     finally:  # an interruption does not wait for what has not begun
+        for one in diagnosers:
+            one.close()
         pool.shutdown(cancel_futures=True)
 
 

@@ -16,15 +16,12 @@ diagnosed further, one that was not is made anew. The folder:
 import hashlib
 import json
 import math
+import os
 import shutil
-import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from contextlib import suppress
 from dataclasses import asdict, dataclass
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -33,8 +30,10 @@ import numpy as np
 
 from eps_hil.errors import InputError
 from eps_hil.proof.cases import make
-from eps_hil.proof.examine import MODEL, PROBLEM, Examined, examine
+from eps_hil.proof.code_version import code_version
+from eps_hil.proof.examine import MODEL, ONE_THREAD, PROBLEM, Examined, examine
 from eps_hil.proof.judge import Judgement, failed, judge
+from eps_hil.proof.long_case import seconds_to_diagnose
 from eps_hil.proof.plans import MIX, QUICK, Plan, mixed
 from eps_hil.proof.seal import opaque_id, open_answers, seal
 from eps_hil.proof.truth import Floats
@@ -42,6 +41,7 @@ from eps_hil.proof.write import write_can_case, write_case
 
 BATCH = 28
 LINES, SEALS, REPORTS = "cases.jsonl", "seals.txt", "reports"
+LONG, LEAST_FOR_LONG = "twenty_minutes.json", 100
 Worths = dict[str, dict[str, float | None]]
 Measure = Callable[[Path, Floats, Mapping[str, Path]], Worths]
 """(case folder, true rack force, model files by name) -> figures by model."""
@@ -50,7 +50,11 @@ Part = Callable[[float], None]
 
 
 def strangers(jobs: int) -> Executor:
-    """Processes that are spawned, and so know nothing but what they are handed."""
+    """Processes that are spawned, and so know nothing but what they are handed.
+
+    Each works on one core: with as many workers as cores, more threads only wait for each other.
+    """
+    os.environ.update(ONE_THREAD)
     return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
 
 
@@ -75,6 +79,7 @@ class Desk:
     measure: Measure
     jobs: int = 1
     workers: Callable[[int], Executor] = strangers
+    time_long: Callable[[int], float | None] = seconds_to_diagnose
     keep: bool = False
     say: Say = lambda _line: None
     part: Part = lambda _part: None
@@ -91,6 +96,9 @@ def run(out: Path, setting: Setting, desk: Desk, *, resume: bool = False) -> lis
                 _Batch(out, number, len(batches), batch, desk, pool).run()
             _gather(out, number)
             desk.part(number / len(batches))
+    if len(plans) >= LEAST_FOR_LONG and not (out / LONG).exists():
+        taken = desk.time_long(setting.seed)
+        (out / LONG).write_text(json.dumps({"seconds": taken}) + "\n")
     return read_lines(out)
 
 
@@ -98,6 +106,12 @@ def read_lines(out: Path) -> list[dict[str, Any]]:
     """The cases that a run has finished so far."""
     path = out / LINES
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def long_seconds(out: Path) -> float | None:
+    """What 20 minutes of recordings took; None where it was not tried, or failed."""
+    found = (_json(out / LONG) or {}).get("seconds")
+    return None if found is None else float(found)
 
 
 def judgement(line: Mapping[str, Any]) -> Judgement:
@@ -262,23 +276,6 @@ def measured(folder: Path, id: str, answer: Mapping[str, Any], measure: Measure)
         model: {name: v if v is not None and math.isfinite(v) else None for name, v in one.items()}
         for model, one in worths.items()
     }
-
-
-@cache
-def code_version() -> str:
-    """Which code this is: the checkout's commit, else the package's version."""
-    with suppress(OSError, subprocess.CalledProcessError):
-        said = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=10"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        return said.stdout.strip()
-    with suppress(PackageNotFoundError):
-        return version("eps_hil")
-    return "unknown"
 
 
 def _digest(values: Floats) -> str:

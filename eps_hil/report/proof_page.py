@@ -9,7 +9,7 @@ from typing import Any
 
 from eps_hil.proof import goals, score
 from eps_hil.proof.judge import Judgement, failed
-from eps_hil.proof.run import SEALS, Setting, judgement
+from eps_hil.proof.run import SEALS, Setting, judgement, long_seconds
 from eps_hil.recordings.files import replacing
 from eps_hil.report import proof_figures
 from eps_hil.report.diagnosis_page import check, number
@@ -24,7 +24,7 @@ def write(out: Path, setting: Setting, lines: Sequence[dict[str, Any]]) -> dict[
     JSON's content as ``result``."""
     judged = [judgement(line) for line in lines]
     cases = [goals.Scored(j, line["worth"]) for j, line in zip(judged, lines, strict=True)]
-    rows = goals.figures(cases)
+    rows = goals.figures(cases, long_seconds(out))
     curve = score.reliability(judged, bins=10)
     pictures = {
         "confusion": proof_figures.confusion(judged, out / "confusion.png"),

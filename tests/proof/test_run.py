@@ -63,6 +63,26 @@ def _desk(said: list[str], **more: Any) -> Desk:
     return Desk(lambda *_: WORTH, workers=ThreadPoolExecutor, say=said.append, **more)
 
 
+def test_only_a_large_run_times_twenty_minutes(
+    tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "LEAST_FOR_LONG", 6)
+    timed: list[int] = []
+
+    def clock(seed: int) -> float:
+        timed.append(seed)
+        return 12.5
+
+    full = Setting(seed=3, quick=False, proof=False, cases=6)
+    for resume in (False, True):
+        run(tmp_path / "full", full, _desk([], time_long=clock), resume=resume)
+    run(tmp_path / "quick", SETTING, _desk([], time_long=clock))
+    assert timed == [3]
+    assert module.long_seconds(tmp_path / "full") == 12.5
+    assert module.long_seconds(tmp_path / "quick") is None
+    assert len(examined) == 11
+
+
 def test_a_run_from_end_to_end(tmp_path: Path, examined: list[str]) -> None:
     said: list[str] = []
     lines = run(tmp_path / "proof", SETTING, _desk(said))

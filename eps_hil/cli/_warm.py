@@ -1,0 +1,80 @@
+"""A process that is ready to diagnose, and makes a new one of itself for every case.
+
+    python -m eps_hil.cli._warm
+
+reads one JSON list a line: the folder to work in, the seconds that it may take, and the arguments
+of ``eps-hil``. Each is run in a fork of this process, which has loaded the code and never sees a
+recording, so no case knows of another; stdout and stderr go to files of that folder. It answers
+with one line: the exit status, or null where the time was up. Loading once saves about two
+seconds a case.
+"""
+
+import json
+import os
+import signal
+import sys
+import time
+
+SAID, COMPLAINED = "stdout.txt", "stderr.txt"
+_LOADED = (
+    "scipy.signal",
+    "scipy.interpolate",
+    "jinja2",
+    "eps_hil.diagnosis.diagnose",
+    "eps_hil.recordings.read",
+    "eps_hil.recordings.csv_file",
+    "eps_hil.report.diagnosis_page",
+)
+_TICK_S = 0.02
+
+
+def serve() -> None:
+    """Work until stdin ends."""
+    from importlib import import_module
+
+    from eps_hil.cli.main import main
+
+    for name in _LOADED:
+        import_module(name)
+    for line in sys.stdin:
+        folder, limit_s, arguments = json.loads(line)
+        child = os.fork()
+        if child == 0:
+            os._exit(_work(main, folder, arguments))
+        sys.stdout.write(json.dumps(_ended(child, limit_s)) + "\n")
+        sys.stdout.flush()
+
+
+def _work(main: object, folder: str, arguments: list[str]) -> int:
+    os.chdir(folder)
+    for number, name, flags in (
+        (0, os.devnull, os.O_RDONLY),
+        (1, SAID, os.O_WRONLY | os.O_CREAT),
+        (2, COMPLAINED, os.O_WRONLY | os.O_CREAT),
+    ):
+        os.dup2(os.open(name, flags, 0o644), number)
+    assert callable(main)
+    try:
+        status = int(main(arguments))
+    except BaseException as error:  # a fork must never go back into the loop above
+        sys.stderr.write(f"{type(error).__name__}: {error}\n")
+        status = 1
+    sys.stdout.flush()
+    sys.stderr.flush()
+    return status
+
+
+def _ended(child: int, limit_s: float) -> int | None:
+    until = time.monotonic() + limit_s
+    while time.monotonic() < until:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(_TICK_S)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return None
+
+
+if __name__ == "__main__":
+    serve()
