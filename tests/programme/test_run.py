@@ -107,6 +107,10 @@ def test_killed_and_interrupted_it_goes_on_and_finds_the_friction(
 ) -> None:
     out = tmp_path / "out"
     words = ["programme", str(tmp_path / "plan.yaml"), "--config", str(config), "--out", str(out)]
+    end = time.monotonic() + 90  # with a cold compiler cache
+    while not listener.recv(0.2):
+        assert rig.poll() is None, rig.communicate()
+        assert time.monotonic() < end
     killed = start(*words)
     wait_for_cells(out, 2, killed)
     wait_until_moving(listener, killed)

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from eps_hil.cli.main import main
-from eps_hil.identification.constant_speed import Cell, fitted, measured_map
-from eps_hil.physics.friction import friction_law, static_level_nm
 from eps_hil.physics.model import load_model
 from eps_hil.reproduction import figure12
 from eps_hil.reproduction.figure9 import modelled
@@ -144,44 +142,11 @@ class TestMeasures:
         assert rms(np.array([3.0, -3.0])) == 3.0
 
 
-class TestFrictionCells:
-    LAW = friction_law(MODEL.friction)
-
-    def cells(self, scatter: float = 0.0) -> list[Cell]:
-        random = np.random.default_rng(1)
-        return [
-            Cell(speed, load, speed, load,
-                 math.copysign(static_level_nm(speed, load, self.LAW), speed)
-                 + scatter * random.standard_normal())
-            for speed in (-40.0, -10.0, -2.0, 2.0, 10.0, 40.0)
-            for load in (0.0, 1000.0, 3000.0)
-            for _ in range(4)
-        ]  # fmt: skip
-
-    def test_eq_3_comes_back(self) -> None:
-        friction, widths = fitted(self.cells(), MODEL.friction)
-        for name in widths:
-            assert getattr(friction, name) == pytest.approx(getattr(MODEL.friction, name))
-
-    def test_intervals_grow_with_scatter(self) -> None:
-        friction, widths = fitted(self.cells(1e-3), MODEL.friction)
-        for name, width in widths.items():
-            away = getattr(friction, name) - getattr(MODEL.friction, name)
-            assert 0.0 < abs(away) < 2.0 * width
-
-    def test_the_map_interpolates_and_ends_where_it_was_measured(self) -> None:
-        found = measured_map(self.cells())
-        speed = np.array([20.0, -20.0, 400.0, 2.0])
-        load = np.array([500.0, 500.0, -1000.0, 9000.0])
-        at = [(20.0, 500.0), (-20.0, 500.0), (40.0, 1000.0), (2.0, 3000.0)]
-        want = [static_level_nm(v, f, self.LAW) for v, f in at]
-        assert found.level(speed, load) == pytest.approx(want)
-
-    def test_sliding_friction_is_the_static_level(self) -> None:
-        """Limit case of eq. 2: long after a reversal T_f is T_fs with the sign of the speed."""
-        speed = np.full(500, -30.0)
-        level = np.full(500, 0.2)
-        assert modelled(speed, level, MODEL.friction)[-1] == pytest.approx(-0.2)
+def test_sliding_friction_is_the_static_level() -> None:
+    """Limit case of eq. 2: long after a reversal T_f is T_fs with the sign of the speed."""
+    speed = np.full(500, -30.0)
+    level = np.full(500, 0.2)
+    assert modelled(speed, level, MODEL.friction)[-1] == pytest.approx(-0.2)
 
 
 def test_a_folder_that_cannot_be_is_one_line(
