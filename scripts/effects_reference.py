@@ -24,6 +24,8 @@ WHERE = {
     Slot.TORQUE: "beside friction and load",
     Slot.MOTOR: "between reported and shaft torque",
     Slot.SENSOR: "between reported and true torsion-bar torque",
+    Slot.JOINT: "on the joint between rotor and rack (`simulate` then runs two masses; the "
+    "estimator's band lies far below)",
     Slot.DATA: "in the recording only",
 }
 

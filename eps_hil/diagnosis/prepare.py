@@ -132,7 +132,7 @@ class Prepared:
             angle = self.raw["motor_angle_rad"]
             slow = low_pass(angle, CREEP_HZ)
             sigma = self.noise["motor_angle_rad"] * np.sqrt(2 * CREEP_HZ * STEP_S)
-            creep = np.diff(_with_play(slow, 2.5 * sigma), prepend=slow[0])
+            creep = np.diff(with_play(slow, 2.5 * sigma), prepend=slow[0])
         else:
             angle = np.cumsum(smooth) * STEP_S
             creep = np.zeros(len(speed))
@@ -204,7 +204,7 @@ def low_pass(values: Floats, cutoff_hz: float) -> Floats:
 
 
 @njit
-def _with_play(angle: Floats, half_width: float) -> Floats:
+def with_play(angle: Floats, half_width: float) -> Floats:
     """The angle followed only past a gap: noise inside it is no path, and wears no bristle down."""
     out = np.empty(len(angle))
     held = angle[0]

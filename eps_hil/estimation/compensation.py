@@ -63,6 +63,7 @@ def instant_of(c: Constants, s: npt.NDArray[np.float64], u: Inputs) -> Instant:
         load,
         angle * c.sensor_to_rotor,
         u.motor_torque_nm,
+        u.torque_sensor_nm,
     )
 
 
@@ -117,6 +118,7 @@ def _at_speed(i: Instant, speed: float) -> Instant:
         i.rack_force_n,
         i.pinion_rad,
         i.motor_torque_nm,
+        i.torque_sensor_nm,
     )
 
 

@@ -70,6 +70,7 @@ def _balance(drive: Drive, m: Motion, out: Floats) -> None:
             force,
             m.angle_rad[k] * drive.sensor_to_rotor,
             m.motor_torque_nm[k],
+            m.torque_sensor_nm[k],
         )
         motor = added.motor_nm(drive.effects, u, m.motor_torque_nm[k])
         sensor = added.sensor_nm(drive.effects, u, m.torque_sensor_nm[k])

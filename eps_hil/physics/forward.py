@@ -64,7 +64,7 @@ def forward(model: Model, series: Mapping[str, Series], *, physical: bool = Fals
         "motor_speed_rad_s": motion.speed_rad_s,
         "motor_angle_rad": motion.angle_rad,
         "rack_force_n": force,
-        "rack_position_m": motion.angle_rad / model.rack_to_rotor_ratio_rad_per_m,
+        "rack_position_m": motion.rack_rad / model.rack_to_rotor_ratio_rad_per_m,
         "friction_torque_nm": motion.friction_torque_nm,
     }
     if not physical:

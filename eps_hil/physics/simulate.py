@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.physics.effects import added
-from eps_hil.physics.effects.catalogue import with_model_effects
+from eps_hil.physics.effects.catalogue import joint_of, with_model_effects
 from eps_hil.physics.effects.effect import Instant
 from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
@@ -46,6 +46,8 @@ class Motion:
     speed_rad_s: Floats
     angle_rad: Floats
     friction_torque_nm: Floats
+    rack_rad: Floats
+    """i_APA times the rack's position: the angle itself unless the joint gives or has play."""
 
 
 def drive_of(model: Model) -> Drive:
@@ -78,20 +80,31 @@ def simulate(
     are straight lines between samples; each interval is cut into steps of 50 µs or less.
     """
     inputs = np.column_stack([motor_torque_nm, torque_sensor_nm, rack_force_n])
-    out = np.empty((len(time_s), 3))
+    out = np.empty((len(time_s), 4))
     start = np.array([speed_rad_s, angle_rad, bristle_rad])
-    _integrate(drive_of(model), time_s, inputs, start, out)
-    return Motion(out[:, 0], out[:, 1], out[:, 2])
+    joint = joint_of(model)
+    if joint is None:
+        _integrate(drive_of(model), time_s, inputs, start, out)
+        out[:, 3] = out[:, 1]
+    else:
+        from eps_hil.physics.two_masses import integrate
+
+        integrate(drive_of(model), joint, time_s, inputs, start, out)
+    return Motion(out[:, 0], out[:, 1], out[:, 2], out[:, 3])
 
 
 @njit
-def _instant(drive: Drive, t: float, speed: float, angle: float, row: Floats) -> Instant:
+def instant(drive: Drive, t: float, speed: float, angle: float, row: Floats) -> Instant:
+    """What a kernel is told; ``row``: motor torque, torsion-bar torque, rack force."""
     position = angle / drive.ratio
-    return Instant(t, speed, angle, position, row[2], angle * drive.sensor_to_rotor, row[0])
+    pinion = angle * drive.sensor_to_rotor
+    return Instant(t, speed, angle, position, row[2], pinion, row[0], row[1])
 
 
 @njit
-def _friction(drive: Drive, u: Instant, bristle: float, after: float) -> tuple[float, float]:
+def friction_and_level(
+    drive: Drive, u: Instant, bristle: float, after: float
+) -> tuple[float, float]:
     """Friction and added torque (Nm) with the bristle half way, and T_fs."""
     level = max(
         added.level_nm(drive.effects, u, static_level_nm(u.speed_rad_s, u.rack_force_n, drive.law)),
@@ -106,9 +119,9 @@ def _integrate(drive: Drive, time_s: Floats, inputs: Floats, start: Floats, out:
     speed, angle, bristle = start[0], start[1], start[2]
     row = np.empty(3)
     for k in range(len(time_s)):
-        u = _instant(drive, time_s[k], speed, angle, inputs[k])
+        u = instant(drive, time_s[k], speed, angle, inputs[k])
         out[k, 0], out[k, 1] = speed, angle
-        out[k, 2] = _friction(drive, u, bristle, bristle)[0]
+        out[k, 2] = friction_and_level(drive, u, bristle, bristle)[0]
         if k + 1 == len(time_s):
             break
         interval = time_s[k + 1] - time_s[k]
@@ -120,7 +133,7 @@ def _integrate(drive: Drive, time_s: Floats, inputs: Floats, start: Floats, out:
                 row[i] = inputs[k, i] + part * (inputs[k + 1, i] - inputs[k, i])
             t = time_s[k] + part * interval
             middle, bristle = _middle(drive, t, speed, angle, bristle, row, dt)
-            u = _instant(drive, t, middle, angle + 0.5 * dt * middle, row)
+            u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
             added.advance(drive.effects, u, dt)
             angle += dt * middle
             speed = 2.0 * middle - speed
@@ -137,12 +150,12 @@ def _middle(
     stiff = law.sigma1_nm_s_per_rad + 0.5 * dt * law.sigma0_nm_per_rad
     weight = drive.inertia / (0.5 * dt)
     for _ in range(4):
-        u = _instant(drive, t, middle, angle + 0.5 * dt * middle, row)
+        u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
         motor = added.motor_nm(drive.effects, u, row[0])
         sensor = added.sensor_nm(drive.effects, u, row[1])
         push = motor + drive.sensor_to_rotor * sensor - row[2] / drive.ratio
-        level = _friction(drive, u, bristle, after)[1]
+        level = friction_and_level(drive, u, bristle, after)[1]
         after = bristle_step(bristle, middle * dt, abs(middle) * dt, level, law.sigma0_nm_per_rad)
-        friction = _friction(drive, u, bristle, after)[0]
+        friction = friction_and_level(drive, u, bristle, after)[0]
         middle = (weight * speed + push - friction + stiff * middle) / (weight + stiff)
     return middle, after

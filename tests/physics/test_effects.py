@@ -59,7 +59,12 @@ EXAMPLES: Mapping[str, Mapping[str, Any]] = {
     "end_stop": {"position_m": 0.004, "stiffness_n_per_m": 3e5},
     "unmodelled_spring": {"stiffness_nm_per_rad": 0.01},
     "position_torque": {"curve": [[-0.01, -0.1], [0.0, 0.05], [0.01, 0.1]]},
+    "torque_sensor_hysteresis": {"play_nm": 0.8},
+    "backlash": {"gap_rad": 0.1},
+    "belt_compliance": {"stiffness_nm_per_rad": 15.0, "damping_nm_s_per_rad": 0.01},
 }
+JOINTS = {name for name in EXAMPLES if catalogue()[name].slot is Slot.JOINT}
+"""Effects of the joint behind the rotor: tests/physics/test_two_masses.py."""
 
 
 def model_with(model: Model, *entries: Mapping[str, Any]) -> Model:
@@ -137,7 +142,7 @@ def test_every_entry_says_what_it_has_to(name: str) -> None:
         assert parameter.meaning
 
 
-@pytest.mark.parametrize("name", sorted(EXAMPLES))
+@pytest.mark.parametrize("name", sorted(set(EXAMPLES) - JOINTS))
 def test_simulated_with_it_estimated_with_it(reference_model: Model, name: str) -> None:
     """The simulator and the estimator agree on every effect; the model without it is worse."""
     entry = {"effect": name, **EXAMPLES[name]}
@@ -152,7 +157,7 @@ def test_simulated_with_it_estimated_with_it(reference_model: Model, name: str) 
 
 
 @pytest.mark.parametrize(
-    "name", sorted(n for n in EXAMPLES if catalogue()[n].slot is not Slot.MODEL)
+    "name", sorted(n for n in set(EXAMPLES) - JOINTS if catalogue()[n].slot is not Slot.MODEL)
 )
 def test_a_kernel_does_its_equation(reference_model: Model, name: str) -> None:
     """Each slot's fused function against CONTRACT 8 written out again in plain Python."""
@@ -161,7 +166,7 @@ def test_a_kernel_does_its_equation(reference_model: Model, name: str) -> None:
     table = added.added(model)
     phi, w, t, force = 7.3, -12.0, 1.7, 400.0
     x, psi = phi / 2513.0, phi * 125.7 / 2513.0
-    u = Instant(t, w, phi, x, force, psi, 0.6)
+    u = Instant(t, w, phi, x, force, psi, 0.6, 0.0)
     curve = [(-0.01, -0.1), (0.0, 0.05), (0.01, 0.1)]
     written_out = {
         "stribeck": lambda v: v + 0.08 * math.exp(-((w / 15) ** 2)),
@@ -182,6 +187,7 @@ def test_a_kernel_does_its_equation(reference_model: Model, name: str) -> None:
         "unmodelled_spring": lambda v: v + 0.01 * phi,
         "position_torque": lambda v: v + np.interp(x, [k[0] for k in curve], [k[1] for k in curve]),
         "end_stop": lambda v: v,
+        "torque_sensor_hysteresis": lambda v: v,
     }
     slots = {
         Slot.LEVEL: added.level_nm,
@@ -199,14 +205,14 @@ def test_end_stop_pushes_back_on_both_sides(reference_model: Model) -> None:
     table = added.added(dataclasses.replace(reference_model, effects=(entry,)))
     for side in (1, -1):
         x = side * 0.005
-        u = Instant(0.0, 0.0, x * 2513.0, x, 0.0, 0.0, 0.0)
+        u = Instant(0.0, 0.0, x * 2513.0, x, 0.0, 0.0, 0.0, 0.0)
         assert added.torque_nm(table, u, 0.0) == pytest.approx(side * 1e6 * 0.001 / 2513.0)
 
 
 def test_dwell_grows_at_rest_and_is_lost_by_sliding(reference_model: Model) -> None:
     entry = {"effect": "breakaway_dwell", "level_nm": 0.1, "time_s": 1.0, "release_rad": 0.5}
     table = added.added(dataclasses.replace(reference_model, effects=(entry,)))
-    rest, slide = Instant(0, 0, 0, 0, 0, 0, 0), Instant(0, 10.0, 0, 0, 0, 0, 0)
+    rest, slide = Instant(0, 0, 0, 0, 0, 0, 0, 0.0), Instant(0, 10.0, 0, 0, 0, 0, 0, 0.0)
     for _ in range(2000):
         added.advance(table, rest, 1e-3)
     assert added.level_nm(table, rest, 0.0) == pytest.approx(0.1 * (1 - math.exp(-2.0)), rel=1e-3)
@@ -214,6 +220,23 @@ def test_dwell_grows_at_rest_and_is_lost_by_sliding(reference_model: Model) -> N
         added.advance(table, slide, 1e-3)
     left = 0.1 * (1 - math.exp(-2.0)) * math.exp(-2.0)
     assert added.level_nm(table, slide, 0.0) == pytest.approx(left, rel=1e-2)
+
+
+@pytest.mark.parametrize("play", [0.2, 0.8])
+def test_sensor_play_is_taken_back_past_its_gap(reference_model: Model, play: float) -> None:
+    """A reading made with play from a known torque comes back to it while it moves on one way."""
+    entry = {"effect": "torque_sensor_hysteresis", "play_nm": play}
+    table = added.added(dataclasses.replace(reference_model, effects=(entry,)))
+    t = np.arange(0.0, 8.0, 1e-3)
+    true, reading, error = 3.0 * np.sin(2 * math.pi * 0.3 * t), 0.0, []
+    for now in true:
+        reading = min(max(reading, now - play), now + play)
+        u = Instant(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, reading)
+        added.advance(table, u, 1e-3)
+        error.append(added.sensor_nm(table, u, reading) - now)
+    settled = np.abs(np.array(error))[1000:]
+    assert np.median(settled) < 0.01 * play
+    assert np.max(settled) < 2.1 * play  # inside the gap nothing is known
 
 
 @pytest.mark.parametrize(
@@ -224,7 +247,7 @@ def test_dwell_grows_at_rest_and_is_lost_by_sliding(reference_model: Model) -> N
         ({"effect": "stribeck", "level_nm": math.nan, "speed_rad_s": 3}, "level_nm is nan"),
         ({"effect": "stribeck", "level": 0.1, "speed_rad_s": 3}, "no parameter 'level'"),
         ({"effect": "unknown"}, "no effect"),
-        ({"effect": "backlash", "gap_rad": 0.1}, "not yet be simulated"),
+        ({"effect": "clock_drift", "ppm": 100.0}, "not yet be simulated"),
         ({"effect": "position_torque", "curve": [[0, 1]]}, "2 to 32 knots"),
         ({"effect": "position_torque", "curve": [[1, 1], [0, 2]]}, "rising"),
         ({"effect": "position_torque", "curve": "steep"}, "pairs"),
@@ -239,7 +262,7 @@ def test_terms_of_one_effect_follow_on_one_another(reference_model: Model) -> No
     first = {"effect": "cogging_torque", "amplitude_nm": 0.02, "order": 4.0, "phase_rad": 0.1}
     second = {**first, "order": 12.0, "amplitude_nm": 0.01}
     table = added.added(dataclasses.replace(reference_model, effects=(first, second)))
-    u = Instant(0.0, 1.0, 0.7, 0.0, 0.0, 0.0, 0.0)
+    u = Instant(0.0, 1.0, 0.7, 0.0, 0.0, 0.0, 0.0, 0.0)
     both = 0.02 * math.sin(4 * 0.7 + 0.1) + 0.01 * math.sin(12 * 0.7 + 0.1)
     assert added.torque_nm(table, u, 0.0) == pytest.approx(both)
 
@@ -254,7 +277,7 @@ def test_each_term_remembers_for_itself(reference_model: Model) -> None:
     entry = {"effect": "breakaway_dwell", "level_nm": 0.1, "time_s": 1.0, "release_rad": 0.5}
     slow = {**entry, "time_s": 10.0}
     table = added.added(dataclasses.replace(reference_model, effects=(entry, slow)))
-    rest = Instant(0, 0, 0, 0, 0, 0, 0)
+    rest = Instant(0, 0, 0, 0, 0, 0, 0, 0.0)
     for _ in range(1000):
         added.advance(table, rest, 1e-3)
     grown = 0.1 * (1 - math.exp(-1.0)) + 0.1 * (1 - math.exp(-0.1))

@@ -10,7 +10,7 @@ from functools import cache
 from typing import Any
 
 from eps_hil.physics import effects
-from eps_hil.physics.effects.effect import Effect, Slot
+from eps_hil.physics.effects.effect import RIGID, Effect, Joint, Slot
 from eps_hil.physics.model import Model
 
 _NO_EFFECT = ("effect", "catalogue", "added")
@@ -94,3 +94,13 @@ def with_model_effects(model: Model) -> Model:
         else:
             left.append(entry)
     return replace(model, effects=tuple(left))
+
+
+def joint_of(model: Model) -> Joint | None:
+    """The joint between rotor and rack with the model's effects in it; None if it is rigid."""
+    joint: Joint | None = None
+    for entry in model.effects:
+        effect, values = values_of(entry, model)
+        if effect.joint is not None:
+            joint = effect.joint(joint or RIGID, values)
+    return joint

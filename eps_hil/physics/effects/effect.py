@@ -32,6 +32,7 @@ class Instant(NamedTuple):
     rack_force_n: float
     pinion_rad: float
     motor_torque_nm: float
+    torque_sensor_nm: float
 
 
 class Slot(StrEnum):
@@ -49,6 +50,8 @@ class Slot(StrEnum):
     """From the reported motor torque to that on the shaft (Nm)."""
     SENSOR = "sensor"
     """From the reported torsion-bar torque to the true one (Nm, at the column)."""
+    JOINT = "joint"
+    """On the joint between rotor and rack, which the simulator then runs as two masses."""
     DATA = "data"
     """In the recording only: nothing in the simulator changes."""
 
@@ -94,6 +97,19 @@ class Probe:
     """A smaller change than this is how rigs are built and sampled: fitted, but no finding."""
 
 
+class Joint(NamedTuple):
+    """What joins the rotor and the mass behind it; everything at the rotor."""
+
+    stiffness_nm_per_rad: float
+    damping_nm_s_per_rad: float
+    gap_rad: float
+    behind_share: float
+    """Share of J_1m that sits behind the joint."""
+
+
+RIGID = Joint(400.0, 0.02, 0.0, 0.33)
+"""As stiff as a belt drive should be: resonance far above what a recording shows."""
+
 Kernel = Callable[[Floats, Floats, Instant, float], float]
 """(parameters (WIDTH,), state (STATES,), instant, value) -> new value of the slot."""
 Advance = Callable[[Floats, Floats, Instant, float], None]
@@ -119,6 +135,8 @@ class Effect:
     advance: Advance | None = None
     change: Callable[[Model, Mapping[str, Any]], Model] | None = None
     """For ``Slot.MODEL``: the model with the effect's numbers worked in."""
+    joint: Callable[[Joint, Mapping[str, Any]], Joint] | None = None
+    """For ``Slot.JOINT``: the joint with the effect in it."""
     probe: Probe | None = None
     """None: this tool cannot look for it yet."""
     simulated: bool = True

@@ -1,4 +1,4 @@
-"""The ratio from rack to rotor off: what the rack force is worth at the rotor."""
+"""The ratio from rack to rotor off: what the rack force is worth at the rotor; perhaps over x."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,8 +16,12 @@ EFFECT = Effect(
     id="rack_ratio",
     kind=Kind.PARAMETER,
     slot=Slot.MODEL,
-    equation="i_APA · (1 + scale)",
-    parameters=(Parameter("scale", "1", -0.5, 1.0, "relative error of the ratio"),),
+    equation="i_APA · (1 + scale); φ = i_APA·x · (1 + scale + slope·x + bend·x²) where it varies",
+    parameters=(
+        Parameter("scale", "1", -0.5, 1.0, "relative error of the ratio in the middle"),
+        Parameter("slope_per_m", "1/m", -20.0, 20.0, "its change with rack position", 0.0),
+        Parameter("bend_per_m2", "1/m²", -2e3, 2e3, "its change with position squared", 0.0),
+    ),
     sentence="The ratio from rack to rotor is {scale:+.2%} off.",
     twins={
         "motor_torque_gain": "count rotor turns over a measured rack travel",
