@@ -152,6 +152,7 @@ def _extra_level_nm(x: Physics, law: FrictionLaw, i: Instant, mean: Floats) -> f
         i.rack_force_n,
         i.pinion_rad,
         i.motor_torque_nm,
+        i.torque_sensor_nm,
     )
     return added.level_nm(x.effects, now, level) - level
 

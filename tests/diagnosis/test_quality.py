@@ -1,0 +1,104 @@
+"""Stage 0 on signals whose faults are known."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from eps_hil.diagnosis.prepare import prepare
+from eps_hil.diagnosis.quality import Channel, finding, look_at
+from eps_hil.series import Series
+
+T = np.arange(0.0, 20.0, 1e-3)
+SPEED = 40.0 * np.sin(2 * np.pi * 0.4 * T)
+ANGLE = -40.0 / (2 * np.pi * 0.4) * np.cos(2 * np.pi * 0.4 * T)
+
+
+def seen(values: npt.NDArray[np.float64], keep: Any = slice(None)) -> Channel:
+    """Stage 0 of a motor torque with these values beside a moving rotor."""
+    t_ns = np.round(T * 1e9).astype(np.int64)
+    noise = np.random.default_rng(1).standard_normal((3, len(T)))
+    series = {
+        "motor_torque_nm": Series(t_ns[keep], values[keep]),
+        "motor_speed_rad_s": Series(t_ns, SPEED + 0.2 * noise[0]),
+        "motor_angle_rad": Series(t_ns, ANGLE + 2e-3 * noise[1]),
+    }
+    return look_at("r", series).channels[0]
+
+
+def torque(noise: float = 0.003, quantum: float = 0.002) -> npt.NDArray[np.float64]:
+    clean = 0.4 * np.sin(2 * np.pi * 0.4 * T)
+    noisy = clean + noise * np.random.default_rng(2).standard_normal(len(T))
+    return np.asarray(np.round(noisy / quantum) * quantum)
+
+
+def test_a_good_channel_has_no_flag() -> None:
+    one = seen(torque())
+    assert one.flags == []
+    assert one.rate_hz == pytest.approx(1000.0)
+    assert one.quantum == pytest.approx(0.002, rel=1e-6)
+    assert one.noise == pytest.approx(0.003, rel=0.1)
+    assert one.jitter_s < 1e-9
+
+
+def test_no_channel_of_a_good_recording_is_flagged(record: Callable[..., Any]) -> None:
+    for name, series in record({}, ("sweep", "slow", "steps"), seconds=12.0).items():
+        for channel in look_at(name, series).channels:
+            assert channel.flags == [], (name, channel.signal, channel.flags)
+
+
+def test_a_clipped_channel_is_flagged_where_it_clips() -> None:
+    one = seen(np.clip(torque(), -0.35, 0.35))
+    assert "clipped" in one.flags
+    for start, end in one.clipped:
+        middle = np.argmin(np.abs(T - 0.5 * (start + end)))
+        assert abs(0.4 * np.sin(2 * np.pi * 0.4 * T[middle])) > 0.34
+
+
+def test_a_stuck_channel_is_flagged() -> None:
+    values = torque()
+    values[5100:6300] = values[5100]
+    one = seen(values)
+    assert one.flags == ["stuck"]
+    ((start, end),) = one.stuck
+    assert [start, end] == pytest.approx([5.1, 6.299], abs=0.01)
+
+
+def test_lost_frames_and_gaps_are_counted() -> None:
+    keep = np.ones(len(T), dtype=bool)
+    keep[1000:19000:100] = False
+    keep[7000:7300] = False
+    one = seen(torque(), keep)
+    assert one.lost_frames == 300 + 180 - 3
+    assert len(one.gaps) == 1
+    assert list(one.gaps[0]) == pytest.approx([6.999, 7.3], abs=0.002)
+
+
+def test_jitter_is_measured() -> None:
+    t_ns = np.round((T + 5e-5 * np.random.default_rng(0).standard_normal(len(T))) * 1e9)
+    series = {"motor_torque_nm": Series(t_ns.astype(np.int64), torque())}
+    one = look_at("r", series).channels[0]
+    assert one.jitter_s == pytest.approx(5e-5 * np.sqrt(2), rel=0.1)
+
+
+def test_dropped_frames_become_a_finding_where_they_matter() -> None:
+    t_ns = np.round(T * 1e9).astype(np.int64)
+    many, few = np.ones(len(T), dtype=bool), np.ones(len(T), dtype=bool)
+    many[::40], few[::400] = False, False
+    for keep, said in ((many, True), (few, False)):
+        series = {"motor_torque_nm": Series(t_ns[keep], torque()[keep])}
+        found = finding([look_at("r", series)])
+        assert (found is not None) is said
+    assert found is None
+
+
+def test_what_is_wrong_is_barred(record: Callable[..., Any]) -> None:
+    (series,) = record({}, ("weave",), seconds=10.0).values()
+    force = series["rack_force_n"]
+    clipped = {**series, "rack_force_n": Series(force.t_ns, np.clip(force.value, -400, 400))}
+    for one, expected in ((series, 0.0), (clipped, 0.3)):
+        barred = look_at("r", one).barred(prepare("r", one))
+        assert np.mean(barred) >= expected
+        assert expected > 0 or not barred.any()
