@@ -105,6 +105,7 @@ class ProgrammeRun:
         self._sums: dict[str, list[float]] = {}
         self._log: LogFile | None = None
         self._heard_s = 0.0
+        self._commanded = False
         self._bus = setup.bus
         self._port: Port
 
@@ -118,7 +119,7 @@ class ProgrammeRun:
         """Run what is not finished yet, in the plan's order; the bus is let go in every case.
 
         :class:`InterruptedProgrammeError` after ``stop()``, :class:`BusError` when the rig is
-        silent, :class:`EpsHilError` when it does not follow.
+        silent or somebody else commands it, :class:`EpsHilError` when it does not follow.
         """
         bus = self._bus
         self._port = open_port(
@@ -208,6 +209,9 @@ class ProgrammeRun:
 
     def _take(self, frames: Sequence[Frame], collector: Collector | None, now_s: float) -> None:
         for frame in frames:
+            if frame.can_id == self._encoder.can_id and not frame.own and not frame.error:
+                can_id = f"0x{frame.can_id:X}"
+                raise BusError(f"{self._port.name}: another transmitter sends {COMMAND} ({can_id})")
             samples = self._decoder.decode(frame)
             if not samples:
                 continue
@@ -237,6 +241,7 @@ class ProgrammeRun:
             "MotorShare": 100.0 * self._plan.motor_share,
             "CommandRequest": request,
         }
+        self._commanded = True
         frame = self._encoder.frame(values)
         if self._port.send(frame) and self._log is not None:
             self._log.write([replace(frame, t_ns=time.time_ns())])
@@ -259,16 +264,19 @@ class ProgrammeRun:
             self._reading()
 
     def _let_go(self) -> None:
-        """Speed and preload to zero, then release; a bus that is gone leaves it to the rig."""
+        """Speed and preload to zero, then release, if we ever commanded anything.
+
+        A bus that is gone leaves it to the rig.
+        """
         try:
             end_s = time.monotonic() + _LONGEST_STOP_S
-            while time.monotonic() < end_s:
+            while self._commanded and time.monotonic() < end_s:
                 self._send(Wanted(0.0, 0.0))
                 self._receive_until(time.monotonic() + TICK_S, None)
                 now = self._reading()
                 if abs(now.speed_rad_s) < 1.0 and abs(now.force_n) < 50.0:
                     break
-            for _ in range(_RELEASE_FRAMES):
+            for _ in range(_RELEASE_FRAMES if self._commanded else 0):
                 self._send(Wanted(0.0, 0.0), _RELEASE)
         except BusError:
             pass

@@ -5,12 +5,14 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from eps_hil.bus.codec import FrameEncoder
 from eps_hil.bus.database import load_database
 from eps_hil.bus.port import Port, open_port
 from eps_hil.cli.main import main
@@ -166,6 +168,32 @@ def test_without_a_rig_it_says_so(
     said = capsys.readouterr().err
     assert "does the rig run?" in said
     assert said.count("\n") == 1
+
+
+def test_two_programmes_do_not_share_a_rig(
+    config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Somebody commands the rig already: not one frame of ours goes out."""
+    other = open_port("udp_multicast", CHANNEL, fd=True, options=OPTIONS)
+    encoder, stopped = FrameEncoder(DATABASE, "RIG_Command"), threading.Event()
+    seen: list[int] = []
+
+    def command() -> None:
+        while not stopped.wait(0.01):
+            other.send(encoder.frame({"CommandRequest": 1.0}))
+            seen.extend(frame.can_id for frame in other.recv(0.0))
+
+    thread = threading.Thread(target=command)
+    thread.start()
+    words = ["programme", str(tmp_path / "plan.yaml"), "--config", str(config)]
+    try:
+        assert main([*words, "--out", str(tmp_path / "out")]) == 1
+    finally:
+        stopped.set()
+        thread.join()
+        other.close()
+    assert "another transmitter sends RIG_Command (0xA0)" in capsys.readouterr().err
+    assert seen == []
 
 
 def test_another_programme_in_the_folder_is_refused(
