@@ -119,11 +119,22 @@ class Gates:
 
     def update(self, dt_s: float, inputs: InjectionInputs) -> tuple[GateState, ...]:
         """Take the values of the sample ``dt_s`` after the one before."""
-        values = inputs._asdict()
-        if math.isnan(inputs.rack_position_m):
-            values["rack_position_m"] = inputs.motor_angle_rad / self._ratio
+        position = inputs.rack_position_m
+        if math.isnan(position):
+            position = inputs.motor_angle_rad / self._ratio
+        values = (
+            inputs.vehicle_speed_m_s,
+            inputs.lateral_acceleration_m_s2,
+            inputs.yaw_rate_rad_s,
+            inputs.torque_sensor_nm,
+            position,
+            inputs.rack_force_n,
+        )
         self.states = tuple(
-            self._state(name, self._low_pass(name, values[name], dt_s)) for name in GATES
+            [
+                self._state(name, self._low_pass(name, value, dt_s))
+                for name, value in zip(GATES, values, strict=True)
+            ]
         )
         return self.states
 

@@ -47,7 +47,7 @@ class ReversalSettings:
     """Least residual that a fit is believed to have."""
     outlier_sigma: Positive = 3.0
     """Stretches that disagree by more than this are taken with less weight."""
-    confident_share: Positive = 0.03
+    confident_share: Positive = 0.05
     """Standard deviation of the sum, as a share of it, below which it is called confident."""
     flag_share: Positive = 0.05
     """Deviation of the sum from the model's that is worth a flag."""
@@ -229,11 +229,11 @@ class ReversalAdaptation:
     def _load_error(self) -> float:
         """What an unknown asymmetry does to the sum: it shifts the rack force that eq. 3 is given.
 
-        Half of it is a load; of the load-dependent friction that follows, what differs between
-        loads to the left and to the right does not average out (half, to be safe).
+        Half of it looks like a load, and that load like load-dependent friction of both directions.
+        Where the true load goes to both sides it averages out; near zero load it does not.
         """
         f, ratio = self._model.friction, self._model.rack_to_rotor_ratio_rad_per_m
-        return 0.25 * ratio * (f.load_pos_nm_per_n + f.load_neg_nm_per_n)
+        return 0.5 * ratio * (f.load_pos_nm_per_n + f.load_neg_nm_per_n)
 
     def _state(self, t_ns: int) -> ReversalState:
         levels, c = self._filter.levels_nm, self._filter.covariance
@@ -244,7 +244,7 @@ class ReversalAdaptation:
         sum_std = math.hypot(sum_std, self._load_error() * asymmetry_std)
         total, own = float(levels.sum()), float(self._filter.model_nm.sum())
         confident = sum_std < s.confident_share * total
-        known = asymmetry_std < 2.0 * s.confident_share * total
+        known = asymmetry_std < s.confident_share * total
         flag = ""
         if confident and abs(total - own) > max(s.flag_share * own, 3.0 * sum_std):
             flag = (

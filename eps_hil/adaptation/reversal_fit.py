@@ -42,7 +42,8 @@ _MOVING_RAD_S = 0.5
 _GAP_SIGMA = 3.0
 _SLOW_HZ = 2.0
 """What the driver does lies below, most of what the road does above."""
-_SLOW_RAD_S = 3.0
+_SLIDING_RAD_S = 4.0
+"""Faster than this a rotor is well away from its turn: neither bristle nor noise matter."""
 _FULL_SHARE = 0.98
 _MEMORY = 25
 """Blocks (0.2 s) over which what is left may be correlated."""
@@ -186,7 +187,7 @@ def evidence(blocks: Blocks, noise_nm: float) -> Evidence:
     if blocks.known:
         # only where the bristle is at its level, so that its form does not matter
         sliding = np.abs(blocks.slopes).sum(axis=0) > _FULL_SHARE
-        sliding &= np.abs(blocks.speed_rad_s) > _SLOW_RAD_S
+        sliding &= np.abs(blocks.speed_rad_s) > _SLIDING_RAD_S
         instruments, left, slopes = blocks.slopes * sliding, blocks.left, blocks.slopes
     else:
         instruments, left, slopes = _freed(blocks)
@@ -214,8 +215,9 @@ def _freed(blocks: Blocks) -> tuple[Floats, Floats, Floats]:
     slow_speed = _low_pass(blocks.speed_rad_s, _SLOW_HZ)
     slow_angle = _low_pass(blocks.angle_rad, _SLOW_HZ)
     load = _scaled([np.ones(n), time, time**2, blocks.angle_rad, blocks.speed_rad_s])
-    shown = _scaled([np.ones(n), time, time**2, slow_angle, slow_speed])
-    direction = np.tanh(slow_speed / _SLOW_RAD_S)
+    sliding = np.abs(slow_speed) > _SLIDING_RAD_S
+    shown = _scaled([np.ones(n), time, time**2, slow_angle, slow_speed]) * sliding
+    direction = np.sign(slow_speed) * sliding
     solve = np.linalg.pinv(shown @ load.T)
     # the direction without its share in ``load``: orthogonal to every smooth load
     pure = direction - (direction @ load.T) @ solve @ shown
