@@ -16,7 +16,7 @@ from eps_hil.axis.identify import identify
 from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.prepare import CUTOFF_HZ, STEP_S, Prepared, prepare
 from eps_hil.diagnosis.problem import Problem
-from eps_hil.diagnosis.select import TIMING, select
+from eps_hil.diagnosis.select import select
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -26,6 +26,8 @@ LEAST_LOSS = 0.05
 """An effect stays if the judging part's residual energy rises by this share without it, though the
 model's own numbers and the other effects are fitted anew to make up for it."""
 _ROUNDS = 2
+
+TIMING = {"effect": "motor_torque_delay", "delay_s": 0.0}
 
 Say = Callable[[str, float], None]
 Entries = Sequence[Mapping[str, Any]]
@@ -52,7 +54,10 @@ def augment(record: AxisRecord, published: Model, say: Say | None = None) -> Aug
     noise = _typical_residual_nm(fitted, nominal)
     fitted, judged, whole = (_noisy(one, noise) for one in (fitted, judged, whole))
     found = select(Problem([fitted], nominal), say)
-    model, entries, losses = _pruned(fitted, judged, nominal, found.found.entries, say)
+    entries: Entries = found.found.entries
+    if all(entry["effect"] != TIMING["effect"] for entry in entries):
+        entries = (TIMING, *entries)
+    model, entries, losses = _pruned(fitted, judged, nominal, entries, say)
     model, last = _refitted(whole, model, entries)
     augmented = replace(model, effects=last.entries)
     return Augmented(identify(whole, published), augmented, last, losses, noise / ARM_M)

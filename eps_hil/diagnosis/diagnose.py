@@ -1,7 +1,7 @@
 """The whole way from recordings to a verdict (CONTRACT 7)."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -73,7 +73,7 @@ def diagnose(
         say("looking at what is left", 0.9)
     left = leftover(problem, selection.found.residual)
     content = _content(problem, selection, findings, left, judged)
-    augmented = problem.with_entries([_entry(selection.found.entries[k]) for k in findings])
+    augmented = _augmented(problem, selection.found, findings)
     return Diagnosis(content, augmented, problem, selection, judged, findings)
 
 
@@ -106,17 +106,16 @@ def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
     keep = []
     entries = selection.found.entries
     test = Problem([one.prepared for one in judged], problem.model)
-    full = test.residual(test.with_entries(entries))
+    full = test.residual(test.with_entries(entries, selection.found.own))
     at = knee(full)
     cost = float(np.sum(clipped(full, at) ** 2))
     least = 0.3 * threshold(test, full, FINAL_SHARE)
     for k, entry in enumerate(entries):
         if entry["effect"] not in selection.gains:
             continue
-        without = test.residual(test.with_entries([e for i, e in enumerate(entries) if i != k]))
-        loss = float(np.sum(clipped(without, at) ** 2)) - cost
-        slid = float(np.sum((without**2 - full**2)[test.sliding]))
-        if loss > least and (slid > 0.0 or entry["effect"] == "presliding_hysteresis"):
+        refitted = selection.without[entry["effect"]]
+        without = test.residual(test.with_entries(refitted.entries, refitted.own))
+        if float(np.sum(clipped(without, at) ** 2)) - cost > least:
             keep.append(k)
     return keep
 
@@ -126,7 +125,7 @@ def _better(
 ) -> bool:
     """Whether the findings, as a model file would hold them, lower the hold-outs' error."""
     test = Problem([one.prepared for one in judged], problem.model)
-    augmented = problem.with_entries([_entry(found.entries[k]) for k in findings])
+    augmented = _augmented(problem, found, findings)
     before, after = test.residual(problem.model), test.residual(augmented)
     at = knee(before)
     return float(np.sum(clipped(after, at) ** 2)) < float(np.sum(clipped(before, at) ** 2))
@@ -171,13 +170,23 @@ def _proof(
     problem: Problem, found: Fit, findings: Sequence[int], judged: Sequence[Holdout]
 ) -> dict[str, Any]:
     model = problem.model
-    augmented = problem.with_entries([_entry(found.entries[k]) for k in findings])
-    before = measures(judged, model, model)
+    augmented = _augmented(problem, found, findings)
+    before = measures(judged, augmented, model)
     return {
         "baseline": before,
-        "augmented": measures(judged, model, augmented) if findings else before,
-        "noise_floor": noise_floor(judged, model),
+        "augmented": measures(judged, augmented, augmented) if findings else before,
+        "noise_floor": noise_floor(judged, augmented),
     }
+
+
+def _augmented(problem: Problem, found: Fit, findings: Sequence[int]) -> Model:
+    """The model with the findings; what else was fitted (how a torque is held) goes with them."""
+    if not findings:
+        return problem.model
+    entries = [_entry(found.entries[k]) for k in findings]
+    model = problem.with_entries(entries, _entry(found.own))
+    late = max(model.delays_s.motor_torque, 0.0)  # a model file holds no negative delay
+    return replace(model, delays_s=replace(model.delays_s, motor_torque=late))
 
 
 def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
@@ -188,7 +197,7 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     rivals = selection.rivals.get(effect.id, [])
     twins = [name for name, part in rivals if part > RIVAL or (1 - part) * gain < RIVAL_GAIN]
     others = [e for i, e in enumerate(found.entries) if i != k]
-    without = problem.residual(problem.with_entries(others))
+    without = problem.residual(problem.with_entries(others, found.own))
     share = (without - found.residual) ** 2
     sentence, values = effect.wording(entry)
     regions = locate.where(problem, np.where(problem.sliding, share, 0.0))

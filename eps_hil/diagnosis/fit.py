@@ -1,12 +1,13 @@
 """All parameters of the chosen effects together: bounded least squares on the torque balance."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.baseline import ALL, KNOBS, SIDES
 from eps_hil.diagnosis.probes import neutral_value
 from eps_hil.diagnosis.problem import Problem, knee
 from eps_hil.physics.effects.catalogue import catalogue
@@ -17,61 +18,138 @@ _FIXED = ("belt_ratio", "pole_pairs", "harmonic", "curve")
 """Not moved by the joint fit: given by the model file, or solved for in one step (a curve)."""
 
 
+_TRUSTED = 0.7
+"""Share of the promised gain below which sensitivities are out of date."""
+_NEGLIGIBLE = 0.5
+"""A fit ends where its next step would gain less than this part of a noise variance."""
+
+
 @dataclass(frozen=True)
 class Fit:
-    """Fitted entries, weighted residual (n,), and parameter covariance in the order of names."""
+    """Fitted entries, weighted residual (n,), and parameter covariance in the order of names.
+
+    ``own``: how far the model's own numbers were moved beside the entries (empty: not at all).
+    ``jacobian`` has the columns of ``own`` first, then those of ``names``.
+    """
 
     entries: tuple[dict[str, Any], ...]
     residual: Floats
     names: tuple[tuple[int, str], ...]
     covariance: Floats
     jacobian: Floats
+    own: Mapping[str, float] = field(default_factory=dict)
+    cost: float = 0.0
+    """Huber's loss, twice, at the problem's knee, and the price of ``own`` (its prior)."""
 
-    @property
-    def cost(self) -> float:
-        """Sum of squares in units of the sensor noise."""
-        return float(self.residual @ self.residual)
+    def slopes(self) -> dict[tuple[str, str], Floats]:
+        """Columns of the Jacobian by (effect, parameter)."""
+        first = len(self.own)
+        return {
+            (str(self.entries[k]["effect"]), name): self.jacobian[:, first + i]
+            for i, (k, name) in enumerate(self.names)
+        }
 
 
-def fit(problem: Problem, entries: Sequence[Mapping[str, Any]], rounds: int = 6) -> Fit:
-    """Levenberg-Marquardt within bounds from the given entries; Huber weights against outliers."""
+def fit(
+    problem: Problem,
+    entries: Sequence[Mapping[str, Any]],
+    rounds: int = 10,
+    own: Mapping[str, float] | None = None,
+    like: Fit | None = None,
+) -> Fit:
+    """Levenberg-Marquardt within bounds from the given entries; Huber weights against outliers.
+
+    ``own`` names the model's own numbers that are fitted too, and where from (see baseline).
+    Sensitivities are taken from ``like``, a fit nearby, where it has them, and anew only where a
+    step gains less than they promised: most of the model is nearly linear.
+    """
     names = tuple(
         (k, p.name)
         for k, entry in enumerate(entries)
         for p in catalogue()[entry["effect"]].parameters
         if p.name in entry and p.name not in _FIXED
     )
-    work = [dict(entry) for entry in entries]
-    residual = problem.residual(problem.with_entries(work))
-    jacobian = np.zeros((len(residual), len(names)))
-    damping, at = 1e-3, knee(residual)
-    for _ in range(rounds if names else 0):
-        jacobian = _jacobian(problem, work, names, residual)
-        weight = _huber(residual, at)
-        weighted = jacobian * weight[:, None]
+    work, knobs = [dict(entry) for entry in entries], _Knobs(problem, own)
+    residual = problem.residual(problem.with_entries(work, knobs.values))
+    at = problem.knee = problem.knee or knee(residual)
+    cost = problem.cost(residual) + knobs.price
+    jacobian = np.zeros((len(residual), len(knobs.names) + len(names)))
+    damping = 1e-3
+    known = {} if like is None else like.slopes()
+    fresh, columns = not known, knobs.columns
+    for _ in range(rounds if jacobian.shape[1] else 0):
+        wanted = [n for n in names if fresh or (work[n[0]]["effect"], n[1]) not in known]
+        slopes = _jacobian(problem, work, wanted, residual, knobs.values)
+        known |= {(work[k]["effect"], n): slopes[:, i] for i, (k, n) in enumerate(wanted)}
+        found = [known[work[k]["effect"], n] for k, n in names]
+        jacobian = np.column_stack([columns, *found])
+        fresh_now, fresh = len(wanted) == len(names), False
+        weighted = jacobian * _huber(residual, at)[:, None]
         normal, slope = weighted.T @ jacobian, weighted.T @ residual
+        normal[knobs.diagonal] += 1.0
+        slope[: len(knobs.names)] += knobs.vector
         size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
-        improved = False
+        before = cost
         for _attempt in range(5):
-            scaled = normal / np.outer(size, size) + damping * np.eye(len(names))
+            scaled = normal / np.outer(size, size) + damping * np.eye(len(size))
             step = -np.linalg.lstsq(scaled, slope / size, rcond=None)[0] / size
-            trial = _moved(work, names, step)
-            changed = problem.residual(problem.with_entries(trial))
-            cost, lower = float(np.sum(_rho(residual, at))), float(np.sum(_rho(changed, at)))
+            promised = -float(slope @ step)
+            if promised < _NEGLIGIBLE:
+                break
+            moved = knobs.moved(step[: len(knobs.names)])
+            trial = _moved(work, names, step[len(knobs.names) :])
+            changed = problem.residual(problem.with_entries(trial, moved.values))
+            lower = problem.cost(changed) + moved.price
             if lower < cost:
-                gain = 1.0 - lower / cost
-                work, residual, improved = trial, changed, True
+                work, residual, knobs, cost = trial, changed, moved, lower
                 damping = max(damping / 10, 1e-9)
                 break
             damping *= 10
-        if not improved or gain < 1e-5:
+            if not fresh_now:
+                break
+        if before - cost < _NEGLIGIBLE and (fresh_now or promised < _NEGLIGIBLE):
             break
-    return Fit(tuple(work), residual, names, _covariance(jacobian, residual, problem), jacobian)
+        fresh = before - cost < _TRUSTED * promised
+    covariance = _covariance(jacobian, residual, problem, len(knobs.names))
+    return Fit(tuple(work), residual, names, covariance, jacobian, knobs.values, cost)
 
 
-def _rho(residual: Floats, at: float) -> Floats:
-    size = np.abs(residual)
-    return np.where(size < at, 0.5 * residual**2, at * size - 0.5 * at * at)
+class _Knobs:
+    """The model's own numbers during a fit: values, sensitivities and the price of the prior."""
+
+    def __init__(self, problem: Problem, values: Mapping[str, float] | None) -> None:
+        self.problem = problem
+        self.values = dict(values or {})
+        self.names = list(self.values)
+        self.vector = np.array(list(self.values.values()))
+        self.diagonal = np.diag_indices(len(self.names))
+        self.price = float(self.vector @ self.vector)
+
+    @property
+    def columns(self) -> Floats:
+        if not self.names:
+            return np.zeros((len(self.problem.scale), 0))
+        return np.column_stack([own_column(self.problem, name) for name in self.names])
+
+    def moved(self, step: Floats) -> "_Knobs":
+        values = dict(zip(self.names, (self.vector + step).tolist(), strict=True))
+        return _Knobs(self.problem, values)
+
+
+def own_column(problem: Problem, name: str) -> Floats:
+    """Sensitivity of the weighted residual to one of the model's own numbers, (n,).
+
+    Taken at ``problem.at`` (the refitted numbers, once they are known).
+    """
+    if name not in problem.columns:
+        (knob,) = (knob for knob in KNOBS if knob.name == name)
+        at = problem.at.get(name, 0.0)
+        up, down = (
+            problem.residual(problem.with_entries([], {**problem.at, name: at + step}))
+            for step in (knob.step, -knob.step)
+        )
+        problem.columns[name] = (up - down) / (2 * knob.step)
+    return problem.columns[name]
 
 
 def _huber(residual: Floats, at: float) -> Floats:
@@ -84,8 +162,9 @@ def _jacobian(
     entries: Sequence[Mapping[str, Any]],
     names: Sequence[tuple[int, str]],
     residual: Floats,
+    own: Mapping[str, float],
 ) -> Floats:
-    columns = []
+    columns = [np.zeros((len(residual), 0))]
     for k, name in names:
         effect = catalogue()[entries[k]["effect"]]
         (parameter,) = (p for p in effect.parameters if p.name == name)
@@ -94,8 +173,9 @@ def _jacobian(
         step = size if value + size <= parameter.upper else -size
         changed = [dict(entry) for entry in entries]
         changed[k][name] = value + step
-        columns.append((problem.residual(problem.with_entries(changed)) - residual) / step)
-    return np.column_stack(columns)
+        moved = problem.residual(problem.with_entries(changed, own))
+        columns.append(((moved - residual) / step)[:, None])
+    return np.hstack(columns)
 
 
 def _step(effect: Any, name: str, value: float, span: float) -> float:
@@ -121,24 +201,38 @@ def _moved(
     return moved
 
 
-def _covariance(jacobian: Floats, residual: Floats, problem: Problem) -> Floats:
-    """Sandwich over blocks: residuals of one block hang together, and so count once."""
-    if jacobian.shape[1] == 0:
+def _covariance(jacobian: Floats, residual: Floats, problem: Problem, own: int) -> Floats:
+    """Sandwich over blocks: residuals of one block hang together, and so count once.
+
+    The first ``own`` columns have their prior and are left out of the result.
+    """
+    if jacobian.shape[1] <= own:
         return np.zeros((0, 0))
+    jacobian = jacobian * np.sqrt(_huber(residual, problem.knee))[:, None]
+    residual = residual * np.sqrt(_huber(residual, problem.knee))
     normal = jacobian.T @ jacobian
-    inverse = np.linalg.pinv(normal)
+    normal[np.diag_indices(own)] += 1.0
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
+    inverse = np.linalg.pinv(normal / np.outer(size, size)) / np.outer(size, size)
     middle = np.zeros_like(normal)
-    for block in np.unique(problem.block):
+    middle[np.diag_indices(own)] += 1.0
+    blocks = np.unique(problem.block)
+    for block in blocks:
         rows = problem.block == block
         score = jacobian[rows].T @ residual[rows]
         middle += np.outer(score, score)
-    blocks = len(np.unique(problem.block))
-    return np.asarray(inverse @ middle @ inverse * blocks / max(blocks - 1, 1))
+    found = inverse @ middle @ inverse * len(blocks) / max(len(blocks) - 1, 1)
+    return np.asarray(found[own:, own:])
 
 
-def ablated(problem: Problem, found: Fit, k: int, rounds: int = 3) -> Fit:
+def ablated(problem: Problem, found: Fit, k: int, rounds: int = 6) -> Fit:
     """The fit without entry ``k``, the others refitted."""
-    return fit(problem, [e for i, e in enumerate(found.entries) if i != k], rounds)
+    others = [e for i, e in enumerate(found.entries) if i != k]
+    own = found.own
+    if len(own) < len(ALL):  # not the free baseline: a name's own sides go with it
+        sides = SIDES.get(str(found.entries[k]["effect"]), ())
+        own = {name: value for name, value in own.items() if name not in sides}
+    return fit(problem, others, rounds, own, found)
 
 
 def deviation(entry: Mapping[str, Any], problem: Problem) -> float:

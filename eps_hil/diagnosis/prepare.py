@@ -8,6 +8,7 @@ pass the same one.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from math import comb
 
 import numpy as np
 import numpy.typing as npt
@@ -79,6 +80,10 @@ class Prepared:
         raw, torque = residual_nm(model, self.motion(model))
         return self.thin(raw), self.thin(torque)
 
+    def left_over(self, model: Model) -> Floats:
+        """The residual alone, filtered and thinned, Nm at the rotor, (m,)."""
+        return self.thin(residual_nm(model, self.motion(model))[0])
+
     def thin(self, signal: Floats) -> Floats:
         """Low-pass without phase at CUTOFF_HZ, edges off, every THIN-th sample."""
         edge = round(EDGE_S / STEP_S)
@@ -91,21 +96,29 @@ class Prepared:
         return self.time_s[edge : len(self.time_s) - edge : THIN]
 
     def floor_nm(self, model: Model) -> float:
-        """Rms (Nm) that sensor noise alone leaves in the thinned residual."""
-        from scipy.signal import sosfreqz
+        """Rms (Nm) that sensor noise alone leaves in the thinned residual.
 
-        frequency, response = sosfreqz(_filter(CUTOFF_HZ), 4096, fs=1 / STEP_S)
-        gain = np.abs(response) ** 4  # forward and backward
-        share = float(np.mean(gain))
-        sharpened = float(np.mean(gain * (2 * np.pi * frequency) ** 2))
+        Under ``model``: what it multiplies a signal with, it multiplies the signal's noise with.
+        """
+        share = _passed(CUTOFF_HZ, 0)
+        worked_in = with_model_effects(model)
+        gains = {str(e["effect"]): float(e["gain"]) for e in worked_in.effects if "gain" in e}
+        motor = gains.get("motor_torque_gain", 1.0)
+        sensor = worked_in.sensor_to_rotor / gains.get("torque_sensor_gain", 1.0)
+        load = 1.0 / worked_in.rack_to_rotor_ratio_rad_per_m
         squared = (
-            self.noise.get("motor_torque_nm", 0.0) ** 2 * share
-            + (model.sensor_to_rotor * self.noise.get("torque_sensor_nm", 0.0)) ** 2 * share
-            + (self.noise.get("rack_force_n", 0.0) / model.rack_to_rotor_ratio_rad_per_m) ** 2
-            * share
-            + (model.inertia_kg_m2 * self.noise["motor_speed_rad_s"]) ** 2 * sharpened
+            (motor * self.noise.get("motor_torque_nm", 0.0)) ** 2 * share
+            + (sensor * self.noise.get("torque_sensor_nm", 0.0)) ** 2 * share
+            + (load * self.noise.get("rack_force_n", 0.0)) ** 2 * share
+            + worked_in.inertia_kg_m2**2 * self._acceleration_variance()
         )
         return float(np.sqrt(squared))
+
+    def _acceleration_variance(self) -> float:
+        """Of the filtered acceleration, by noise alone, rad²/s⁴."""
+        if self.speed_is_derived:
+            return self.noise["motor_angle_rad"] ** 2 * _passed(CUTOFF_HZ, 4)
+        return self.noise["motor_speed_rad_s"] ** 2 * _passed(CUTOFF_HZ, 2)
 
     def _signal(self, name: str, delay_s: float) -> Floats:
         if name not in self.raw:
@@ -170,30 +183,61 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
     t_ns = np.arange(n, dtype=np.int64) * 1_000_000
     start = min(int(one.t_ns[0]) for one in used.values())
     raw = {name: _on_grid(one, origin, t_ns) for name, one in used.items()}
+    noise = {name: _noise_at_1_khz(one) for name, one in used.items()}
     if derived:
         raw["motor_speed_rad_s"] = np.gradient(low_pass(raw["motor_angle_rad"], SMOOTH_HZ), STEP_S)
-    noise = {name: noise_of(values) for name, values in raw.items()}
+        # as a white speed noise that leaves as much in the smoothed speed
+        noise["motor_speed_rad_s"] = noise["motor_angle_rad"] * float(
+            np.sqrt(_passed(SMOOTH_HZ, 2) / _passed(SMOOTH_HZ, 0))
+        )
     time_s = np.asarray(t_ns * 1e-9 + (origin - start) * 1e-9, dtype=np.float64)
     return Prepared(name, time_s, raw, noise, derived, unexplained_nm)
 
 
 def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:
     good = np.isfinite(one.value)
-    return np.asarray(np.interp(t_ns, one.t_ns[good] - origin, one.value[good]))
+    at, value = one.t_ns[good] - origin, one.value[good]
+    if float(np.median(np.diff(at))) > 0.9e9 * STEP_S:
+        return np.asarray(np.interp(t_ns, at, value))
+    # faster than the grid: the mean over a step, so that noise above it does not fold down
+    area = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(at))])
+    half = round(0.5e9 * STEP_S)
+    low, high = np.clip(t_ns - half, at[0], at[-1]), np.clip(t_ns + half, at[0], at[-1])
+    return np.asarray((np.interp(high, at, area) - np.interp(low, at, area)) / (high - low))
+
+
+def _noise_at_1_khz(one: Series) -> float:
+    """The white noise on the 1 kHz grid that is as strong below the cut-off as the signal's own.
+
+    Of a signal at another rate: its noise is spread over another band.
+    """
+    good = np.isfinite(one.value)
+    step = float(np.median(np.diff(one.t_ns[good]))) * 1e-9
+    return noise_of(one.value[good]) * float(np.sqrt(step / STEP_S))
 
 
 def noise_of(values: Floats) -> float:
-    """Standard deviation of white noise on a smooth signal, from its third differences.
+    """Standard deviation of white noise on a smooth signal, from its higher differences.
+
+    From third and sixth differences, and the smaller: noise is the same in both, motion that is
+    fast beside the samples is not. 0 for a constant.
+    """
+    return min(_noise_of(values, 3), _noise_of(values, 6))
+
+
+def _noise_of(values: Floats, order: int) -> float:
+    """From one order of difference.
 
     Heavy tails count, as the filter adds them up; beyond ten usual sizes it is motion (a step, a
-    burst) and counts no more. 0 for a constant.
+    burst) and counts no more.
     """
-    bends = np.abs(np.diff(values, n=3))
+    bends = np.abs(np.diff(values, n=order))
+    scale = float(comb(2 * order, order))
     moving = bends[bends > 0]
     if len(moving) < 0.2 * len(bends):
-        return float(np.sqrt(np.mean(bends**2) / 20.0))
+        return float(np.sqrt(np.mean(bends**2) / scale))
     usual = float(np.median(bends)) / 0.6745
-    return float(np.sqrt(np.mean(np.minimum(bends, _TAIL * usual) ** 2) / 20.0))
+    return float(np.sqrt(np.mean(np.minimum(bends, _TAIL * usual) ** 2) / scale))
 
 
 def low_pass(values: Floats, cutoff_hz: float) -> Floats:
@@ -215,6 +259,16 @@ def with_play(angle: Floats, half_width: float) -> Floats:
             held = angle[k] + half_width
         out[k] = held
     return out
+
+
+@cache
+def _passed(cutoff_hz: float, power: int) -> float:
+    """What the filter leaves of the variance of white noise, times (2πf) to this power."""
+    from scipy.signal import sosfreqz
+
+    frequency, response = sosfreqz(_filter(cutoff_hz), 4096, fs=1 / STEP_S)
+    gain = np.abs(response) ** 4  # forward and backward
+    return float(np.mean(gain * (2 * np.pi * frequency) ** power))
 
 
 @cache

@@ -21,6 +21,9 @@ _MOST_ORDERS = 4
 _FILTER_HZ = 30.0
 _KNOTS = 24
 
+Base = tuple[Sequence[Mapping[str, Any]], Mapping[str, float] | None]
+"""Entries, and how far the model's own numbers are moved."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -65,11 +68,13 @@ def candidates(
     entries: Sequence[Mapping[str, Any]],
     residual: Floats,
     on_progress: Callable[[float], None] | None = None,
+    own: Mapping[str, float] | None = None,
     without: Collection[str] = (),
 ) -> list[Candidate]:
     """All candidates against the model with ``entries``, whose weighted residual is given.
 
-    Effects whose id is in ``without`` are left out.
+    ``own``: how far the model's own numbers are moved. Effects whose id is in ``without`` are left
+    out.
     """
     jobs = [
         (effect, shape)
@@ -81,12 +86,13 @@ def candidates(
     def look(job: tuple[Effect, Mapping[str, float]]) -> Candidate | None:
         effect, shape = job
         others = [entry for entry in entries if entry["effect"] != effect.id]
-        base = (
-            residual
-            if len(others) == len(entries)
-            else problem.residual(problem.with_entries(others))
-        )
-        columns = _columns(problem, others, effect, shape, base)
+        beside = dict(own or {})
+        if effect.probe is not None and np.isnan(effect.probe.neutral):
+            beside.pop(effect.probe.amplitude, None)  # the effect sets this very number
+        untouched = len(others) == len(entries) and len(beside) == len(own or {})
+        model = problem.with_entries(others, beside)
+        base = residual if untouched else problem.residual(model)
+        columns = _columns(problem, (others, beside), effect, shape, base)
         return None if columns is None else Candidate(effect, shape, columns)
 
     found = []
@@ -101,7 +107,7 @@ def candidates(
 
 def _columns(
     problem: Problem,
-    entries: Sequence[Mapping[str, Any]],
+    base: Base,
     effect: Effect,
     shape: Mapping[str, float],
     residual: Floats,
@@ -109,7 +115,7 @@ def _columns(
     probe = effect.probe
     assert probe is not None
     if probe.scan == "curve":
-        return _hats(problem, entries, effect, shape, residual)
+        return _hats(problem, base, effect, shape, residual)
     neutral = neutral_value(probe, problem.model)
     value = {probe.amplitude: neutral + probe.step}
     turns: list[dict[str, float]] = [{}]
@@ -118,7 +124,7 @@ def _columns(
     columns = []
     for turn in turns:
         entry = {"effect": effect.id, **shape, **value, **turn}
-        changed = problem.residual(problem.with_entries([*entries, entry]))
+        changed = problem.residual(problem.with_entries([*base[0], entry], base[1]))
         columns.append((residual - changed) / probe.step)
     found = np.column_stack(columns)
     return found if np.all(np.isfinite(found)) and np.any(found) else None
@@ -126,7 +132,7 @@ def _columns(
 
 def _hats(
     problem: Problem,
-    entries: Sequence[Mapping[str, Any]],
+    base: Base,
     effect: Effect,
     shape: Mapping[str, float],
     residual: Floats,
@@ -139,7 +145,7 @@ def _hats(
     for k in range(len(places)):
         knots = [[x, probe.step if i == k else 0.0] for i, x in enumerate(places)]
         entry = {"effect": effect.id, probe.amplitude: knots}
-        changed = problem.residual(problem.with_entries([*entries, entry]))
+        changed = problem.residual(problem.with_entries([*base[0], entry], base[1]))
         columns.append((residual - changed) / probe.step)
     return np.column_stack(columns)
 

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.compiled import njit
+from eps_hil.diagnosis.baseline import turned
 from eps_hil.diagnosis.prepare import SMOOTH_HZ, STEP_S, THIN, Prepared
 from eps_hil.physics.model import Model
 
@@ -33,6 +35,12 @@ class Problem:
     sliding: Masks = field(init=False)
     scale: Floats = field(init=False)
     block: npt.NDArray[np.int64] = field(init=False)
+    knee: float = field(init=False, default=0.0)
+    """Beyond this a residual counts as an outlier; 0: set by the first fit (:func:`knee`)."""
+    at: Mapping[str, float] = field(init=False, default_factory=dict)
+    """Where the sensitivities to the model's own numbers are taken."""
+    columns: dict[str, Floats] = field(init=False, default_factory=dict)
+    """Sensitivities to the model's own numbers, kept for all fits (they are nearly linear)."""
 
     def __post_init__(self) -> None:
         masks, floors, blocks = [], [], []
@@ -56,13 +64,30 @@ class Problem:
         return 0.64 * float(np.sum(self.sliding))
 
     def residual(self, model: Model) -> Floats:
-        """Weighted residual (n,): 1 is the sensor noise."""
-        parts = [recording.residual(model)[0] for recording in self.recordings]
+        """Weighted residual (n,): 1 is the sensor noise.
+
+        The noise is that under this very model (errors in variables): a model that makes all
+        torques smaller also makes their noise smaller, and is no better for it.
+        """
+        parts = [
+            recording.left_over(model)
+            * (recording.floor_nm(self.model) / recording.floor_nm(model))
+            for recording in self.recordings
+        ]
         return np.concatenate(parts) / self.scale
 
-    def with_entries(self, entries: Sequence[Mapping[str, Any]]) -> Model:
-        """The model with a list of effects in place of its own added ones."""
-        return replace(self.model, effects=(*self.model.effects, *entries))
+    def cost(self, residual: Floats) -> float:
+        """Twice Huber's loss at the common knee: the sum of squares but for outliers."""
+        size = np.abs(residual)
+        at = self.knee
+        return float(np.sum(np.where(size < at, residual**2, at * (2.0 * size - at))))
+
+    def with_entries(
+        self, entries: Sequence[Mapping[str, Any]], own: Mapping[str, float] | None = None
+    ) -> Model:
+        """The model with effects added to its own, and its ``own`` numbers moved (see baseline)."""
+        model = replace(self.model, effects=(*self.model.effects, *entries))
+        return turned(model, own or {})
 
 
 def knee(residual: Floats) -> float:
@@ -81,16 +106,22 @@ def sliding(recording: Prepared, model: Model) -> Masks:
     """Thinned samples at which the rotor slides and the bristle has forgotten its history."""
     motion = recording.motion(model)
     speed = motion.speed_rad_s
-    path, since = 0.0, np.empty(len(speed))
-    direction = np.sign(speed)
-    for k in range(len(speed)):
-        if direction[k] == 0 or (k and direction[k] != direction[k - 1]):
-            path = 0.0
-        path += motion.slip_rad[k]
-        since[k] = path
+    since = _since_reversal(speed, motion.slip_rad)
     noise = recording.noise["motor_speed_rad_s"] * np.sqrt(2 * SMOOTH_HZ * STEP_S)
     good = (np.abs(speed) > max(SLIDING_RAD_S, CLEAR_SIGMA * noise)) & (since > SETTLED_RAD)
     # the filter spreads what happens at a reversal over its own length
     wide = np.convolve(~good, np.ones(2 * THIN + 1), mode="same") > 0
     edge = (len(speed) - len(recording.thin_time_s) * THIN) // 2
     return np.asarray(~wide[edge : edge + len(recording.thin_time_s) * THIN : THIN])
+
+
+@njit
+def _since_reversal(speed: Floats, slip: Floats) -> Floats:
+    """Path (n,) since the last rest or change of direction."""
+    path, since = 0.0, np.empty(len(speed))
+    for k in range(len(speed)):
+        if speed[k] == 0.0 or (k and np.sign(speed[k]) != np.sign(speed[k - 1])):
+            path = 0.0
+        path += slip[k]
+        since[k] = path
+    return since

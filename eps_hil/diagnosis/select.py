@@ -1,13 +1,18 @@
-"""Which effects: forward by what they explain on blocks not fitted, then backward."""
+"""Which effects: first those that no refit of the model's own numbers could replace, then which of
+those numbers are off, then whether fewer names would do.
+"""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.baseline import ALL, TIMING
 from eps_hil.diagnosis.fit import Fit, ablated, deviation, fit, matters
+from eps_hil.diagnosis.numbers import SPANNED, numbers_off
 from eps_hil.diagnosis.probes import Candidate, candidates, neutral_value
 from eps_hil.diagnosis.problem import Problem, clipped, knee
 
@@ -22,6 +27,8 @@ CURVE_MARGIN = 0.6
 """A free curve is only looked at where no simpler effect reaches this share of its gain."""
 FORWARD_SHARE, FINAL_SHARE = 0.02, 0.10
 """Least shares of what is still unexplained: on the way, and in the end."""
+NEAR = 0.8
+"""A candidate that reaches this share of a finding's gain is fitted in its place."""
 
 _CURVE, _IN_CURVE = "position_torque", ("unmodelled_spring", "end_stop")
 """A static curve over position holds these already; both at once would cancel each other."""
@@ -40,43 +47,52 @@ class Scored:
 
 @dataclass
 class Selection:
-    """The accepted effects' fit, the null's, and for each effect what else was nearly as good."""
+    """The accepted effects' fit, the null's, and for each effect what else was nearly as good.
+
+    ``without``: for each accepted effect the fit that does without it, the others refitted.
+    """
 
     null: Fit
     found: Fit
     pool: list[Candidate]
     rivals: dict[str, list[tuple[str, float]]] = field(default_factory=dict)
     gains: dict[str, float] = field(default_factory=dict)
-
-
-TIMING: dict[str, Any] = {"effect": "motor_torque_delay", "delay_s": 0.0}
-"""Always fitted: a torque held between samples is half a sample late, and that is no finding."""
+    without: dict[str, Fit] = field(default_factory=dict)
 
 
 def select(problem: Problem, say: Say | None = None, without: Collection[str] = ()) -> Selection:
-    """Forward selection with a joint refit after each step, then a backward pass.
+    """Structures beside a free baseline, then the baseline's own deviations by name.
 
-    The regressors are taken once, at the null model; each step's refit is exact. ``without``:
-    ids of effects that are not considered.
+    The regressors are taken once, at the refitted model without effects; each step's fit is exact.
+    ``without``: ids of effects that are not considered.
     """
-    null = fit(problem, [] if TIMING["effect"] in without else [TIMING])
+    found = fit(problem, [], own=ALL)
+    problem.at, problem.columns = found.own, {}
+    problem.knee = knee(found.residual)
+    null, found = fit(problem, [], own=TIMING), fit(problem, [], own=found.own)
     pool = candidates(
         problem,
-        null.entries,
-        null.residual,
+        found.entries,
+        found.residual,
         (lambda part: say("taking sensitivities", part)) if say else None,
+        found.own,
         without,
     )
-    found = null
     selection = Selection(null, found, pool)
+    structures = [one for one in pool if one.effect.id not in SPANNED]
     for step in range(MOST_EFFECTS):
         if say:
             say("attributing", step / MOST_EFFECTS)
-        chosen = _best(problem, found, score(problem, found, pool))
+        chosen = _best(problem, found, score(problem, found, structures))
         if chosen is None:
             break
         found = _without_neutral(problem, chosen)
-    selection.found = _backward(problem, found)
+        problem.knee = knee(found.residual)
+        found = fit(problem, found.entries, own=found.own, like=found)
+    found = _backward(problem, found)
+    found = numbers_off(problem, found, pool, threshold(problem, found.residual, FORWARD_SHARE))
+    found = _backward(problem, found)
+    selection.found = _exchanged(problem, found, pool)
     _rivals(problem, selection)
     return selection
 
@@ -111,19 +127,19 @@ def threshold(problem: Problem, residual: Floats, of_excess: float) -> float:
 def _best(problem: Problem, found: Fit, scored: Sequence[Scored]) -> Fit | None:
     """Refit with each of the best few of different effects; keep the one that fits best."""
     least = threshold(problem, found.residual, FORWARD_SHARE)
-    shortlist: list[Scored] = []
     simple = max((one.gain for one in scored if not _is_curve(one.candidate)), default=0.0)
     scored = [
         one for one in scored if not _is_curve(one.candidate) or simple < CURVE_MARGIN * one.gain
     ]
+    shortlist: list[Scored] = []
     for one in scored:
-        if one.gain < least or len(shortlist) == 3:
-            break
-        if one.gain < 0.5 * scored[0].gain:
+        if one.gain < least or len(shortlist) == 3 or one.gain < 0.5 * scored[0].gain:
             break
         if all(one.candidate.effect.id != other.candidate.effect.id for other in shortlist):
             shortlist.append(one)
-    fits = [fit(problem, [*found.entries, one.entry]) for one in shortlist]
+    fits = [
+        fit(problem, [*found.entries, one.entry], own=found.own, like=found) for one in shortlist
+    ]
     fits = [one for one in fits if found.cost - one.cost > least]
     return min(fits, key=_penalised, default=None)
 
@@ -172,23 +188,41 @@ def _basis(jacobian: Floats) -> Floats:
 
 
 def _without_neutral(problem: Problem, found: Fit) -> Fit:
-    keep = [
-        e for e in found.entries if e["effect"] == TIMING["effect"] or deviation(e, problem) > 1e-9
-    ]
-    return found if len(keep) == len(found.entries) else fit(problem, keep)
+    keep = [e for e in found.entries if deviation(e, problem) > 1e-9]
+    if len(keep) == len(found.entries):
+        return found
+    return fit(problem, keep, own=found.own)
 
 
 def _backward(problem: Problem, found: Fit) -> Fit:
     """Drop, one at a time, what the others can do without."""
-    # TIMING, where it is considered at all, is the first and always stays
-    stays = 1 if found.entries and found.entries[0]["effect"] == TIMING["effect"] else 0
-    while len(found.entries) > stays:
-        without = [ablated(problem, found, k) for k in range(stays, len(found.entries))]
+    while found.entries:
+        without = [ablated(problem, found, k) for k in range(len(found.entries))]
         losses = [one.cost - found.cost for one in without]
         weakest = int(np.argmin(losses))
         if losses[weakest] > threshold(problem, found.residual, FINAL_SHARE):
             return found
         found = without[weakest]
+    return found
+
+
+def _exchanged(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> Fit:
+    """One effect in the place of two, where it does as well: fewer names explain as much."""
+    changed = True
+    while changed and len(found.entries) > 1:
+        changed = False
+        least = threshold(problem, found.residual, FORWARD_SHARE)
+        for pair in combinations(range(len(found.entries)), 2):
+            others = [e for i, e in enumerate(found.entries) if i not in pair]
+            without = fit(problem, others, 6, found.own, found)
+            loss = without.cost - found.cost
+            best = score(problem, without, pool)[:1]
+            if not best or best[0].gain < NEAR * loss:
+                continue
+            trial = fit(problem, [*without.entries, best[0].entry], own=found.own, like=without)
+            if trial.cost < found.cost + least:
+                found, changed = trial, True
+                break
     return found
 
 
@@ -201,14 +235,15 @@ def _rivals(problem: Problem, selection: Selection) -> None:
         without = ablated(problem, found, k)
         gain = without.cost - found.cost
         selection.gains[entry["effect"]] = gain
+        selection.without[entry["effect"]] = without
         near: dict[str, float] = {}
         for one in score(problem, without, selection.pool):
             name = one.candidate.effect.id
-            if name == entry["effect"] or name in near or one.gain < 0.8 * gain:
+            if name == entry["effect"] or name in near or one.gain < NEAR * gain:
                 continue
             if _is_curve(one.candidate):
                 continue  # by its definition what no other effect explains, so nobody's rival
-            refitted = fit(problem, [*without.entries, one.entry])
+            refitted = fit(problem, [*without.entries, one.entry], own=found.own, like=without)
             near[name] = (without.cost - refitted.cost) / max(gain, 1e-9)
         selection.rivals[entry["effect"]] = sorted(near.items(), key=lambda pair: -pair[1])
 

@@ -51,40 +51,48 @@ def residual_nm(model: Model, motion: Motion) -> tuple[Floats, Floats]:
     Residual = T_1m − F/i_APA − J ω̇ − T_f − added torques; zero for the right model.
     """
     out = np.empty((len(motion.time_s), 2))
-    _balance(drive_of(model), motion, out)
+    drive = drive_of(model)
+    _balance(drive, added.in_use(drive.effects), motion, out)
     return out[:, 0], out[:, 1]
 
 
 @njit
-def _balance(drive: Drive, m: Motion, out: Floats) -> None:
+def _balance(drive: Drive, use: added.InUse, m: Motion, out: Floats) -> None:
     law = drive.law
     bristle = 0.0
     step = m.time_s[1] - m.time_s[0] if len(m.time_s) > 1 else 1e-3
     for k in range(len(m.time_s)):
         speed, force = m.speed_rad_s[k], m.rack_force_n[k]
-        u = Instant(
-            m.time_s[k],
-            speed,
-            m.angle_rad[k],
-            m.position_m[k],
-            force,
-            m.angle_rad[k] * drive.sensor_to_rotor,
-            m.motor_torque_nm[k],
-            m.torque_sensor_nm[k],
-        )
-        motor = added.motor_nm(drive.effects, u, m.motor_torque_nm[k])
-        sensor = added.sensor_nm(drive.effects, u, m.torque_sensor_nm[k])
+        motor, sensor, more = m.motor_torque_nm[k], m.torque_sensor_nm[k], 0.0
         direction = speed if speed != 0.0 else m.travel_rad[k]
         if direction == 0.0:
             direction = bristle
         level = static_level_nm(direction, force, law)
-        level = max(added.level_nm(drive.effects, u, level), SMALLEST_LEVEL_NM)
+        if use.any:  # a call for every slot and sample is most of the time, so only where needed
+            u = Instant(
+                m.time_s[k],
+                speed,
+                m.angle_rad[k],
+                m.position_m[k],
+                force,
+                m.angle_rad[k] * drive.sensor_to_rotor,
+                motor,
+                sensor,
+            )
+            if use.motor:
+                motor = added.motor_nm(drive.effects, u, motor)
+            if use.sensor:
+                sensor = added.sensor_nm(drive.effects, u, sensor)
+            if use.level:
+                level = max(added.level_nm(drive.effects, u, level), SMALLEST_LEVEL_NM)
+            if use.torque:
+                more = added.torque_nm(drive.effects, u, 0.0)
+            if use.memory:
+                added.advance(drive.effects, u, step)
         bristle = bristle_step(
             bristle, m.travel_rad[k], m.slip_rad[k], level, law.sigma0_nm_per_rad
         )
-        friction = friction_torque_nm(bristle, speed, level, law)
-        friction += added.torque_nm(drive.effects, u, 0.0)
-        added.advance(drive.effects, u, step)
+        friction = friction_torque_nm(bristle, speed, level, law) + more
         drive_torque = motor + drive.sensor_to_rotor * sensor - force / drive.ratio
         out[k, 0] = drive_torque - drive.inertia * m.acceleration_rad_s2[k] - friction
         out[k, 1] = friction + force / drive.ratio

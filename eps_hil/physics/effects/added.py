@@ -56,6 +56,33 @@ def added(model: Model) -> Added:
     return table
 
 
+class InUse(NamedTuple):
+    """Which slots have an effect that is on, so that the others need not be called at all."""
+
+    any: bool
+    level: bool
+    torque: bool
+    motor: bool
+    sensor: bool
+    memory: bool
+
+
+def in_use(table: Added) -> InUse:
+    """The slots of a model's table that do anything."""
+
+    def on(effects: list[Effect]) -> bool:
+        return any(bool(table.terms[_ROW[effect.id]] > 0) for effect in effects)
+
+    return InUse(
+        bool(np.any(table.terms)),
+        on(_of(Slot.LEVEL) + _of(Slot.LEVEL_FACTOR)),
+        on(_of(Slot.TORQUE)),
+        on(_of(Slot.MOTOR)),
+        on(_of(Slot.SENSOR)),
+        on([effect for effect in _KERNELS if effect.advance is not None]),
+    )
+
+
 def _numbers(values: dict[str, Any]) -> list[float]:
     """Parameters in the kernel's order; a curve as its length and then its knots."""
     if "curve" in values:

@@ -1,0 +1,134 @@
+"""The numbers that every model file holds, free to move while an effect is looked for.
+
+An effect counts only for what no refit of these could do (DIAGNOSIS 3). Each knob is measured from
+the model file's value in units in which one is a usual error of that number; a prior of that width
+keeps apart what the recordings cannot tell apart, and costs an error of the usual size next to
+nothing beside a gain that is seen.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from eps_hil.physics.model import Model
+
+OFFSET, HOLD = "motor_torque_offset", "motor_torque_delay"
+_OFFSET_NM = 0.02
+HOLD_S = 0.4e-3
+"""A torque held for a sample of 1 ms is half of it late on the shaft, if it is held."""
+
+
+@dataclass(frozen=True, slots=True)
+class Knob:
+    """One number: where ``turn`` puts the model for a value, and what a small step of it is."""
+
+    name: str
+    turn: Callable[[Model, float], Model]
+    step: float = 0.05
+
+
+def _friction(name: str, width: Callable[[Model], float]) -> Knob:
+    def turn(model: Model, value: float) -> Model:
+        moved = getattr(model.friction, name) + value * width(model)
+        return replace(model, friction=replace(model.friction, **{name: moved}))
+
+    return Knob(name, turn)
+
+
+def _factor(name: str, log_width: float) -> Knob:
+    def turn(model: Model, value: float) -> Model:
+        factor = math.exp(max(-40.0, min(40.0, value)) * log_width)
+        moved = getattr(model.friction, name) * factor
+        return replace(model, friction=replace(model.friction, **{name: moved}))
+
+    return Knob(name, turn)
+
+
+def _inertia(model: Model, value: float) -> Model:
+    return replace(model, inertia_kg_m2=model.inertia_kg_m2 * math.exp(0.2 * value))
+
+
+def _offset(model: Model, value: float) -> Model:
+    """A constant torque: beside friction levels it is only seen at rest."""
+    entries = [dict(entry) for entry in model.effects]
+    for entry in entries:
+        if entry["effect"] == OFFSET:
+            entry["offset_nm"] += value * _OFFSET_NM
+            break
+    else:
+        entries.append({"effect": OFFSET, "offset_nm": value * _OFFSET_NM})
+    return replace(model, effects=tuple(entries))
+
+
+def _hold(model: Model, value: float) -> Model:
+    late = model.delays_s.motor_torque - value * HOLD_S
+    return replace(model, delays_s=replace(model.delays_s, motor_torque=late))
+
+
+def _mean(kind: str, share: float, least: float) -> Callable[[Model], float]:
+    """A share of the mean of both directions, and at least so much that zero can be mended."""
+
+    def width(model: Model) -> float:
+        both = (getattr(model.friction, kind.format(side)) for side in ("pos", "neg"))
+        return share * sum(both) / 2 + least
+
+    return width
+
+
+_LEVEL = _mean("offset_{}_nm", 0.3, 0.005)
+_DRAG = _mean("viscous_{}_nm_s_per_rad", 0.5, 2e-4)
+_LOAD = _mean("load_{}_nm_per_n", 0.4, 5e-6)
+
+KNOBS: Sequence[Knob] = (
+    _friction("offset_pos_nm", _LEVEL),
+    _friction("offset_neg_nm", _LEVEL),
+    _friction("viscous_pos_nm_s_per_rad", _DRAG),
+    _friction("viscous_neg_nm_s_per_rad", _DRAG),
+    _friction("load_pos_nm_per_n", _LOAD),
+    _friction("load_neg_nm_per_n", _LOAD),
+    _factor("sigma0_nm_per_rad", 0.4),
+    _factor("sigma1_nm_s_per_rad", 0.5),
+    Knob("inertia", _inertia),
+    Knob(OFFSET, _offset),
+    Knob(HOLD, _hold, 0.25),
+)
+"""J, k0±, kω±, kr±, σ0, σ1, a constant torque, and how the motor's torque is held."""
+
+SIDES: Mapping[str, tuple[str, ...]] = {
+    "viscous_friction": ("viscous_pos_nm_s_per_rad", "viscous_neg_nm_s_per_rad"),
+    "load_dependent_friction": ("load_pos_nm_per_n", "load_neg_nm_per_n"),
+    HOLD: (HOLD,),
+    "": ("sigma1_nm_s_per_rad",),
+}
+"""Numbers that no name of the contract describes alone: they go with a name, or unnamed."""
+
+ALL: Mapping[str, float] = {knob.name: 0.0 for knob in KNOBS}
+TIMING: Mapping[str, float] = {HOLD: 0.0}
+"""Fitted even where nothing else is: how a torque is sampled is no finding, and no other effect."""
+
+_BY_NAME = {knob.name: knob for knob in KNOBS}
+
+
+def turned(model: Model, values: Mapping[str, float]) -> Model:
+    """The model with its own numbers moved by ``values`` (knob name -> multiples of its width)."""
+    if not values:
+        return model
+    nominal = model
+    for name, value in values.items():
+        if name == HOLD:
+            model = _hold(model, value)
+        elif name != OFFSET and value != 0.0:
+            moved = _BY_NAME[name].turn(nominal, value)
+            model = _merged(model, moved, name)
+    if values.get(OFFSET, 0.0) != 0.0:
+        model = _offset(model, values[OFFSET])
+    return model
+
+
+def _merged(model: Model, moved: Model, name: str) -> Model:
+    """Each knob is measured from the nominal model, so they do not scale one another."""
+    if name == "inertia":
+        return replace(model, inertia_kg_m2=moved.inertia_kg_m2)
+    value: Any = getattr(moved.friction, name)
+    return replace(model, friction=replace(model.friction, **{name: value}))

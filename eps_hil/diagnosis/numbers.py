@@ -1,0 +1,177 @@
+"""Which of the model's own numbers are off: the fewest names that do what their refit did.
+
+A refit of all of them at once says that something is off, and spreads it over numbers that the
+recordings can hardly tell apart. Here sets of names are tried on the refit's own linear problem, a
+name costing what counts as a gain; the best sets are then fitted in earnest.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.baseline import HOLD, HOLD_S, SIDES, TIMING
+from eps_hil.diagnosis.fit import Fit, fit, matters, own_column
+from eps_hil.diagnosis.probes import Candidate, neutral_value
+from eps_hil.diagnosis.problem import Problem
+from eps_hil.physics.effects.catalogue import catalogue
+
+Floats = npt.NDArray[np.float64]
+
+SPANNED = (
+    "coulomb_level",
+    "inertia",
+    "viscous_friction",
+    "load_dependent_friction",
+    "friction_asymmetry",
+    "motor_torque_offset",
+    "torque_sensor_offset",
+    "presliding_hysteresis",
+    "motor_torque_delay",
+)
+"""Effects that a refit of the model's own numbers can stand in for."""
+_SCALES = ("rack_ratio", "motor_torque_gain", "torque_sensor_gain")
+"""Not spanned, but each of them looks like another beside several numbers that are off."""
+_FITTED_SETS = 3
+_SMALL_SETS = 2
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """Normalised normal equations: columns to choose from, then always free ones, then the rest."""
+
+    names: Sequence[str]
+    gram: Floats
+    size: Floats
+    prior: Floats
+    price: float
+    scales: int
+    """How many of _SCALES may be off at once."""
+
+    def solved(self, chosen: frozenset[int]) -> tuple[float, Floats]:
+        """(cost plus price, coefficients of the chosen columns in order)."""
+        named = {self.names[k] for k in chosen}
+        if sum(name in _SCALES for name in named) > self.scales:
+            return np.inf, np.zeros(0)
+        last = len(self.size) - 1
+        order = sorted(chosen)
+        use = [*order, *range(len(self.names), last)]
+        normal = self.gram[np.ix_(use, use)] + np.diag(self.prior[use])
+        a = np.linalg.solve(normal, self.gram[use, last])
+        partners = {name[1:] for name in named if name.startswith("±")} - {"", *named}
+        cost = float(self.size[-1] ** 2) * (1.0 - float(a @ self.gram[use, last]))
+        cost += self.price * (len(chosen) + len(partners))
+        return cost, a[: len(order)] * self.size[-1] / self.size[order]
+
+
+def numbers_off(problem: Problem, found: Fit, pool: Sequence[Candidate], price: float) -> Fit:
+    """The fit with the model's own numbers back in place, and the fewest names instead."""
+    kept = [entry for entry in found.entries if entry["effect"] not in _SCALES]
+    linear = _linear(problem, found, kept, pool, price)
+    fits = []
+    for chosen in _best_sets(linear)[:_FITTED_SETS]:
+        values = dict(zip(sorted(chosen), linear.solved(chosen)[1].tolist(), strict=True))
+        named = {linear.names[k]: value for k, value in values.items()}
+        free = [name[1:] for name in named if name.startswith("±")]
+        named |= {name: 0.0 for name in free if name and name not in named}
+        starts = [
+            _start(problem, pool, name, value)
+            for name, value in named.items()
+            if not name.startswith("±")
+        ]
+        own = {**TIMING, **{side: 0.0 for name in free for side in SIDES[name]}}
+        one = fit(problem, [*kept, *starts], own=own, like=found)
+        small = [
+            e
+            for e in one.entries[len(kept) :]
+            if not matters(e, problem) and e["effect"] not in free
+        ]
+        if small:
+            left = [e for e in one.entries if e not in small]
+            one = fit(problem, left, own=one.own, like=one)
+        fits.append((one.cost + price * (len(one.entries) + len(free)), one))
+    return _with_delay(problem, min(fits, key=lambda pair: pair[0])[1])
+
+
+def _with_delay(problem: Problem, found: Fit) -> Fit:
+    """A torque that is later than holding it could make it is a finding, whatever it gains."""
+    delay = {"effect": HOLD, "delay_s": HOLD_S * found.own.get(HOLD, 0.0)}
+    if any(entry["effect"] == HOLD for entry in found.entries) or not matters(delay, problem):
+        return found
+    own = {name: 0.0 if name == HOLD else value for name, value in found.own.items()}
+    return fit(problem, [*found.entries, delay], own=own, like=found)
+
+
+def _linear(
+    problem: Problem,
+    found: Fit,
+    kept: Sequence[Mapping[str, Any]],
+    pool: Sequence[Candidate],
+    price: float,
+) -> _Linear:
+    """The linear problem at the refit, so that no set is judged by how far it bends on the way."""
+    some = [one for one in pool if one.effect.id in (*SPANNED, *_SCALES)]
+    names = [one.effect.id for one in some]
+    columns = [one.columns[:, 0] for one in some]
+    for name, sides in SIDES.items():
+        if name == HOLD:
+            continue
+        tangents_of = [own_column(problem, side) for side in sides]
+        names.append("±" + name)
+        columns.append(tangents_of[0] - tangents_of[1] if len(sides) > 1 else tangents_of[0])
+    own = len(found.own)
+    left = found.residual - found.jacobian[:, :own] @ np.array(list(found.own.values()))
+    tangents, places, scales = found.jacobian[:, own:], [], 0
+    for i, (k, name) in enumerate(found.names):
+        entry = found.entries[k]
+        if entry in kept:
+            places.append(i)
+        else:
+            probe = catalogue()[entry["effect"]].probe
+            assert probe is not None
+            left = left - tangents[:, i] * (entry[name] - neutral_value(probe, problem.model))
+            scales += 1
+    free = np.column_stack([own_column(problem, HOLD), tangents[:, places]])
+    weight = np.minimum(1.0, problem.knee / np.maximum(np.abs(found.residual), 1e-12))
+    everything = np.column_stack([*columns, free, left]) * np.sqrt(weight)[:, None]
+    size = np.sqrt(np.sum(everything**2, axis=0)) + 1e-300
+    prior = np.full(len(size) - 1, 1e-9)
+    prior[len(names)] += 1.0 / float(size[len(names)] ** 2)  # of how the torque is held
+    gram = (everything / size).T @ (everything / size)
+    return _Linear(names, gram, size, prior, price, max(scales, 1))
+
+
+def _best_sets(linear: _Linear) -> list[frozenset[int]]:
+    """Sets of columns, best first: all small ones, then what adding, dropping, swapping reaches."""
+    n = len(linear.names)
+    seen: dict[frozenset[int], float] = {}
+
+    def cost(chosen: frozenset[int]) -> float:
+        if chosen not in seen:
+            seen[chosen] = linear.solved(chosen)[0]
+        return seen[chosen]
+
+    for count in range(_SMALL_SETS + 1):
+        for chosen in combinations(range(n), count):
+            cost(frozenset(chosen))
+    spanned = frozenset(k for k in range(n) if linear.names[k] not in _SCALES)
+    for start in (min(seen, key=seen.__getitem__), spanned):
+        best = start
+        while True:
+            near = [best ^ {k} for k in range(n)]
+            near += [best - {i} | {k} for i in best for k in range(n) if k not in best]
+            better = min(near, key=cost)
+            if cost(better) >= cost(best):
+                break
+            best = better
+    return sorted(seen, key=seen.__getitem__)
+
+
+def _start(problem: Problem, pool: Sequence[Candidate], name: str, value: float) -> dict[str, Any]:
+    (candidate, *_) = (one for one in pool if one.effect.id == name)
+    probe = catalogue()[name].probe
+    assert probe is not None
+    return candidate.entry(np.array([value]), neutral_value(probe, problem.model))
