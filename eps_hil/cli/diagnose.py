@@ -138,13 +138,6 @@ def _read(paths: list[Path], options: Mapping[str, Any]) -> "dict[str, Mapping[s
 
     found: dict[str, Mapping[str, Series]] = {}
     for path, recording in zip(paths, read_recordings(paths, **options), strict=True):
-        if "rack_force_n" not in recording.series:
-            raise InputError(
-                path,
-                "rack_force_n",
-                "is missing; this version diagnoses only with a measured rack force",
-                "record the load cell",
-            )
         if str(path) in found:
             raise InputError(path, "", "is given twice", "name each recording once")
         found[str(path)] = recording.series
@@ -182,6 +175,8 @@ def _say(content: Mapping[str, Any]) -> None:
         if finding["confusable_with"]:
             typer.echo(f"    could also be {', '.join(finding['confusable_with'])}; "
                        f"{finding['next_experiment']}")  # fmt: skip
+    for limit in content.get("limits", []):
+        typer.echo(f"  note: {limit}")
     _say_simulation(content.get("simulation"))
     holdout = content["fit"]["holdout"]
     units = {"torque_nrmse": "", "speed_fit_percent": " %", "rack_force_rmse_n": " N"}

@@ -13,7 +13,8 @@ from typing import Any
 
 from eps_hil.physics.model import Model
 
-OFFSET, HOLD = "motor_torque_offset", "motor_torque_delay"
+OFFSET, HOLD, SPRING = "motor_torque_offset", "motor_torque_delay", "unmodelled_spring"
+_SPRING_NM_PER_RAD = 1e-3
 _OFFSET_NM = 0.02
 HOLD_S = 0.4e-3
 """A torque held for a sample of 1 ms is half of it late on the shaft, if it is held."""
@@ -49,16 +50,15 @@ def _inertia(model: Model, value: float) -> Model:
     return replace(model, inertia_kg_m2=model.inertia_kg_m2 * math.exp(0.2 * value))
 
 
-def _offset(model: Model, value: float) -> Model:
-    """A constant torque: beside friction levels it is only seen at rest."""
-    entries = [dict(entry) for entry in model.effects]
-    for entry in entries:
-        if entry["effect"] == OFFSET:
-            entry["offset_nm"] += value * _OFFSET_NM
-            break
-    else:
-        entries.append({"effect": OFFSET, "offset_nm": value * _OFFSET_NM})
-    return replace(model, effects=tuple(entries))
+def _raised(effect: str, parameter: str, width: float) -> Callable[[Model, float], Model]:
+    """A number that the model has only as an effect: a term more of it."""
+
+    def turn(model: Model, value: float) -> Model:
+        return replace(
+            model, effects=(*model.effects, {"effect": effect, parameter: value * width})
+        )
+
+    return turn
 
 
 def _hold(model: Model, value: float) -> Model:
@@ -90,10 +90,12 @@ KNOBS: Sequence[Knob] = (
     _factor("sigma0_nm_per_rad", 0.4),
     _factor("sigma1_nm_s_per_rad", 0.5),
     Knob("inertia", _inertia),
-    Knob(OFFSET, _offset),
+    Knob(OFFSET, _raised(OFFSET, "offset_nm", _OFFSET_NM)),
     Knob(HOLD, _hold, 0.25),
+    Knob(SPRING, _raised(SPRING, "stiffness_nm_per_rad", _SPRING_NM_PER_RAD)),
 )
-"""J, k0±, kω±, kr±, σ0, σ1, a constant torque, and how the motor's torque is held."""
+"""J, k0±, kω±, kr±, σ0, σ1, a constant torque, how the motor's torque is held; and a spring, which
+only stands for a load that nobody measured."""
 
 SIDES: Mapping[str, tuple[str, ...]] = {
     "viscous_friction": ("viscous_pos_nm_s_per_rad", "viscous_neg_nm_s_per_rad"),
@@ -103,11 +105,14 @@ SIDES: Mapping[str, tuple[str, ...]] = {
 }
 """Numbers that no name of the contract describes alone: they go with a name, or unnamed."""
 
-ALL: Mapping[str, float] = {knob.name: 0.0 for knob in KNOBS}
+ALL: Mapping[str, float] = {knob.name: 0.0 for knob in KNOBS if knob.name != SPRING}
 TIMING: Mapping[str, float] = {HOLD: 0.0}
 """Fitted even where nothing else is: how a torque is sampled is no finding, and no other effect."""
 
 _BY_NAME = {knob.name: knob for knob in KNOBS}
+
+
+_TERMS = (OFFSET, SPRING)
 
 
 def turned(model: Model, values: Mapping[str, float]) -> Model:
@@ -118,11 +123,12 @@ def turned(model: Model, values: Mapping[str, float]) -> Model:
     for name, value in values.items():
         if name == HOLD:
             model = _hold(model, value)
-        elif name != OFFSET and value != 0.0:
+        elif name not in _TERMS and value != 0.0:
             moved = _BY_NAME[name].turn(nominal, value)
             model = _merged(model, moved, name)
-    if values.get(OFFSET, 0.0) != 0.0:
-        model = _offset(model, values[OFFSET])
+    for name in _TERMS:
+        if values.get(name, 0.0) != 0.0:
+            model = _BY_NAME[name].turn(model, values[name])
     return model
 
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis import locate
 from eps_hil.diagnosis.fit import Fit
 from eps_hil.diagnosis.leftover import Leftover, leftover
+from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
 from eps_hil.diagnosis.prepare import prepare
 from eps_hil.diagnosis.problem import Problem, clipped, knee
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
@@ -61,10 +62,15 @@ def diagnose(
     a diagnosis needs.
     """
     fitted, kept = _split(recordings, holdouts)
-    problem = Problem([prepare(name, one, unexplained_nm) for name, one in fitted.items()], model)
+    ready = {name: prepare(name, one, unexplained_nm) for name, one in {**fitted, **kept}.items()}
+    load = load_of([ready[name] for name in fitted], model) if missing(ready.values()) else None
+    if load is not None:
+        ready = {name: with_load(one, model, load) for name, one in ready.items()}
+        without = {*without, *not_told_apart(load)}
+    problem = Problem([ready[name] for name in fitted], model, tied=load_knobs(load))
     if np.sum(problem.sliding) < 500:
         raise ValueError("moves for less than 4 s; a diagnosis needs a rotor that slides")
-    judged = [Holdout(prepare(name, one, unexplained_nm), one) for name, one in kept.items()]
+    judged = [Holdout(ready[name], one) for name, one in kept.items()]
     selection = select(problem, say, without)
     findings = _held_out(problem, selection, judged)
     if findings and not _better(problem, selection.found, findings, judged):
@@ -73,6 +79,7 @@ def diagnose(
         say("looking at what is left", 0.9)
     left = leftover(problem, selection.found.residual)
     content = _content(problem, selection, findings, left, judged)
+    content["limits"] = [] if load is None else [load.sentence]
     augmented = _augmented(problem, selection.found, findings)
     return Diagnosis(content, augmented, problem, selection, judged, findings)
 
@@ -81,7 +88,7 @@ def _split(
     recordings: Mapping[str, Mapping[str, Series]], holdouts: Mapping[str, Mapping[str, Series]]
 ) -> tuple[Mapping[str, Mapping[str, Series]], Mapping[str, Mapping[str, Series]]]:
     if holdouts:
-        return recordings, holdouts
+        return dict(recordings), dict(holdouts)
     names = list(recordings)
     if len(names) > 2:
         return {n: recordings[n] for n in names[:-1]}, {names[-1]: recordings[names[-1]]}

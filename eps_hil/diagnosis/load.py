@@ -6,15 +6,17 @@ torque balance lacks; below a low frequency it is taken from there, and only rip
 faster, can be told from it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.baseline import OFFSET, SPRING
 from eps_hil.diagnosis.prepare import Prepared, low_pass
 from eps_hil.diagnosis.problem import sliding
+from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -61,9 +63,28 @@ class Load:
         )
 
 
-def missing(recordings: Sequence[Prepared]) -> bool:
+def missing(recordings: Iterable[Prepared]) -> bool:
     """Whether any of the recordings lacks the rack force."""
     return any("rack_force_n" not in one.raw for one in recordings)
+
+
+def not_told_apart(load: Load) -> Collection[str]:
+    """Ids of effects that such a load hides."""
+    if load.form == "arbitrary":
+        return [name for name in catalogue() if name not in RIPPLES]
+    return LIKE_LOAD
+
+
+def load_knobs(load: Load | None) -> Mapping[str, float]:
+    """The model's own numbers that stand for the load's, always free: a spring and a damper."""
+    if load is None:
+        return {}
+    return {
+        SPRING: 0.0,
+        "viscous_pos_nm_s_per_rad": 0.0,
+        "viscous_neg_nm_s_per_rad": 0.0,
+        OFFSET: 0.0,
+    }
 
 
 def load_of(recordings: Sequence[Prepared], model: Model) -> Load:
@@ -125,4 +146,6 @@ def _with_force(one: Prepared, force: Floats, model: Model) -> Prepared:
     late = model.delays_s.of("rack_force_n")
     reported = force if late == 0.0 else np.interp(one.time_s - late, one.time_s, force)
     raw = {**one.raw, "rack_force_n": np.asarray(reported)}
-    return Prepared(one.name, one.time_s, raw, {**one.noise, "rack_force_n": 0.0}, one.speed_is_derived)
+    return Prepared(
+        one.name, one.time_s, raw, {**one.noise, "rack_force_n": 0.0}, one.speed_is_derived
+    )

@@ -82,7 +82,7 @@ def numbers_off(problem: Problem, found: Fit, pool: Sequence[Candidate], price: 
             for name, value in named.items()
             if not name.startswith("±")
         ]
-        own = {**TIMING, **{side: 0.0 for name in free for side in SIDES[name]}}
+        own = {**TIMING, **problem.tied, **{side: 0.0 for name in free for side in SIDES[name]}}
         one = fit(problem, [*kept, *starts], own=own, like=found)
         small = [
             e
@@ -117,7 +117,7 @@ def _linear(
     names = [one.effect.id for one in some]
     columns = [one.columns[:, 0] for one in some]
     for name, sides in SIDES.items():
-        if name == HOLD:
+        if name == HOLD or (name and name not in names):
             continue
         tangents_of = [own_column(problem, side) for side in sides]
         names.append("±" + name)
@@ -134,7 +134,8 @@ def _linear(
             assert probe is not None
             left = left - tangents[:, i] * (entry[name] - neutral_value(probe, problem.model))
             scales += 1
-    free = np.column_stack([own_column(problem, HOLD), tangents[:, places]])
+    always = [own_column(problem, name) for name in (HOLD, *problem.tied)]
+    free = np.column_stack([*always, tangents[:, places]])
     weight = np.minimum(1.0, problem.knee / np.maximum(np.abs(found.residual), 1e-12))
     everything = np.column_stack([*columns, free, left]) * np.sqrt(weight)[:, None]
     size = np.sqrt(np.sum(everything**2, axis=0)) + 1e-300

@@ -82,7 +82,11 @@ class Prepared:
 
     def left_over(self, model: Model) -> Floats:
         """The residual alone, filtered and thinned, Nm at the rotor, (m,)."""
-        return self.thin(residual_nm(model, self.motion(model))[0])
+        return self.thin(self.balance(model))
+
+    def balance(self, model: Model) -> Floats:
+        """The residual at 1 kHz, not filtered, Nm at the rotor, (n,)."""
+        return residual_nm(model, self.motion(model))[0]
 
     def thin(self, signal: Floats) -> Floats:
         """Low-pass without phase at CUTOFF_HZ, edges off, every THIN-th sample."""

@@ -32,6 +32,8 @@ class Problem:
 
     recordings: Sequence[Prepared]
     model: Model
+    tied: Mapping[str, float] = field(default_factory=dict)
+    """Own numbers of the model that are free in every fit, because nobody measured them."""
     sliding: Masks = field(init=False)
     scale: Floats = field(init=False)
     block: npt.NDArray[np.int64] = field(init=False)

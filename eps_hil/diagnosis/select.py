@@ -66,10 +66,10 @@ def select(problem: Problem, say: Say | None = None, without: Collection[str] = 
     The regressors are taken once, at the refitted model without effects; each step's fit is exact.
     ``without``: ids of effects that are not considered.
     """
-    found = fit(problem, [], own=ALL)
+    found = fit(problem, [], own={**ALL, **problem.tied})
     problem.at, problem.columns = found.own, {}
     problem.knee = knee(found.residual)
-    null, found = fit(problem, [], own=TIMING), fit(problem, [], own=found.own)
+    null, found = fit(problem, [], own={**TIMING, **problem.tied}), fit(problem, [], own=found.own)
     pool = candidates(
         problem,
         found.entries,
