@@ -87,8 +87,10 @@ def _balance(drive: Drive, use: added.InUse, m: Motion, out: Floats) -> None:
                 level = max(added.level_nm(drive.effects, u, level), SMALLEST_LEVEL_NM)
             if use.torque:
                 more = added.torque_nm(drive.effects, u, 0.0)
-            if use.memory:
-                added.advance(drive.effects, u, step)
+            if use.memory:  # a resting rotor still creeps, and what remembers rest wants to know
+                creep = speed if speed != 0.0 else m.travel_rad[k] / step
+                crept = Instant(u[0], creep, u[2], u[3], u[4], u[5], u[6])
+                added.advance(drive.effects, crept, step)
         bristle = bristle_step(
             bristle, m.travel_rad[k], m.slip_rad[k], level, law.sigma0_nm_per_rad
         )

@@ -17,14 +17,17 @@ from numba import njit
 Array = npt.NDArray[np.floating[Any]]
 
 SUBSTEPS = 20
+REST = 0.05
 (
     K0P, K0N, KWP, KWN, KRP, KRN, S0, S1, WS, INERTIA, RATIO, STRIB, STRIB_W, VISC, QUAD,
     POSF, POSC, POSW, DWELL, DWELL_T, DWELL_R, WARM, WARM_T, SCREW, SCREW_P, COG, COG_N, COG_P,
     RIP, RIP_P, CARD, CARD_P, SAT, SPRING, STOP_X, STOP_K, EM_GAIN, EM_OFF,
-) = range(38)  # fmt: skip
+    HAND, EDDY, EDDY_W,
+) = range(41)  # fmt: skip
 _BASE = [
     5.6e-2, 1.258e-1, 4.195e-4, 6.658e-5, 4.993e-5, 4.345e-5, 4.5, 0.075, 0.75, 2.0e-4, 2513.0,
     0, 1, 0, 0, 0, 0, 1, 0, 1, 1, 0, 1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1e9, 0, 1, 0,
+    1, 0, 1,
 ]  # fmt: skip
 PINION, BELT, POLES = 125.7, 2.8, 4
 
@@ -57,12 +60,13 @@ def _integrate(p, force, hand, stiffness, damping, out):  # type: ignore[no-unty
             extra = p[VISC] * w + p[QUAD] * w * abs(w) + p[SPRING] * phi
             extra += p[SCREW] * math.sin(phi / BELT + p[SCREW_P])
             extra += p[COG] * math.sin(p[COG_N] * phi + p[COG_P])
+            extra += p[EDDY] * 2 * (w / p[EDDY_W]) / (1 + (w / p[EDDY_W]) ** 2)
             if abs(x) > p[STOP_X]:
                 extra += math.copysign(p[STOP_K] * (abs(x) - p[STOP_X]), x) / p[RATIO]
             if j == 0:
                 out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = command, w, phi, x, tf
             aged *= math.exp(-abs(w) * dt / p[DWELL_R])
-            if abs(w) < p[DWELL_R] / p[DWELL_T]:
+            if abs(w) < REST:
                 aged += (1 - aged) * dt / p[DWELL_T]
             w += dt / p[INERTIA] * (tem + PINION / p[RATIO] * ths - f / p[RATIO] - tf - extra)
             phi += dt * w
@@ -92,13 +96,14 @@ def _late(values: Array, seconds: float) -> Array:
 def record(
     effects: Effects, manoeuvre: str, seed: int, noise: float = 1.0, seconds: float = 30.0
 ) -> dict[str, Array]:
-    """One recording (canonical columns, 1 kHz) of a manoeuvre: sweep, weave, slow or steps."""
+    """One recording (1 kHz) of a manoeuvre: sweep, weave, slow, free or steps."""
     rng = np.random.default_rng(seed)
     p = np.array(_BASE, dtype=np.float64)
     for place, value in effects.plant.items():
         p[place] = value
     t = np.arange(round(seconds * 1000)) * 1e-3
     force, hand, hz, damping = _excitation(manoeuvre, t, rng)
+    hand = p[HAND] * hand
     out = np.zeros((len(t), 5))
     stiffness = 2.0e-4 * (2 * math.pi * hz) ** 2
     _integrate(p, force, hand, stiffness, damping, out)
@@ -148,6 +153,9 @@ def _excitation(
             0.6,
             4e-3,
         )
+    if manoeuvre.startswith("free"):  # no load on the rack: hands alone
+        swing = 7.0 * np.sin(two_pi * 0.23 * a * t) + 4.0 * np.sin(two_pi * 0.61 * b * t + 1)
+        return np.zeros(len(t)), swing, 0.9, 1.5e-3
     levels = rng.uniform(-1200, 1200, int(t[-1] / 1.5) + 2)
     raw = levels[(t / 1.5).astype(int)]
     kernel = np.ones(150) / 150

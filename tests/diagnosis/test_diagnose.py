@@ -160,45 +160,85 @@ def test_from_files_to_a_better_rack_force(
     assert errors[1] < 0.5 * errors[0]
 
 
-def test_without_a_load_cell_it_says_so(
-    tmp_path: Path, record: Callable[..., Any], capsys: pytest.CaptureFixture[str]
-) -> None:
-    (series,) = record({}, ("weave",), seconds=4.0).values()
-    path = tmp_path / "bare.csv"
-    names_ = ("motor_torque_nm", "motor_speed_rad_s")
-    columns = [series[name].value for name in names_]
-    t = series["motor_torque_nm"].t_ns * 1e-9
-    np.savetxt(
-        path, np.column_stack([t, *columns]), delimiter=",",
-        header=",".join(("time_s", *names_)), comments="", fmt="%.9g",
-    )  # fmt: skip
-    assert main(["diagnose", "--model", MODEL, "--recording", str(path)]) == 2
-    err = capsys.readouterr().err
-    assert "rack_force_n" in err
-    assert err.count("\n") == 1
+def without_load_cell(recordings: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: {key: one for key, one in series.items() if key != "rack_force_n"}
+        for name, series in recordings.items()
+    }
 
 
-def test_an_effect_that_is_not_to_be_considered_is_neither_found_nor_a_rival(
+def test_without_a_load_cell_a_free_rack_is_enough(
     record: Callable[..., Any], reference_model: Model, other_rig: Any
 ) -> None:
-    plant = {other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0}
-    result = diagnose(
-        reference_model,
-        record(plant),
-        record(plant, ("weave",), seed=2),
-        without=("stribeck", "motor_torque_delay"),
-    )
-    said = {"stribeck", "motor_torque_delay"}
-    assert not said & set(names(result))
-    assert not said & {t for one in result.content["findings"] for t in one["confusable_with"]}
-    assert result.content["verdict"] != "no_mismatch"
+    """A load of known form joins the baseline (DIAGNOSIS 7); what it hides is said."""
+    plant = {other_rig.STRIB: 0.04, other_rig.STRIB_W: 8.0}
+    made = without_load_cell(record(plant, ("free", "free2"), seconds=20.0))
+    kept = without_load_cell(record(plant, ("free",), seed=2))
+    result = diagnose(reference_model, made, kept)
+    assert names(result) == ["stribeck"]
+    assert value(result, "level_nm") == pytest.approx(0.04, rel=0.15)
+    (limit,) = result.content["limits"]
+    assert "viscous_friction" in limit
 
 
-def test_an_effect_to_leave_out_must_exist(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_an_unmeasured_force_of_no_form_leaves_only_ripples(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
 ) -> None:
-    file = tmp_path / "a.csv"
-    file.write_text("time_s,motor_torque_nm\n0,0\n")
-    given = ["diagnose", "--model", MODEL, "--recording", str(file)]
-    assert main([*given, "--without-effect", "stribek"]) == 2
-    assert "did you mean 'stribeck'?" in capsys.readouterr().err
+    plant = {other_rig.SCREW: 0.02, other_rig.SCREW_P: 0.5}
+    made = without_load_cell(record(plant))
+    kept = without_load_cell(record(plant, ("weave",), seed=2))
+    result = diagnose(reference_model, made, kept)
+    assert names(result)[0] == "screw_ripple"
+    assert value(result, "amplitude_nm") == pytest.approx(0.02, rel=0.15)
+    assert "only ripples" in result.content["limits"][0]
+
+
+def test_several_numbers_off_are_those_numbers_and_no_more(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    """A common factor on all torques must not pay, though it makes every noise smaller."""
+    base, off = other_rig._BASE, other_rig
+    plant = {
+        off.INERTIA: 1.09 * base[off.INERTIA],
+        off.K0P: 1.23 * base[off.K0P],
+        off.K0N: 1.23 * base[off.K0N],
+        off.KRP: base[off.KRP] + 3.4e-5,
+        off.KRN: base[off.KRN] + 3.4e-5,
+    }
+    result = run(record, reference_model, plant)
+    found = {one["effect"]: one["parameters"] for one in result.content["findings"]}
+    assert set(found) == {"inertia", "coulomb_level", "load_dependent_friction"}
+    assert found["inertia"]["scale"]["value"] == pytest.approx(1.09, abs=0.01)
+    assert found["coulomb_level"]["scale"]["value"] == pytest.approx(1.23, abs=0.023)
+    improves(result)
+
+
+def test_a_torque_sensor_is_not_needed_where_nobody_steers(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    """And the speed may be had from the angle alone."""
+    plant = {other_rig.QUAD: 4e-6, other_rig.HAND: 0.0}
+    made, kept = (
+        {
+            name: {
+                key: one
+                for key, one in series.items()
+                if key not in ("torque_sensor_nm", "motor_speed_rad_s", "rack_position_m")
+            }
+            for name, series in record(plant, seed=seed).items()
+        }
+        for seed in (1, 2)
+    )
+    result = diagnose(reference_model, made, kept)
+    assert names(result) == ["quadratic_drag"]
+    assert value(result, "coefficient_nm_s2_per_rad2") == pytest.approx(4e-6, rel=0.1)
+
+
+def test_what_the_catalogue_lacks_is_unknown(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    """An eddy-current brake: rises, then falls with speed, as no entry does."""
+    plant = {other_rig.EDDY: 0.05, other_rig.EDDY_W: 15.0}
+    result = run(record, reference_model, plant)
+    assert result.content["verdict"] in ("unknown_effect", "partly_explained")
+    assert "unknown" in names(result)

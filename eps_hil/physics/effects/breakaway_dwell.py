@@ -1,14 +1,16 @@
 """Static friction that grows while the contact rests and is lost again over a sliding distance.
 
 The dwell that has grown is remembered as s[0] (0 to 1): towards 1 with the time constant while
-resting, back to 0 with the distance slid. At rest means that the rotor moves less than a bristle's
-length (``release_rad``) in the time constant.
+resting, back to 0 with the distance slid. At rest means slower than ``REST_RAD_S``: creep of the
+bristle, not sliding.
 """
 
 import math
 
 from eps_hil.compiled import njit
 from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
+
+REST_RAD_S = 0.05
 
 
 @njit
@@ -20,7 +22,7 @@ def _level_nm(p: Floats, s: Floats, _u: Instant, level: float) -> float:
 def _advance(p: Floats, s: Floats, u: Instant, dt: float) -> None:
     slid = abs(u.speed_rad_s) * dt / p[2]
     s[0] = s[0] * math.exp(-slid)
-    if abs(u.speed_rad_s) < p[2] / p[1]:
+    if abs(u.speed_rad_s) < REST_RAD_S:
         s[0] += (1.0 - s[0]) * (1.0 - math.exp(-dt / p[1]))
 
 
