@@ -18,6 +18,8 @@ _FIXED = ("belt_ratio", "pole_pairs", "harmonic", "curve")
 """Not moved by the joint fit: given by the model file, or solved for in one step (a curve)."""
 
 
+_FARTHEST = 8.0
+"""Usual errors beyond which the model's own numbers are not moved: it is another rig then."""
 _TRUSTED = 0.7
 """Share of the promised gain below which sensitivities are out of date."""
 _NEGLIGIBLE = 0.5
@@ -132,7 +134,8 @@ class _Knobs:
         return np.column_stack([own_column(self.problem, name) for name in self.names])
 
     def moved(self, step: Floats) -> "_Knobs":
-        values = dict(zip(self.names, (self.vector + step).tolist(), strict=True))
+        turned = np.clip(self.vector + step, -_FARTHEST, _FARTHEST)
+        values = dict(zip(self.names, turned.tolist(), strict=True))
         return _Knobs(self.problem, values)
 
 

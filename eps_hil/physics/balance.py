@@ -89,7 +89,7 @@ def _balance(drive: Drive, use: added.InUse, m: Motion, out: Floats) -> None:
                 more = added.torque_nm(drive.effects, u, 0.0)
             if use.memory:  # a resting rotor still creeps, and what remembers rest wants to know
                 creep = speed if speed != 0.0 else m.travel_rad[k] / step
-                crept = Instant(u[0], creep, u[2], u[3], u[4], u[5], u[6])
+                crept = Instant(u[0], creep, u[2], u[3], u[4], u[5], u[6], u[7])
                 added.advance(drive.effects, crept, step)
         bristle = bristle_step(
             bristle, m.travel_rad[k], m.slip_rad[k], level, law.sigma0_nm_per_rad
