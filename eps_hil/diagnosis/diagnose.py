@@ -77,7 +77,8 @@ def diagnose(
         findings = []
     if say:
         say("looking at what is left", 0.9)
-    left = leftover(problem, selection.found.residual)
+    hidden = load is not None and load.form == "arbitrary"  # what is left may be the load
+    left = None if hidden else leftover(problem, selection.found.residual)
     content = _content(problem, selection, findings, left, judged)
     content["limits"] = [] if load is None else [load.sentence]
     augmented = _augmented(problem, selection.found, findings)

@@ -23,7 +23,7 @@ Floats = npt.NDArray[np.float64]
 
 ARBITRARY_EXCESS = 15.0
 """Typical residual in noise deviations beyond which the load is no spring and damper."""
-SLOW_HZ = 1.0
+SLOW_HZ = 4.0
 """Below this an arbitrary force is taken from the balance itself."""
 RIPPLES = ("screw_ripple", "cogging_torque", "torque_ripple", "cardan_joint")
 """What can be told from an arbitrary force: it repeats with an angle."""

@@ -184,12 +184,13 @@ def test_without_a_load_cell_a_free_rack_is_enough(
 def test_an_unmeasured_force_of_no_form_leaves_only_ripples(
     record: Callable[..., Any], reference_model: Model, other_rig: Any
 ) -> None:
-    plant = {other_rig.SCREW: 0.02, other_rig.SCREW_P: 0.5}
+    plant = {other_rig.COG: 0.015, other_rig.COG_N: 6.0, other_rig.VISC: 5e-4}
     made = without_load_cell(record(plant))
     kept = without_load_cell(record(plant, ("weave",), seed=2))
     result = diagnose(reference_model, made, kept)
-    assert names(result)[0] == "screw_ripple"
-    assert value(result, "amplitude_nm") == pytest.approx(0.02, rel=0.15)
+    assert names(result) == ["cogging_torque"]
+    assert value(result, "amplitude_nm") == pytest.approx(0.015, rel=0.15)
+    assert value(result, "order") == pytest.approx(6.0, abs=0.02)
     assert "only ripples" in result.content["limits"][0]
 
 

@@ -40,7 +40,7 @@ EXAMPLES: Mapping[str, Mapping[str, Any]] = {
     "friction_asymmetry": {"half_difference_nm": 0.03},
     "presliding_hysteresis": {"sigma0_nm_per_rad": 0.2},
     "position_dependent_friction": {"level_nm": 0.1, "centre_m": 0.001, "width_m": 0.003},
-    "breakaway_dwell": {"level_nm": 0.1, "time_s": 0.05, "release_rad": 1.0},
+    "breakaway_dwell": {"level_nm": 0.1, "time_s": 0.05, "release_rad": 10.0},
     "friction_warmup": {"amplitude": 0.8, "time_s": 5.0},
     "screw_ripple": {"amplitude_nm": 0.05, "phase_rad": 0.7},
     "cogging_torque": {"amplitude_nm": 0.05, "order": 3.0, "phase_rad": 0.2},
@@ -75,8 +75,10 @@ def model_with(model: Model, *entries: Mapping[str, Any]) -> Model:
     return dataclasses.replace(model, friction=base, effects=tuple(entries))
 
 
-def inputs() -> dict[str, Series]:
+def inputs(pauses: bool = False) -> dict[str, Series]:
+    """Eight seconds of movement; with ``pauses`` the rig rests for half a second at times."""
     t = np.linspace(0.0, 8.0, 8001)
+    push = np.clip(4.0 * np.sin(math.pi * t) + 2.0, 0.0, 1.0) if pauses else np.ones(len(t))
     t_ns = np.round(t * 1e9).astype(np.int64)
     columns = {
         "motor_torque_nm": 0.5 * np.sin(2 * math.pi * 1.0 * t)
@@ -84,7 +86,7 @@ def inputs() -> dict[str, Series]:
         "torque_sensor_nm": 2.0 * np.sin(2 * math.pi * 0.6 * t + 1.0),
         "rack_force_n": 350.0 * np.sin(2 * math.pi * 0.45 * t),
     }
-    return {name: Series(t_ns, column) for name, column in columns.items()}
+    return {name: Series(t_ns, push * column) for name, column in columns.items()}
 
 
 SPRING = {"effect": "unmodelled_spring", "stiffness_nm_per_rad": 0.03}
@@ -92,7 +94,8 @@ SPRING = {"effect": "unmodelled_spring", "stiffness_nm_per_rad": 0.03}
 
 def recorded(model: Model) -> dict[str, Series]:
     """A recording of ``model`` as its sensors would report it."""
-    result = forward(model, inputs())
+    rests = any(entry["effect"] == "breakaway_dwell" for entry in model.effects)
+    result = forward(model, inputs(rests))
     return {
         name: Series(result.t_ns, result.columns[name])
         for name in (
