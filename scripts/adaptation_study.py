@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -105,8 +106,8 @@ def listeners(
     if EI in methods:
         injection = ErrorInjection(ErrorInjectionSettings(), NOMINAL)
         track = []
-        for k, row in enumerate(rows):
-            state = injection.step(k * 1_000_000, row)
+        for k, row in enumerate(rows):  # without the load cell, which a gate would listen to
+            state = injection.step(k * 1_000_000, row._replace(rack_force_n=np.nan))
             if k % 50 == 0:
                 track.append((k * 1e-3, *errors(true, state.levels)))
         seen = min(state.time_pos_s, state.time_neg_s) > 1.0
@@ -162,8 +163,8 @@ def units(count: int) -> Iterator[tuple[str, Model, Course, int]]:
         yield rig, true, driven("driving, smooth road", 30.0, seed), seed
 
 
-def outcomes(todo: list[tuple[str, Model, Course, int]], few: int) -> list[Outcome]:
-    """What the methods make of the courses; progress on a terminal, Ctrl-C ends it early.
+def outcomes(todo: Iterator[tuple[str, Model, Course, int]], total: int, few: int) -> list[Outcome]:
+    """What the methods make of ``total`` courses; progress on a terminal, Ctrl-C ends it early.
 
     Beyond ``few`` gears each course goes only to the method that it was made for.
     """
@@ -179,8 +180,8 @@ def outcomes(todo: list[tuple[str, Model, Course, int]], few: int) -> list[Outco
                 rows = record(rig, true, course, seed)
                 found += [one for one, _ in listeners(rig, true, course, rows, methods)]
             if sys.stderr.isatty():
-                left = (time.monotonic() - since) / (k + 1) * (len(todo) - k - 1)
-                print(f"\r{k + 1}/{len(todo)}, {left:.0f} s left   ", end="", file=sys.stderr)
+                left = (time.monotonic() - since) / (k + 1) * (total - k - 1)
+                print(f"\r{k + 1}/{total}, {left:.0f} s left   ", end="", file=sys.stderr)
     except KeyboardInterrupt:
         print("interrupted; the tables hold what was done until then")
     if sys.stderr.isatty():
@@ -212,7 +213,7 @@ def hour(step_min: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         found = injection.result
         levels[TI].append((found.positive.offset_nm, found.negative.offset_nm))
         for k, row in enumerate(record(rig, true, steered("", 15.0, int(minute)), int(minute))):
-            error.step((start + k) * 1_000_000, row)
+            error.step((start + k) * 1_000_000, row._replace(rack_force_n=np.nan))
         levels[EI].append(error.levels)
         for k, row in enumerate(record(rig, true, driven("", 33.0, int(minute)), int(minute))):
             reversal.step((start + k) * 1_000_000, row)
@@ -271,7 +272,7 @@ def main() -> None:
     parser.add_argument("--figure", type=Path, default=Path("build/adaptation.png"))
     choice = parser.parse_args()
     many, few = (8, 2) if choice.quick else (200, 10)
-    found = outcomes([*cases(few), *units(many)], few)
+    found = outcomes(chain(cases(few), units(many)), 7 * few + 3 * many, few)
     for line in must_show(found):
         print(line)
     print()

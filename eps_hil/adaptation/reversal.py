@@ -153,6 +153,7 @@ class ReversalAdaptation:
         self._updated_ns: int | None = None
         self._t_ns: int | None = None
         self._n, self._way = 0, 0.0
+        self._there = (False, False)
         self.state = self._state(0)
 
     def step(self, t_ns: int, inputs: InjectionInputs) -> ReversalState | None:
@@ -177,6 +178,10 @@ class ReversalAdaptation:
         if not (math.isfinite(torque) and math.isfinite(speed)):
             self._restart()
             return None
+        there = (math.isfinite(angle), math.isfinite(force))
+        if there != self._there:  # a stretch has its signals from end to end
+            self._restart()
+            self._there = there
         self._way += speed * 1e-3
         self._columns[:, self._n] = torque, speed, angle, self._way, force
         self._n += 1

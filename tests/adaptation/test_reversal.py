@@ -98,6 +98,7 @@ def test_the_sum_comes_from_ordinary_driving(
     assert last.used >= 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 1.5])
 def test_a_bumpy_road_is_not_taken_for_friction(
     reference_model: Model, scaled_levels: Any, bumpy: Columns, factor: float
@@ -107,6 +108,7 @@ def test_a_bumpy_road_is_not_taken_for_friction(
     assert abs(last.sum_nm - TRUE) < 3.0 * last.sum_std_nm
 
 
+@pytest.mark.slow
 def test_without_the_angle_it_still_works(
     reference_model: Model, scaled_levels: Any, smooth: Columns
 ) -> None:
@@ -114,6 +116,7 @@ def test_without_the_angle_it_still_works(
     assert last.sum_nm == pytest.approx(TRUE, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_road_that_drives_the_rack_teaches_nothing(
     reference_model: Model, scaled_levels: Any
 ) -> None:
@@ -139,6 +142,7 @@ def test_with_a_load_cell_both_levels_are_seen(
     assert blind.used == 0, "without it, nobody can tell the road's work from missing friction"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("simple", [True, False])
 def test_on_the_truth_plant_with_its_own_friction(
     reference_model: Model, scaled_levels: Any, simple: bool
@@ -153,6 +157,7 @@ def test_on_the_truth_plant_with_its_own_friction(
     assert last.sum_nm == pytest.approx(TRUE, rel=0.04)
 
 
+@pytest.mark.slow
 def test_friction_that_drifts_is_followed(reference_model: Model, smooth: Columns) -> None:
     """The same half minute with other friction: forgetting lets the estimate go along."""
     f = reference_model.friction

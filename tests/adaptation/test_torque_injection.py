@@ -14,6 +14,7 @@ from eps_hil.physics.model import Model
 QUICK = InjectionSettings(repetitions=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hand", ["off", "on"])
 @pytest.mark.parametrize(("positive", "negative"), [(0.6, 1.4), (1.4, 0.6)])
 def test_levels_of_a_rig_that_the_model_does_not_know(
