@@ -14,6 +14,7 @@ from eps_hil.bus.port import BusState
 from eps_hil.estimation.validity import Reason
 from eps_hil.service.core import ServiceCore
 from eps_hil.service.guard import ECU_ACTIVE, Command, Reading, Seen, Trip
+from eps_hil.service.latest import LatestValues
 from eps_hil.service.override import Override, State
 from eps_hil.service.override_setup import OverrideParts
 
@@ -63,11 +64,12 @@ class OverrideCore:
     def __init__(self, parts: OverrideParts, source: Source, *, dry_run: bool = False) -> None:
         self.override = Override(parts.override.limits)
         self.values: dict[str, float] = {}
-        """The newest value of each signal."""
+        """The newest value of each signal; NaN for one that went silent."""
         self.command = _RELEASE
         """What was last allowed."""
         self.dropped = 0
         self._parts, self._source, self._dry_run = parts, source, dry_run
+        self._latest = LatestValues(parts.decoder.period_s)
         send_ids = frozenset(
             (each.can_id, each.extended) for each in (parts.command, parts.state) if each
         )
@@ -170,8 +172,8 @@ class OverrideCore:
     def take(self, frame: Frame, samples: Sequence[Sample]) -> None:
         """Samples of a decoded frame (called by the decoder)."""
         received_ns = self._now_ns - (self._wall_ns - frame.t_ns)
-        for signal, _, value in samples:
-            self.values[signal] = value
+        for signal, t_ns, value in samples:
+            self._latest.take(signal, t_ns, value)
             if signal in self._readings:
                 self._readings[signal] = Reading(value, received_ns)
             elif signal == "motor_angle_rad" and self._parts.position_per_rad:
@@ -179,6 +181,7 @@ class OverrideCore:
                 self._readings["rack_position_m"] = Reading(position_m, received_ns)
         if samples and self._parts.decoder.sync(frame):
             self._syncs += 1
+            self.values = self._latest.at(samples[0].t_ns)
             engaged = self.state in _LIVE and self._beaten and self._armed_ticks > RELEASES
             wanted = self._source.step(samples[0].t_ns, self.values, engaged=engaged)
             self._request_nm = wanted if engaged else None

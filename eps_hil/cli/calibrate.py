@@ -1,0 +1,313 @@
+"""``eps-hil calibrate``: friction levels adapted on the bus (CONTRACT 6)."""
+
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from eps_hil.errors import EpsHilError, InputError, SafetyStop
+
+if TYPE_CHECKING:
+    from eps_hil.adaptation.gates import GateState
+    from eps_hil.service.calibrated_model import Levels
+    from eps_hil.service.calibration import CalibrationSettings, TorqueInjectionSource
+    from eps_hil.service.config import ServiceConfig
+
+_DRY_RUN_S = 5.0
+
+Config = Annotated[Path, typer.Option("--config", help="Configuration of the service (YAML).")]
+WriteModel = Annotated[
+    Path | None, typer.Option("--write-model", help="Write the calibrated model file here.")
+]
+Duration = Annotated[
+    float | None, typer.Option("--duration", min=0.1, help="Give up after so many seconds.")
+]
+Reset = Annotated[
+    bool,
+    typer.Option("--reset", help="No calibration: write the levels from before the first one."),
+]
+OutsideBand = Annotated[
+    bool,
+    typer.Option("--accept-outside-band", help="Accept levels far from the last accepted ones."),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    verb = typer.Typer(help="Adapt the friction levels of a rig on the bus.", no_args_is_help=True)
+    verb.command("torque-injection")(torque_injection)
+    verb.command("error-injection")(error_injection)
+    app.add_typer(verb, name="calibrate")
+
+
+def torque_injection(
+    config: Config,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Show the gates and the plan; send nothing at all.")
+    ] = False,
+    write_model: WriteModel = None,
+    duration: Duration = None,
+    journal: Annotated[
+        Path, typer.Option("--journal", help="Every transition is appended to this file.")
+    ] = Path("override-journal.jsonl"),
+    reset: Reset = False,
+    accept_outside_band: OutsideBand = False,
+    yes_i_stand_clear: Annotated[
+        bool,
+        typer.Option(
+            "--yes-i-stand-clear",
+            help="No dead-man key: nobody is near the wheel, an emergency stop is at hand.",
+        ),
+    ] = False,
+) -> None:
+    """Ramp a motor torque until the rack moves, both ways, and read off the friction levels.
+
+    THE MOTOR MOVES. In a terminal: press a, then y, then hold the space bar; letting go of it ends
+    the torque. Exit status 3: a limit of the guard, or a gate, ended the run.
+    """
+    from eps_hil.service.calibration import TorqueInjectionSource, calibration_settings
+    from eps_hil.service.config import load_config
+    from eps_hil.service.override_setup import prepare_override
+
+    setup = load_config(config)
+    if reset:
+        _reset(setup, write_model)
+        return
+    settings = calibration_settings(setup, config)
+    parts = prepare_override(setup, config)
+    _check_plan(parts.override.limits.max_torque_nm, settings, config)
+    source = TorqueInjectionSource(settings.torque_injection, parts.model)
+    for line in _plan(parts, settings, dry_run):
+        typer.echo(line)
+    parts.estimator.warm_up()
+    _inject(parts, source, journal, duration, dry_run=dry_run, alone=yes_i_stand_clear)
+    if dry_run:
+        typer.echo("dry run    nothing was sent")
+        return
+    levels = _found(source)
+    note = {"method": "torque_injection", "repetitions": len(source.injection.repetitions)}
+    _accept(levels, setup, settings, write_model, note, accept_outside_band)
+
+
+def error_injection(
+    config: Config,
+    write_model: WriteModel = None,
+    duration: Duration = None,
+    reset: Reset = False,
+    accept_outside_band: OutsideBand = False,
+) -> None:
+    """Learn the friction levels while driver and ECU move the rack. Listens only, sends nothing."""
+    import asyncio
+
+    from eps_hil.physics.model import load_model
+    from eps_hil.service.calibration import ErrorInjectionSource, calibration_settings
+    from eps_hil.service.config import load_config
+    from eps_hil.service.listening import Listener
+
+    setup = load_config(config)
+    if reset:
+        _reset(setup, write_model)
+        return
+    settings = calibration_settings(setup, config)
+    source = ErrorInjectionSource(settings, load_model(setup.model))
+    listener = Listener(setup, source)
+    show = _Display(lambda: source.gates, lambda: _sliding(source.state, settings))
+    typer.echo(f"bus        {setup.bus}\nsend       nothing (error injection listens)\nREADY")
+    asyncio.run(listener.run(lambda: source.over, show, duration))
+    show.end()
+    state = source.state
+    if state is None:
+        raise EpsHilError("no sync frame was received: is the rig on this bus?")
+    typer.echo(f"slid       {state.time_pos_s:.1f} s forth, {state.time_neg_s:.1f} s back")
+    if not source.over or state.at_limit:
+        why = "a level stands at its limit" if source.over else "not enough sliding with gates met"
+        raise EpsHilError(f"no levels: {why} (wanted {settings.error_sliding_s:g} s each way)")
+    from eps_hil.service.calibrated_model import Levels
+
+    levels = Levels(state.levels.positive_nm, state.levels.negative_nm)
+    note = {"method": "error_injection", "sliding_s": [state.time_pos_s, state.time_neg_s]}
+    _accept(levels, setup, settings, write_model, note, accept_outside_band)
+
+
+# The run.
+
+
+def _inject(
+    parts: Any,
+    source: "TorqueInjectionSource",
+    journal_file: Path,
+    duration: float | None,
+    *,
+    dry_run: bool,
+    alone: bool,
+) -> None:
+    """One session, to its end; :class:`SafetyStop` if a limit or a gate ended it."""
+    import asyncio
+
+    from eps_hil.service.journal import Journal
+    from eps_hil.service.operator import HINT, Operator, Unattended, terminal_operator
+    from eps_hil.service.override_session import OverrideSession
+
+    operator: Operator | None = None
+    if not dry_run:
+        operator = Unattended() if alone else terminal_operator()
+        typer.echo("operator   none: unattended" if alone else f"operator   {HINT}")
+    show = _Display(lambda: source.gates, lambda: _progress(source))
+    journal = Journal(None if dry_run else journal_file)
+    session = OverrideSession(
+        parts, source, operator, typer.echo, over=lambda: source.over,
+        show=lambda _: show(), journal=journal,
+    )  # fmt: skip
+    if dry_run and duration is None:
+        duration = _DRY_RUN_S
+    try:
+        asyncio.run(session.run(duration))
+    finally:
+        journal.close()
+        show.end()
+    if session.fault is not None:
+        raise SafetyStop(f"the torque guard ended the run: {session.fault.why}")
+    if source.aborted:
+        raise SafetyStop(f"the injection was given up: {source.aborted}")
+
+
+def _check_plan(guard_nm: float, settings: "CalibrationSettings", file: Path) -> None:
+    wanted_nm = settings.torque_injection.max_torque_nm
+    if wanted_nm > guard_nm:
+        raise InputError(
+            file, "calibration.torque_injection.max_torque_nm",
+            f"{wanted_nm:g} Nm is more than the guard's {guard_nm:g} Nm",
+            "lower it below override.limits.max_torque_nm",
+        )  # fmt: skip
+
+
+def _plan(parts: Any, settings: "CalibrationSettings", dry_run: bool) -> Iterable[str]:
+    injection = settings.torque_injection
+    yield f"bus        {parts.config.bus}"
+    yield f"model      {parts.config.model}"
+    yield (
+        f"plan       {injection.repetitions} ramps each way at {injection.ramp_nm_per_s:g} Nm/s up "
+        f"to {injection.max_torque_nm:g} Nm at the rotor; the guard ends it beyond "
+        f"{parts.override.limits.max_torque_nm:g} Nm"
+    )
+    ids = ", ".join(f"0x{can_id:X}" for can_id in parts.send_ids)
+    yield "send       nothing (dry run)" if dry_run else f"send       {ids}"
+
+
+def _found(source: "TorqueInjectionSource") -> "Levels":
+    """The levels of a complete run; :class:`EpsHilError` where something speaks against them."""
+    from eps_hil.service.calibrated_model import Levels
+
+    result = source.injection.result
+    if result is None:
+        raise EpsHilError("the run ended before both directions were measured; nothing is written")
+    for one in result.repetitions:
+        said = "  left out" if one.outlier else ""
+        typer.echo(
+            f"ramp {one.number:2d}    {'+' if one.direction > 0 else '-'}  "
+            f"k0 {one.offset_nm:.4f} Nm  (break-away seen by {one.seen}){said}"
+        )
+    if not result.accepted:
+        raise EpsHilError(f"not accepted: {'; '.join(result.problems)}")
+    pos, neg = result.positive, result.negative
+    return Levels(pos.offset_nm, neg.offset_nm, pos.ci95_nm, neg.ci95_nm)
+
+
+def _accept(
+    levels: "Levels",
+    setup: "ServiceConfig",
+    settings: "CalibrationSettings",
+    write_model: Path | None,
+    note: dict[str, Any],
+    insist: bool,
+) -> None:
+    from eps_hil.service.calibrated_model import CalibratedModel
+
+    model = CalibratedModel(setup.model)
+    old = model.present
+    for name, new, was, ci in (
+        ("k0+", levels.offset_pos_nm, old.offset_pos_nm, levels.pos_ci95_nm),
+        ("k0-", levels.offset_neg_nm, old.offset_neg_nm, levels.neg_ci95_nm),
+    ):
+        interval = f"  (95 %: {ci[0]:.4f} to {ci[1]:.4f})" if ci else ""
+        typer.echo(f"{name}        {new:.4f} Nm{interval}, in the model {was:.4f} Nm")
+    within = model.check(levels, settings.sanity_band, insist=insist)
+    note["bus"] = str(setup.bus)
+    note["within_band"] = within
+    if write_model is not None:
+        _write(write_model, model.calibrated(levels, note))
+
+
+def _reset(setup: "ServiceConfig", write_model: Path | None) -> None:
+    from eps_hil.service.calibrated_model import CalibratedModel
+
+    if write_model is None:
+        raise InputError("--write-model", "", "is missing", "name the file that --reset writes")
+    _write(write_model, CalibratedModel(setup.model).reset({"method": "reset"}))
+
+
+def _write(path: Path, text: str) -> None:
+    from eps_hil.recordings.files import replacing
+
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    typer.echo(f"model      written to {path}")
+
+
+# What is shown.
+
+
+def _progress(source: "TorqueInjectionSource") -> str:
+    command = source.command
+    if command is None:
+        return "not armed"
+    said = (
+        f"{command.phase} {command.torque_nm:+.3f} Nm  {command.repetition}/{command.repetitions}"
+    )
+    return f"{said}  {command.reason}".rstrip()
+
+
+def _sliding(state: Any, settings: "CalibrationSettings") -> str:
+    if state is None:
+        return "no input"
+    return (
+        f"k0+ {state.levels.positive_nm:.4f} k0- {state.levels.negative_nm:.4f} Nm  slid "
+        f"{state.time_pos_s:.1f} and {state.time_neg_s:.1f} of {settings.error_sliding_s:g} s"
+    )
+
+
+class _Display:
+    """Gates and progress: a live line on a terminal, in a pipe a line when a gate changes."""
+
+    def __init__(
+        self, gates: Callable[[], tuple["GateState", ...]], progress: Callable[[], str]
+    ) -> None:
+        self._gates, self._progress = gates, progress
+        self._live = sys.stderr.isatty()
+        self._met: dict[str, bool] = {}
+
+    def __call__(self) -> None:
+        """Called ten times a second."""
+        gates = self._gates()
+        for gate in gates:
+            if self._met.get(gate.name) != gate.met:
+                self._met[gate.name] = gate.met
+                if not self._live:
+                    typer.echo(f"gate       {self._words(gate)}")
+        if self._live:
+            closed = [self._words(gate) for gate in gates if not gate.met]
+            said = "; ".join(closed) if closed else "all gates met"
+            sys.stderr.write(f"\r\x1b[2K{self._progress()}  |  {said}"[:160])
+            sys.stderr.flush()
+
+    @staticmethod
+    def _words(gate: "GateState") -> str:
+        met = "met" if gate.met else "NOT MET"
+        return f"{gate.name} {met}: {gate.value:.4g} {gate.unit} (limit {gate.limit:g})"
+
+    def end(self) -> None:
+        """Leave the line."""
+        if self._live:
+            sys.stderr.write("\n")

@@ -1,0 +1,92 @@
+"""A calibration written into a model file: new levels, old ones kept, and where they came from.
+
+Comments and everything else in the file stay as they are; the history is a top-level block
+``calibrations`` at its end, newest last. The sanity band is about the last accepted levels.
+"""
+
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from eps_hil import yaml_file
+from eps_hil.errors import EpsHilError, InputError
+
+_BLOCK = "calibrations"
+_SIDES = ("offset_pos_nm", "offset_neg_nm")
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """k0+ and k0− (Nm at the rotor), with 95 % intervals where there are any."""
+
+    offset_pos_nm: float
+    offset_neg_nm: float
+    pos_ci95_nm: tuple[float, float] | None = None
+    neg_ci95_nm: tuple[float, float] | None = None
+
+
+class CalibratedModel:
+    """A model file with its history of calibrations."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        content = yaml_file.read(path)
+        self._text = path.read_text(encoding="utf-8")
+        friction = content["model"]["friction"]
+        pos_nm, neg_nm = (float(friction[side]) for side in _SIDES)
+        self.present = Levels(pos_nm, neg_nm)
+        self.history: list[dict[str, Any]] = list(content.get(_BLOCK) or [])
+
+    def check(self, levels: Levels, band: float, *, insist: bool = False) -> bool:
+        """Whether the levels lie in the band; :class:`EpsHilError` if not and not insisted."""
+        within = True
+        for side in _SIDES:
+            last, new = getattr(self.present, side), getattr(levels, side)
+            within &= abs(new - last) <= band * last
+        if not within and not insist:
+            raise EpsHilError(
+                f"refused: k0+ {levels.offset_pos_nm:.4f}, k0- {levels.offset_neg_nm:.4f} Nm lie "
+                f"more than {band:.0%} from the last accepted {self.present.offset_pos_nm:.4f}, "
+                f"{self.present.offset_neg_nm:.4f} Nm; look at the rig, then repeat, or insist "
+                "with --accept-outside-band"
+            )
+        return within
+
+    def calibrated(self, levels: Levels, note: dict[str, Any]) -> str:
+        """The file's text with ``levels`` and an entry of the history."""
+        after: dict[str, Any] = {side: round(float(getattr(levels, side)), 7) for side in _SIDES}
+        for name in ("pos_ci95_nm", "neg_ci95_nm"):
+            interval = getattr(levels, name)
+            if interval is not None:
+                after[name] = [round(float(bound), 7) for bound in interval]
+        return self._written(after, note)
+
+    def reset(self, note: dict[str, Any]) -> str:
+        """The file's text with the levels from before the first calibration."""
+        if not self.history:
+            raise InputError(
+                self._path, _BLOCK, "holds no calibration that could be reset", "nothing to do"
+            )
+        first = self.history[0]["before"]
+        return self._written({side: float(first[side]) for side in _SIDES}, note)
+
+    def _written(self, after: dict[str, Any], note: dict[str, Any]) -> str:
+        before = {side: getattr(self.present, side) for side in _SIDES}
+        utc = datetime.now(UTC).isoformat(timespec="seconds")
+        entry = {"utc": utc, **note, "before": before, "after": after}
+        text = re.sub(rf"^{_BLOCK}:.*\Z", "", self._text, flags=re.MULTILINE | re.DOTALL)
+        for side in _SIDES:
+            text, found = re.subn(
+                rf"^(\s*{side}:\s*)[^\s#,}}]+", rf"\g<1>{after[side]!r}", text, flags=re.MULTILINE
+            )
+            if found != 1:
+                raise InputError(
+                    self._path, f"model.friction.{side}", "is not on one line of its own",
+                    "write the block out",
+                )  # fmt: skip
+        block = yaml.safe_dump({_BLOCK: [*self.history, entry]}, sort_keys=False)
+        return text.rstrip("\n") + "\n" + block

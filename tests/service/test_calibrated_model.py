@@ -1,0 +1,80 @@
+"""A calibration in the model file: only two numbers change, the history grows, reset leads back."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from eps_hil.errors import EpsHilError, InputError
+from eps_hil.physics.model import load_model
+from eps_hil.service.calibrated_model import CalibratedModel, Levels
+
+ROOT = Path(__file__).parents[2]
+REFERENCE = ROOT / "configs" / "reference_rig.yaml"
+NEW = Levels(0.06, 0.12, (0.059, 0.061), (0.118, 0.122))
+
+
+def written(path: Path, text: str) -> CalibratedModel:
+    path.write_text(text)
+    return CalibratedModel(path)
+
+
+def test_only_the_levels_change_and_the_history_says_why(tmp_path: Path) -> None:
+    out = tmp_path / "m.yaml"
+    text = CalibratedModel(REFERENCE).calibrated(NEW, {"method": "torque_injection"})
+    old_lines, lines = REFERENCE.read_text().splitlines(), text.splitlines()
+    changed = [k for k, line in enumerate(old_lines) if lines[k] != line]
+    assert len(changed) == 2, "comments and all else as they were"
+    model = written(out, text)
+    assert model.present == Levels(0.06, 0.12)
+    assert load_model(out).friction.offset_pos_nm == 0.06
+    (entry,) = model.history
+    assert entry["before"] == {"offset_pos_nm": 0.056, "offset_neg_nm": 0.1258}
+    assert entry["after"]["pos_ci95_nm"] == [0.059, 0.061]
+    assert entry["method"] == "torque_injection"
+
+
+def test_a_second_one_and_the_way_back(tmp_path: Path) -> None:
+    first = CalibratedModel(REFERENCE).calibrated(NEW, {"method": "a"})
+    model = written(tmp_path / "m.yaml", first)
+    model = written(tmp_path / "m.yaml", model.calibrated(Levels(0.07, 0.13), {"method": "b"}))
+    assert [entry["method"] for entry in model.history] == ["a", "b"]
+    assert model.history[1]["before"] == {"offset_pos_nm": 0.06, "offset_neg_nm": 0.12}
+    model = written(tmp_path / "m.yaml", model.reset({"method": "reset"}))
+    assert model.present == Levels(0.056, 0.1258)
+    assert [entry["method"] for entry in model.history] == ["a", "b", "reset"]
+    assert yaml.safe_load((tmp_path / "m.yaml").read_text())["model"]["inertia_kg_m2"] == 2.0e-4
+
+
+def test_nothing_to_reset() -> None:
+    with pytest.raises(InputError, match="no calibration that could be reset"):
+        CalibratedModel(REFERENCE).reset({})
+
+
+@pytest.mark.parametrize(
+    ("levels", "within"),
+    [
+        (Levels(0.0559 * 1.5, 0.1258), True),
+        (Levels(0.0561 * 1.5, 0.1258), False),
+        (Levels(0.056, 0.1258 * 0.49), False),
+        (Levels(0.056, 0.1258 * 0.51), True),
+        (Levels(float("nan"), 0.1258), False),
+    ],
+)
+def test_the_sanity_band(levels: Levels, within: bool) -> None:
+    model = CalibratedModel(REFERENCE)
+    assert model.check(levels, 0.5, insist=True) is within
+    if within:
+        assert model.check(levels, 0.5)
+    else:
+        with pytest.raises(EpsHilError, match="more than 50% from the last accepted"):
+            model.check(levels, 0.5)
+
+
+def test_a_file_that_cannot_be_changed_line_by_line_is_refused(tmp_path: Path) -> None:
+    text = REFERENCE.read_text()
+    content = yaml.safe_load(text)
+    path = tmp_path / "m.yaml"
+    path.write_text(yaml.safe_dump(content, default_flow_style=True))
+    with pytest.raises(InputError, match="not on one line of its own"):
+        CalibratedModel(path).calibrated(NEW, {})
