@@ -12,7 +12,7 @@ from eps_hil.physics.model import Model
 _STEP_S = 1e-3
 _BEFORE = 200
 _LONGEST = 60_000
-"""Samples of one ramp that are kept; a longer one loses its beginning."""
+"""Samples of one ramp that are kept: a minute. A longer one gives no level."""
 _SMOOTH = 11
 """Samples of the moving mean over the measured angle."""
 _OFFSET_S = 0.05
@@ -29,55 +29,65 @@ class SlideRecord:
     def __init__(self, model: Model) -> None:
         self._model = model
         self._direction = 1
-        self._rows: deque[tuple[int, InjectionInputs]] = deque(maxlen=_BEFORE)
+        self._stamps = np.zeros(_LONGEST, np.int64)
+        self._table = np.zeros((_LONGEST, len(InjectionInputs._fields)))
+        self._n = 0
         self._torques: deque[float] = deque(maxlen=5)
         self._start_ns = 0
-        self._integrated_rad = self._start_rad = 0.0
+        self._integrated_rad = self._start_rad = self._angle_rad = 0.0
         self.running = False
         self.torque_now_nm = self.travel_now_rad = 0.0
 
     def add(self, t_ns: int, inputs: InjectionInputs) -> None:
         """One sample with its stamp."""
-        if self._rows:
-            dt_s = (t_ns - self._rows[-1][0]) * 1e-9
+        if self._n:
+            dt_s = (t_ns - int(self._stamps[self._n - 1])) * 1e-9
             self._integrated_rad += inputs.motor_speed_rad_s * dt_s
-        self._rows.append((t_ns, inputs))
+        if self._n == _LONGEST or (not self.running and self._n >= 2 * _BEFORE):
+            self._keep_newest()
+        self._stamps[self._n] = t_ns
+        self._table[self._n] = inputs
+        self._n += 1
         sensor = inputs.torque_sensor_nm if math.isfinite(inputs.torque_sensor_nm) else 0.0
         torque = inputs.motor_torque_nm + self._model.sensor_to_rotor * sensor
         self._torques.append(torque)
         self.torque_now_nm = self._direction * sum(self._torques) / len(self._torques)
-        self.travel_now_rad = self._direction * (self._angle(inputs) - self._start_rad)
+        angle = inputs.motor_angle_rad
+        self._angle_rad = angle if math.isfinite(angle) else self._integrated_rad
+        self.travel_now_rad = self._direction * (self._angle_rad - self._start_rad)
 
     def begin(self, direction: int) -> None:
         """The ramp starts with the next sample."""
         self._direction = direction
-        if not self._rows:
+        if self._n == 0:
             return
-        self._rows = deque(list(self._rows)[-_BEFORE:], maxlen=_LONGEST)
-        self._start_ns, newest = self._rows[-1]
-        self._start_rad = self._angle(newest)
+        self._keep_newest()
+        self._start_ns = int(self._stamps[self._n - 1])
+        self._start_rad = self._angle_rad
         self.running = True
 
     def end(self) -> None:
         """The ramp is over and of no use."""
         self.running = False
-        self._rows = deque(list(self._rows)[-_BEFORE:], maxlen=_BEFORE)
+
+    def _keep_newest(self) -> None:
+        kept = min(self._n, _BEFORE)
+        part = slice(self._n - kept, self._n)
+        self._stamps[:kept], self._table[:kept] = self._stamps[part], self._table[part]
+        self._n = kept
 
     def level(self, guess_nm: float, positive: bool) -> SlideLevel | None:
         """k0 of what was recorded since :meth:`begin`; ends the record."""
-        slide = self._slide()
+        whole = self._n > 0 and int(self._stamps[0]) < self._start_ns
         self.end()
+        if not whole:  # longer than can be kept
+            return None
+        slide = self._slide()
         return slide_level(slide, self._model, positive=positive, guess_nm=guess_nm)
 
-    def _angle(self, inputs: InjectionInputs) -> float:
-        angle = inputs.motor_angle_rad
-        return angle if math.isfinite(angle) else self._integrated_rad
-
     def _slide(self) -> Slide:
-        stamps = np.array([t for t, _ in self._rows], dtype=np.int64) - self._start_ns
-        time_s = stamps * 1e-9
-        table = np.array([row for _, row in self._rows], dtype=np.float64)
-        columns = dict(zip(InjectionInputs._fields, table.T, strict=True))
+        time_s = (self._stamps[: self._n] - self._start_ns) * 1e-9
+        columns = dict(zip(InjectionInputs._fields, self._table[: self._n].T, strict=True))
         delays = self._model.delays_s
         late = max(delays.of(name) for name in InjectionInputs._fields)
         at = np.arange(-_OFFSET_S, time_s[-1] - late, _STEP_S)

@@ -8,6 +8,7 @@ import pytest
 
 from eps_hil.adaptation.gates import GateLimit, GateSettings, InjectionInputs
 from eps_hil.adaptation.injection_settings import InjectionSettings
+from eps_hil.adaptation.slide_record import SlideRecord
 from eps_hil.adaptation.torque_injection import Phase, TorqueInjection
 from eps_hil.physics.model import Model
 
@@ -160,3 +161,14 @@ def test_time_that_stops_or_jumps_ends_the_run(reference_model: Model, step_ns: 
     command = injection.step(t_ns + step_ns, run_inputs())
     assert command.phase in {Phase.ABORTING, Phase.ABORTED}
     assert "sample time" in injection.reason
+
+
+def test_a_ramp_too_long_to_be_kept_gives_no_level(reference_model: Model) -> None:
+    record = SlideRecord(reference_model)
+    inputs = run_inputs()
+    for k in range(300):
+        record.add(k * 1_000_000, inputs)
+    record.begin(1)
+    for k in range(300, 61_000):
+        record.add(k * 1_000_000, inputs._replace(motor_speed_rad_s=5.0, motor_torque_nm=0.1))
+    assert record.level(0.1, positive=True) is None
