@@ -64,7 +64,7 @@ def reliability(table: Sequence[tuple[float, float, int]], path: Path) -> Path:
         axis.errorbar(
             [stated],
             [right],
-            [[right - low], [high - right]],
+            [[max(right - low, 0.0)], [max(high - right, 0.0)]],
             color=figures.COLOURS[0],
             marker="o",
             capsize=3,
@@ -119,7 +119,7 @@ def _named_first(axis: Any, judged: Sequence[Judgement]) -> None:
                 value,
                 0.25,
                 color=figures.COLOURS[k],
-                yerr=[[value - low], [high - value]],
+                yerr=[[max(value - low, 0.0)], [max(high - value, 0.0)]],
                 capsize=3,
                 label=name if level == shown[0] else None,
             )
