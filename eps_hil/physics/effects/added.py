@@ -7,7 +7,7 @@ another, each with its own memory.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ from eps_hil.physics.effects.catalogue import catalogue, values_of
 from eps_hil.physics.effects.effect import STATES, WIDTH, Effect, Floats, Instant, Slot
 from eps_hil.physics.model import Model
 
+_F = TypeVar("_F", bound=Callable[..., Any])
 _KERNELS = [e for e in catalogue().values() if e.kernel is not None and e.simulated]
 _ROW = {effect.id: row for row, effect in enumerate(_KERNELS)}
 MOST_TERMS = 4
@@ -91,28 +92,37 @@ def _numbers(values: dict[str, Any]) -> list[float]:
     return [float(value) for value in values.values()]
 
 
-def _fused(effects: list[Effect]) -> Callable[[Added, Instant, float], float]:
+def _compiled(function: _F, name: str) -> _F:
+    """``function``, a closure, compiled under a name that no other closure has.
+
+    numba names machine code by qualified name and a number that counts compilations in one
+    process. Closures of one name out of a disk cache that several processes filled would be taken
+    for one another, and one effect would act as another.
+    """
+    function.__qualname__ = function.__name__ = name
+    return njit(function)
+
+
+def _fused(slot: str, effects: list[Effect]) -> Callable[[Added, Instant, float], float]:
     """One compiled function that passes a value through the kernels of ``effects`` in order."""
 
     def build(k: int) -> Callable[[Added, Instant, float], float]:
         if k < 0:
 
-            @njit
             def unchanged(_a: Added, _u: Instant, value: float) -> float:
                 return value
 
-            return unchanged
+            return _compiled(unchanged, f"{slot}_unchanged")
         before, kernel, row = build(k - 1), effects[k].kernel, _ROW[effects[k].id]
         assert kernel is not None
 
-        @njit
         def through(a: Added, u: Instant, value: float) -> float:
             value = before(a, u, value)
             for term in range(a.terms[row]):
                 value = kernel(a.parameters[row, term], a.state[row, term], u, value)
             return value
 
-        return through
+        return _compiled(through, f"{slot}_through_{effects[k].id}")
 
     return build(len(effects) - 1)
 
@@ -121,21 +131,19 @@ def _fused_advance(effects: list[Effect]) -> Callable[[Added, Instant, float], N
     def build(k: int) -> Callable[[Added, Instant, float], None]:
         if k < 0:
 
-            @njit
             def nothing(_a: Added, _u: Instant, _dt: float) -> None:
                 return None
 
-            return nothing
+            return _compiled(nothing, "advance_nothing")
         before, move, row = build(k - 1), effects[k].advance, _ROW[effects[k].id]
         assert move is not None
 
-        @njit
         def through(a: Added, u: Instant, dt: float) -> None:
             before(a, u, dt)
             for term in range(a.terms[row]):
                 move(a.parameters[row, term], a.state[row, term], u, dt)
 
-        return through
+        return _compiled(through, f"advance_through_{effects[k].id}")
 
     return build(len(effects) - 1)
 
@@ -144,13 +152,13 @@ def _of(slot: Slot) -> list[Effect]:
     return [effect for effect in _KERNELS if effect.slot is slot]
 
 
-level_nm = _fused(_of(Slot.LEVEL) + _of(Slot.LEVEL_FACTOR))
+level_nm = _fused("level", _of(Slot.LEVEL) + _of(Slot.LEVEL_FACTOR))
 """T_fs (Nm) with the added terms: ``level_nm(added, instant, level of eq. 3)``."""
-torque_nm = _fused(_of(Slot.TORQUE))
+torque_nm = _fused("torque", _of(Slot.TORQUE))
 """Torque that opposes the drive beside friction and load: ``torque_nm(added, instant, 0.0)``."""
-motor_nm = _fused(_of(Slot.MOTOR))
+motor_nm = _fused("motor", _of(Slot.MOTOR))
 """Shaft torque of the motor from the reported one."""
-sensor_nm = _fused(_of(Slot.SENSOR))
+sensor_nm = _fused("sensor", _of(Slot.SENSOR))
 """True torsion-bar torque from the reported one, at the column."""
 advance = _fused_advance([effect for effect in _KERNELS if effect.advance is not None])
 """Moves what effects remember (rest times, …) on by one step."""
