@@ -169,3 +169,11 @@ def test_the_written_folder_gives_nothing_away(
         header = (out / id / "train_1.csv").read_text().splitlines()[0]
         assert set(header.split(",")) == COLUMNS
     assert main(arguments) == 2
+
+
+def test_a_holdout_shows_what_it_is_to_judge() -> None:
+    case = make(Plan("singles", 5017, (("end_stop", 0.6),), simple=True))
+    (told,) = case.answer["effects"]
+    reach = np.abs(case.recordings["holdout"]["rack_position_m"]).max()
+    assert reach > told["parameters"]["position_m"]
+    assert case.answer["holdout_to_noise"] > 0.1
