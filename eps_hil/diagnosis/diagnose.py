@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis import locate
+from eps_hil.diagnosis.first_look import first_look
 from eps_hil.diagnosis.fit import Fit
 from eps_hil.diagnosis.leftover import Leftover, leftover
 from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
@@ -62,15 +63,20 @@ def diagnose(
     a diagnosis needs.
     """
     fitted, kept = _split(recordings, holdouts)
-    ready = {name: prepare(name, one, unexplained_nm) for name, one in {**fitted, **kept}.items()}
-    load = load_of([ready[name] for name in fitted], model) if missing(ready.values()) else None
+    ready = [(prepare(name, one, unexplained_nm), one) for name, one in fitted.items()]
+    spare = [(prepare(name, one, unexplained_nm), one) for name, one in kept.items()]
+    every = [one for one, _ in (*ready, *spare)]
+    load = load_of([one for one, _ in ready], model) if missing(every) else None
     if load is not None:
-        ready = {name: with_load(one, model, load) for name, one in ready.items()}
+        ready = [(with_load(one, model, load), series) for one, series in ready]
+        spare = [(with_load(one, model, load), series) for one, series in spare]
         without = {*without, *not_told_apart(load)}
-    problem = Problem([ready[name] for name in fitted], model, tied=load_knobs(load))
+    look = first_look(ready, spare, model, without)
+    given, model = model, look.model
+    problem = Problem(look.fitted, model, tied=load_knobs(load))
     if np.sum(problem.sliding) < 500:
         raise ValueError("moves for less than 4 s; a diagnosis needs a rotor that slides")
-    judged = [Holdout(ready[name], one) for name, one in kept.items()]
+    judged = [Holdout(one, kept[one.name]) for one in look.kept]
     selection = select(problem, say, without)
     findings = _held_out(problem, selection, judged)
     if findings and not _better(problem, selection.found, findings, judged):
@@ -79,9 +85,11 @@ def diagnose(
         say("looking at what is left", 0.9)
     hidden = load is not None and load.form == "arbitrary"  # what is left may be the load
     left = None if hidden else leftover(problem, selection.found.residual)
-    content = _content(problem, selection, findings, left, judged)
+    content = look.added_to(_content(problem, selection, findings, left, judged))
+    if model is not given:
+        content["fit"]["holdout"]["baseline"] = measures(judged, given, given)
     content["limits"] = [] if load is None else [load.sentence]
-    augmented = _augmented(problem, selection.found, findings)
+    augmented = look.in_model(_augmented(problem, selection.found, findings))
     return Diagnosis(content, augmented, problem, selection, judged, findings)
 
 

@@ -9,13 +9,14 @@ sensor show here directly; in the torque balance they look like noise. With the 
 where τ changes its sign, a wrong ratio makes it grow with x, a late angle with the speed.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.drift import drift_matters
 from eps_hil.diagnosis.prepare import Prepared, low_pass, with_play
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
@@ -83,7 +84,13 @@ class Kinematics:
         late = model.delays_s.of("torque_sensor_nm")
         raw = {**one.raw, "torque_sensor_nm": np.interp(one.time_s - late, one.time_s, true)}
         sigma = gain * _twist_noise(one, model)
-        return replace(one, raw=raw, noise={**one.noise, "torque_sensor_nm": sigma}, _shifted={})
+        return one.changed(raw=raw, noise={**one.noise, "torque_sensor_nm": sigma})
+
+    def put_right(self, one: Prepared, model: Model) -> Prepared:
+        """As :meth:`corrected`, with the samples barred at which the drive is in two pieces."""
+        loose = self.loose(one, model)
+        right = self.corrected(one, model)
+        return right.changed(barred=loose if one.barred is None else one.barred | loose)
 
     def loose(self, one: Prepared, model: Model) -> Flags:
         """Thinned samples at which the gap is open and the drive in two pieces, shape (m,)."""
@@ -93,10 +100,16 @@ class Kinematics:
         return _changing(one.thin(_transmitted(one, model)))
 
 
-def examine(fitted: Sequence[Prepared], judged: Sequence[Prepared], model: Model) -> Kinematics:
+def examine(
+    fitted: Sequence[Prepared],
+    judged: Sequence[Prepared],
+    model: Model,
+    without: Collection[str] = (),
+) -> Kinematics:
     """Look at rotor against rack, and at the twist, of all recordings that hold them.
 
-    An effect is seen only if it also lowers the same residual of the ``judged`` recordings.
+    An effect is seen only if it also lowers the same residual of the ``judged`` recordings, and
+    if its id is not in ``without``.
     """
     seen: list[Seen] = []
     content: dict[str, Any] = {}
@@ -105,11 +118,12 @@ def examine(fitted: Sequence[Prepared], judged: Sequence[Prepared], model: Model
     kept = [_Rows(one, model) for one in judged if _has_rack(one, model)]
     if rows:
         found, content = _rotor_against_rack(rows, kept)
+        found = [one for one in found if one.entry["effect"] not in without]
         seen += found
         gap = next((s.entry["gap_rad"] for s in found if s.entry["effect"] == "backlash"), 0.0)
     twist = None
     play = _sensor_play(fitted, judged, model)
-    if play is not None:
+    if play is not None and play[0].entry["effect"] not in without:
         seen.append(play[0])
         twist = play[1]
     return Kinematics(tuple(seen), content, twist, gap)
@@ -134,6 +148,7 @@ class _Rows:
         self.columns = {
             "ratio": ratio * self.x,
             "delay": -thin(motion.speed_rad_s),
+            "drift": -thin(motion.speed_rad_s * (one.time_s - one.time_s[0])) * 1e-6,
             "compliance": self.torque,
             "inertia": thin(model.inertia_kg_m2 * motion.acceleration_rad_s2),
             "half_gap": np.tanh(self.torque / _CONTACT_NM),
@@ -187,6 +202,7 @@ _GROUPS = {
     "belt_compliance": ("compliance", "inertia"),
     "backlash": ("half_gap",),
     "rack_ratio": ("ratio_slope", "ratio_bend"),
+    "clock_drift": ("drift",),
 }
 
 
@@ -285,6 +301,8 @@ def _judged(
     """The finding, if its numbers make sense, are large enough, and help on the hold-outs."""
     group = ("ratio",) if constant else _GROUPS[effect]
     entry = _entry(effect, values, constant=constant)
+    if effect == "clock_drift" and not drift_matters(values["drift"], [one.one for one in rows]):
+        return None
     if entry is None or (kept and not _helps(kept, names, values, group)):
         return None
     others = [name for name in names if name not in group]
@@ -310,6 +328,8 @@ def _entry(effect: str, values: Mapping[str, float], *, constant: bool) -> dict[
             "effect": effect, "scale": values["ratio"],
             "slope_per_m": values["ratio_slope"], "bend_per_m2": values["ratio_bend"],
         }  # fmt: skip
+    if effect == "clock_drift":
+        return {"effect": effect, "ppm": values["drift"]}
     if effect == "backlash":
         gap = 2.0 * values["half_gap"]
         return {"effect": effect, "gap_rad": gap} if gap > LEAST_GAP_RAD else None
@@ -327,6 +347,8 @@ def _own(effect: str, values: Mapping[str, float], sigma: Mapping[str, float]) -
             "slope_per_m": sigma.get("ratio_slope", 0.0),
             "bend_per_m2": sigma.get("ratio_bend", 0.0),
         }
+    if effect == "clock_drift":
+        return {"ppm": sigma["drift"]}
     if effect == "backlash":
         return {"gap_rad": 2.0 * sigma["half_gap"]}
     return {"stiffness_nm_per_rad": sigma["compliance"] / values["compliance"] ** 2}

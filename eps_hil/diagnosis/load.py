@@ -7,7 +7,7 @@ faster, can be told from it.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -128,7 +128,7 @@ def with_load(one: Prepared, model: Model, load: Load) -> Prepared:
     size = 1.4826 * float(np.median(np.abs(left))) if len(left) else 0.0
     share = filled.floor_nm(model) / max(size, 1e-12)
     noise = {name: value / max(share, 1e-12) for name, value in filled.noise.items()}
-    return replace(filled, noise={**noise, "motor_speed_rad_s": one.noise["motor_speed_rad_s"]})
+    return filled.changed(noise={**noise, "motor_speed_rad_s": one.noise["motor_speed_rad_s"]})
 
 
 def _motion(one: Prepared, model: Model) -> tuple[Floats, Floats, Floats]:

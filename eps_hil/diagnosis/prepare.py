@@ -6,9 +6,10 @@ pass the same one.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from math import comb
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -49,7 +50,13 @@ class Prepared:
     speed_is_derived: bool
     unexplained_nm: float = 0.0
     """What somebody's simulator leaves open (``simulation.py``): no difference below it counts."""
+    barred: npt.NDArray[np.bool_] | None = None
+    """Thinned samples that nothing may be concluded from (``first_look.py``); None: no such."""
     _shifted: dict[tuple[int, float], Floats] = field(default_factory=dict)
+
+    def changed(self, **values: Any) -> "Prepared":
+        """A copy with fields changed, and nothing remembered of the old ones."""
+        return replace(self, _shifted={}, **values)
 
     def motion(self, model: Model) -> Motion:
         """The motion at physical instants under the delays of ``model`` (its effects included)."""

@@ -22,6 +22,8 @@ SETTLED_RAD = 0.2
 """Path since the last rest or reversal after which the bristle's history is forgotten."""
 PRESLIDING_SIGMA_NM = 0.03
 """What rest and presliding leave even in a right model, at 0.2 rad/s of speed noise or less."""
+NOTHING_NM = 1e3
+"""Deviation of a sample that says nothing."""
 BLOCK_S = 2.0
 """Length of the blocks that take turns in fitting and judging."""
 
@@ -49,10 +51,13 @@ class Problem:
         number = 0
         for recording in self.recordings:
             mask = sliding(recording, self.model)
+            barred = np.zeros(len(mask), bool) if recording.barred is None else recording.barred
+            mask &= ~barred
             floor = float(np.hypot(recording.floor_nm(self.model), recording.unexplained_nm))
             masks.append(mask)
             unsure = PRESLIDING_SIGMA_NM * max(1.0, recording.noise["motor_speed_rad_s"] / 0.2)
-            floors.append(np.where(mask, floor, np.hypot(floor, unsure)))
+            usable = np.where(mask, floor, np.hypot(floor, unsure))
+            floors.append(np.where(barred, NOTHING_NM, usable))
             index = (recording.thin_time_s - recording.thin_time_s[0]) // BLOCK_S
             blocks.append(number + index.astype(np.int64))
             number = int(blocks[-1][-1]) + 1

@@ -91,12 +91,13 @@ def explain(
         matches[name], dressed = min(tried, key=lambda pair: _left(pair[1], physical))
         made.append(dressed)
     problem = _placed(Problem(made, physical), traces)
+    made = list(problem.recordings)
     if np.sum(problem.sliding) < 200:
         raise ValueError(f"{', '.join(traces)}: moves for less than 2 s")
     if say:
         say("explaining the simulator's traces", 0.1)
     reduction, entries = _reduced(problem)
-    problem.model = replace(reduction.model, effects=model.effects)
+    problem = Problem(made, replace(reduction.model, effects=model.effects))
     fitted = problem.with_entries(entries)
     entries = [entry for entry in entries if entry["effect"] not in _TIMING]
     left = problem.residual(fitted)
@@ -105,7 +106,7 @@ def explain(
     lent = any(_lent(trace) for trace in traces.values())
     late, delays = _timing(reduction.model.delays_s, model.delays_s, lent)
     result = replace(result, delays_s=delays)
-    problem.model = fitted
+    problem = Problem(made, fitted)
     content = {
         "traces": [_about(name, one, matches[name], model) for name, one in traces.items()],
         "timing": "as reported" if late else "physical instants",
@@ -129,15 +130,13 @@ def _reduced(problem: Problem) -> tuple[Reduction, list[dict[str, Any]]]:
     excess = float(np.sum(cut**2 - 1.0))
     if excess < LEAST_EXCESS * len(cut):
         return reduction, []
-    problem.model = reduction.model
-    found = select(problem).found
+    found = select(Problem(problem.recordings, reduction.model)).found
     entries = [dict(one) for one in found.entries if one["effect"] not in _PARAMETERS]
     for _ in range(2):
-        problem.model = replace(nominal, effects=(*nominal.effects, *entries))
-        reduction = reduce_parameters(problem)
-        problem.model = replace(reduction.model, effects=nominal.effects)
-        entries = _needed(problem, fit(problem, entries), max(LEAST_GAIN, _LEAST_PART * excess))
-    problem.model = nominal
+        beside = replace(nominal, effects=(*nominal.effects, *entries))
+        reduction = reduce_parameters(Problem(problem.recordings, beside))
+        bare = Problem(problem.recordings, replace(reduction.model, effects=nominal.effects))
+        entries = _needed(bare, fit(bare, entries), max(LEAST_GAIN, _LEAST_PART * excess))
     return reduction, entries
 
 
@@ -270,7 +269,7 @@ def _best_shift(one: Prepared, model: Model, lent: Sequence[str]) -> Prepared:
             for name in lent:
                 if name in raw:
                     raw[name] = np.interp(one.time_s + shift, one.time_s, raw[name])
-            trial = replace(one, raw=raw, _shifted={})
+            trial = one.changed(raw=raw)
             new = _left(trial, model)
             if new < cost:
                 cost, found = new, trial

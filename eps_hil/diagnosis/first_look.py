@@ -1,0 +1,101 @@
+"""What is settled before the torque balance: data quality, clocks, rotor against rack.
+
+Each of these would come back from the torque balance under a wrong name. So bad stretches are
+barred, a drifting clock is set right, a torque sensor with play is replaced by the torsion bar's
+twist, and a wrong ratio goes into the model, before any friction is looked at.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from eps_hil.diagnosis import kinematics, quality
+from eps_hil.diagnosis.drift import Drift
+from eps_hil.diagnosis.prepare import Prepared
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+Signals = Mapping[str, Series]
+
+
+@dataclass(frozen=True)
+class FirstLook:
+    """The recordings put right, and the model with what is known of the drive by now.
+
+    ``findings`` are JSON entries (CONTRACT 7), ``entries`` those of a model file; ``quality`` and
+    ``kinematics`` go into the JSON under keys of their own.
+    """
+
+    fitted: Sequence[Prepared]
+    kept: Sequence[Prepared]
+    model: Model
+    findings: tuple[dict[str, Any], ...]
+    entries: tuple[dict[str, Any], ...]
+    quality: tuple[dict[str, Any], ...]
+    kinematics: Mapping[str, Any]
+
+    def added_to(self, content: Mapping[str, Any]) -> dict[str, Any]:
+        """The JSON with this look's findings and keys; names found twice stand once."""
+        named = {one["effect"] for one in content["findings"]}
+        new = [one for one in self.findings if one["effect"] not in named]
+        known = [one for one in content["findings"] if one["effect"] != "unknown"]
+        unknown = [one for one in content["findings"] if one["effect"] == "unknown"]
+        verdict = content["verdict"]
+        if new:
+            verdict = "partly_explained" if unknown else "explained"
+        return {
+            **content,
+            "verdict": verdict,
+            "findings": [*known, *new, *unknown],
+            "data_quality": list(self.quality),
+            "kinematics": dict(self.kinematics),
+        }
+
+    def in_model(self, model: Model) -> Model:
+        """A model file's model with this look's effects that it does not hold yet."""
+        held = {entry["effect"] for entry in model.effects}
+        new = tuple(entry for entry in self.entries if entry["effect"] not in held)
+        return replace(model, effects=(*model.effects, *new))
+
+
+def first_look(
+    fitted: Sequence[tuple[Prepared, Signals]],
+    kept: Sequence[tuple[Prepared, Signals]],
+    model: Model,
+    without: Collection[str] = (),
+) -> FirstLook:
+    """Look at recordings, each prepared and as it was read; those ``kept`` only judge."""
+    looks = [quality.look_at(one.name, series) for one, series in (*fitted, *kept)]
+    ready = [
+        one.changed(barred=look.barred(one))
+        for look, (one, _) in zip(looks, (*fitted, *kept), strict=True)
+    ]
+    n = len(fitted)
+    findings: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
+    lost = quality.finding(looks)
+    if lost is not None and "dropped_frames" not in without:
+        findings.append(lost)
+    seen = kinematics.examine(ready[:n], ready[n:], model, without)
+    ready = [seen.put_right(one, model) for one in ready]
+    for effect in seen.seen:
+        name = effect.entry["effect"]
+        if name == "clock_drift":
+            drifting = Drift(effect.entry["ppm"], effect.sigma["ppm"], effect.gain)
+            ready = [drifting.corrected(one) for one in ready]
+            findings.append(drifting.finding())
+            continue
+        findings.append(kinematics.finding(effect))
+        if name == "rack_ratio":
+            model = replace(model, effects=(*model.effects, effect.entry))
+        else:
+            entries.append(dict(effect.entry))
+    return FirstLook(
+        ready[:n],
+        ready[n:],
+        model,
+        tuple(findings),
+        tuple(entries),
+        tuple(look.content() for look in looks),
+        seen.content,
+    )

@@ -1,0 +1,118 @@
+"""Clocks, rotor against rack, and the twist: on a truth plant of other code (``eps_hil/proof``)."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.diagnosis.first_look import FirstLook, first_look
+from eps_hil.diagnosis.prepare import prepare
+from eps_hil.physics.model import Model
+from eps_hil.proof import manoeuvres, sensors
+from eps_hil.proof.world import Instruments, World
+from eps_hil.series import Series
+
+Look = Callable[..., FirstLook]
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def look(reference_model: Model) -> Look:
+    """A first look at two recordings and a hold-out of a world."""
+
+    def at(world: World, change: Callable[[dict[str, Any]], None] | None = None) -> FirstLook:
+        rng = np.random.default_rng(3)
+        made = []
+        for name, program in zip(
+            ("a", "b", "c"),
+            (*manoeuvres.training(rng), manoeuvres.holdout(rng)),
+            strict=True,
+        ):
+            clean = sensors.reported(world.run(program), world.instruments)
+            columns = sensors.measured(clean, world.instruments, rng)
+            t_ns = np.round(columns.pop("time_s") * 1e9).astype(np.int64)
+            series = {key: Series(t_ns, value) for key, value in columns.items()}
+            if change:
+                change(series)
+            made.append((prepare(name, series), series))
+        return first_look(made[:2], made[2:], reference_model)
+
+    return at
+
+
+FULL = World(simple=False)
+
+
+def only(found: FirstLook, effect: str, parameter: str) -> dict[str, Any]:
+    (finding,) = found.findings
+    assert finding["effect"] == effect
+    value: dict[str, Any] = finding["parameters"][parameter]
+    low, high = value["ci95"]
+    assert low <= value["value"] <= high
+    return value
+
+
+@pytest.mark.parametrize("noise", [1.0, 3.0])
+def test_five_masses_and_nothing_wrong_is_nothing(look: Look, noise: float) -> None:
+    found = look(dataclasses.replace(FULL, instruments=Instruments(noise=noise)))
+    assert found.findings == ()
+    assert found.kinematics["rms_left_rad"] < 1.05 * found.kinematics["noise_rad"]
+
+
+def test_a_soft_belt_is_found(look: Look) -> None:
+    """In series with the plant's screw of 300 Nm/rad."""
+    found = look(dataclasses.replace(FULL, belt_nm_per_rad=10.0, belt_damping=5e-3))
+    value = only(found, "belt_compliance", "stiffness_nm_per_rad")
+    assert value["value"] == pytest.approx(1 / (1 / 10 + 1 / 300), rel=0.02)
+    assert found.entries[0]["effect"] == "belt_compliance"
+
+
+@pytest.mark.parametrize("gap", [0.1, 0.5])
+def test_play_between_rotor_and_rack_is_found(look: Look, gap: float) -> None:
+    found = look(dataclasses.replace(FULL, gap_rad=gap))
+    assert only(found, "backlash", "gap_rad")["value"] == pytest.approx(gap, rel=0.03)
+    barred = found.fitted[0].barred
+    assert barred is not None
+    assert 0.02 < np.mean(barred) < 0.5
+
+
+@pytest.mark.parametrize("play", [0.1, 0.4])
+def test_play_in_the_torque_sensor_is_found_and_taken_out(look: Look, play: float) -> None:
+    found = look(dataclasses.replace(FULL, instruments=Instruments(sensor_play_nm=play)))
+    value = only(found, "torque_sensor_hysteresis", "play_nm")
+    assert value["value"] == pytest.approx(play, rel=0.05)
+
+
+def test_a_wrong_ratio_is_found(look: Look) -> None:
+    drive = FULL.drive._replace(rack_rad_per_m=2513.0 * 1.03)
+    found = look(dataclasses.replace(FULL, drive=drive))
+    assert only(found, "rack_ratio", "scale")["value"] == pytest.approx(0.03, abs=1e-4)
+    assert found.model.effects[-1]["effect"] == "rack_ratio"
+
+
+def test_a_drifting_clock_is_found_and_set_right(look: Look) -> None:
+    """A clock that stamps early: 100 ppm are 4 ms after 40 s."""
+    found = look(dataclasses.replace(FULL, instruments=Instruments(speed_drift=1e-4)))
+    value = only(found, "clock_drift", "ppm")
+    assert value["value"] == pytest.approx(-100.0, rel=0.1)
+    assert found.findings[0]["signal"] == "motor_speed_rad_s"
+
+
+def test_a_late_angle_is_measured_against_the_rack(look: Look) -> None:
+    found = look(dataclasses.replace(FULL, instruments=Instruments(speed_late_s=2e-3)))
+    assert found.findings == ()
+    assert found.kinematics["angle_delay_beyond_model_s"] == pytest.approx(2e-3, rel=0.02)
+
+
+def test_clipped_samples_are_barred(look: Look) -> None:
+    def clip(series: dict[str, Series]) -> None:
+        force = series["rack_force_n"]
+        series["rack_force_n"] = Series(force.t_ns, np.clip(force.value, -800.0, 800.0))
+
+    found = look(FULL, clip)
+    flags = {f for q in found.quality for c in q["channels"] for f in c["flags"]}
+    assert "clipped" in flags
+    assert found.fitted[0].barred is not None
