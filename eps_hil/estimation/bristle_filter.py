@@ -8,6 +8,7 @@ evidence instead of an error (docs/theory-second-estimator.md). The published fo
 """
 
 import math
+from typing import NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +24,13 @@ from eps_hil.estimation.bristle_setup import (
     SIZE,
     Belief,
     FilterConstants,
+    filter_constants,
+    new_belief,
 )
 from eps_hil.estimation.compensation import drive_torque_nm, instant_of
 from eps_hil.estimation.levels import approach, forget
 from eps_hil.estimation.rack_force import publish
+from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import (
     ADDED_NEG,
     ADDED_POS,
@@ -48,6 +52,7 @@ from eps_hil.estimation.setup import OMEGA as S_OMEGA
 from eps_hil.estimation.setup import PHI as S_PHI
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects import added
+from eps_hil.physics.effects.added import Added
 from eps_hil.physics.effects.effect import Instant
 from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
@@ -55,6 +60,7 @@ from eps_hil.physics.friction import (
     friction_torque_nm,
     static_level_nm,
 )
+from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
 
@@ -67,9 +73,29 @@ _SLIDING = 0.1
 """The same where the rotor is seen to move."""
 
 
+class PhysicsInside(NamedTuple):
+    """The physics that the filter's step is given: the model's, its constants and its memory."""
+
+    law: FrictionLaw
+    effects: Added
+    filter: FilterConstants
+    belief: Belief
+
+
+def physics_inside(
+    model: Model, settings: EstimatorSettings, physics: Physics, angle_seen: bool
+) -> Physics:
+    """A model's physics with the filter's constants and a memory of its own.
+
+    It is used wherever :class:`Physics` is; compiled code tells by the type which step is meant.
+    """
+    constants = filter_constants(model, settings, STEP_S, angle_seen)
+    return cast(Physics, PhysicsInside(physics.law, physics.effects, constants, new_belief()))
+
+
 @njit
 def filter_step(
-    c: Constants, x: Physics, b: Belief, s: npt.NDArray[np.float64], u: Inputs, reason: int
+    c: Constants, x: PhysicsInside, s: npt.NDArray[np.float64], u: Inputs, reason: int
 ) -> int:
     """One millisecond: updates belief and state vector ``s``; returns the reason bits.
 
@@ -80,16 +106,17 @@ def filter_step(
         s[CLOCK] += STEP_S if s[CLOCK] > 0.0 else 0.0
         s[RUNNING] = min(s[RUNNING], 0.0)
         return reason
-    f = c.filter
+    f, b = x.filter, x.belief
     approach(c, s)
     law = _law_in_use(x.law, s)
+    known = Physics(law, x.effects)
     i = instant_of(c, s, u)
     b.extra[1] = added.torque_nm(x.effects, i, 0.0)
-    torque = drive_torque_nm(c, x, i, u) - b.extra[1]
+    torque = drive_torque_nm(c, known, i, u) - b.extra[1]
     if s[RUNNING] <= 0.0:
-        _start(c, law, b, s, u, torque)
+        _start(c, f, law, b, s, u, torque)
     else:
-        b.extra[0] = _extra_level_nm(x, law, i, b.mean)
+        b.extra[0] = _extra_level_nm(known, i, b.mean)
         _predict(f, law, b, s, 0.5 * (torque + s[TORQUE]))
     added.advance(x.effects, i, STEP_S)
     s[TORQUE] = torque
@@ -141,9 +168,9 @@ def _law_in_use(law: FrictionLaw, s: Floats) -> FrictionLaw:
 
 
 @njit
-def _extra_level_nm(x: Physics, law: FrictionLaw, i: Instant, mean: Floats) -> float:
+def _extra_level_nm(x: Physics, i: Instant, mean: Floats) -> float:
     """What added effects make of T_fs (Nm) at this state, beyond eq. 3."""
-    level = static_level_nm(mean[BRISTLE], mean[FORCE], law)
+    level = static_level_nm(mean[BRISTLE], mean[FORCE], x.law)
     now = Instant(
         i.time_s,
         mean[OMEGA],
@@ -158,9 +185,16 @@ def _extra_level_nm(x: Physics, law: FrictionLaw, i: Instant, mean: Floats) -> f
 
 
 @njit
-def _start(c: Constants, law: FrictionLaw, b: Belief, s: Floats, u: Inputs, torque: float) -> None:
+def _start(
+    c: Constants,
+    f: FilterConstants,
+    law: FrictionLaw,
+    b: Belief,
+    s: Floats,
+    u: Inputs,
+    torque: float,
+) -> None:
     """Begin, or begin again: torque balance, with the bristle's ignorance shared by the force."""
-    f = c.filter
     ratio, stiffness = f.drive.ratio, law.sigma0_nm_per_rad
     mean, cov = b.mean, b.cov
     speed = u.motor_speed_rad_s

@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.estimation import stream as streams
-from eps_hil.estimation.bristle_filter import filter_step, friction_nm
-from eps_hil.estimation.bristle_setup import FORCE, OMEGA, PHI, SIZE, Belief, new_belief
+from eps_hil.estimation.bristle_filter import PhysicsInside, filter_step, friction_nm
+from eps_hil.estimation.bristle_setup import FORCE, OMEGA, PHI, SIZE
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.setup import STEP_NS, Constants, Inputs, Physics, new_state
+from eps_hil.estimation.setup import STEP_NS, Constants, Inputs, new_state
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.friction import FrictionLaw
 from eps_hil.physics.model import Model
@@ -100,8 +100,7 @@ def _gather(
 @njit
 def _forward(
     c: Constants,
-    x: Physics,
-    b: Belief,
+    x: PhysicsInside,
     s: Floats,
     inputs: Floats,
     wrong: Int64,
@@ -109,9 +108,10 @@ def _forward(
     since: int,
     until: int,
 ) -> None:
+    b = x.belief
     for k in range(since, until):
         u = Inputs(inputs[k, 0], inputs[k, 1], inputs[k, 2], inputs[k, 3], 0.0)
-        why = filter_step(c, x, b, s, u, wrong[k])
+        why = filter_step(c, x, s, u, wrong[k])
         to.kind[k] = _HELD
         if wrong[k] == 0 and why & _DIVERGED == 0:
             to.kind[k] = _START if b.place[1] == 1 else _STEP
@@ -126,7 +126,7 @@ def _forward(
 
 
 @njit
-def _backward(c: Constants, law: FrictionLaw, of: Forward, n: int, out: Floats) -> None:
+def _backward(angle: bool, law: FrictionLaw, of: Forward, n: int, out: Floats) -> None:
     """[rack force (N), friction (Nm)] (n, 2) given all measurements up to step ``n``."""
     adjoint, scratch, smooth = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE)
     for k in range(n - 1, -1, -1):
@@ -138,7 +138,7 @@ def _backward(c: Constants, law: FrictionLaw, of: Forward, n: int, out: Floats) 
         if of.kind[k] == _HELD:
             continue
         for which in range(1, -1, -1):
-            if which == 1 and not c.filter.angle:
+            if which == 1 and not angle:
                 continue
             taken = of.innovation[k, which] / of.spread[k, which]
             for j in range(SIZE):
@@ -178,7 +178,9 @@ def smooth(
     ``ValueError`` for settings or signals that will not do.
     """
     like = streams.StreamEstimator(model, replace(settings, kind="bristle_filter"), periods_s)
-    c, x, s, b = like.constants, like.physics, new_state(), new_belief()
+    c, x, s = like.constants, like.physics, new_state()
+    assert isinstance(x, PhysicsInside)
+    b = x.belief
     kind, t_ns, _ = events
     rows = int((t_ns[-1] - t_ns[0]) // STEP_NS) + 2 * int(np.count_nonzero(kind < 0)) + 2
     t, inputs, wrong = np.empty(rows, np.int64), np.empty((rows, 4)), np.empty(rows, np.int64)
@@ -189,11 +191,11 @@ def smooth(
     for since in range(0, n, BLOCK_STEPS):
         own, whole = min(BLOCK_STEPS, n - since), min(BLOCK_STEPS + AHEAD_STEPS, n - since)
         part = slice(since, since + whole)
-        _forward(c, x, b, s, inputs[part], wrong[part], room, 0, own)
+        _forward(c, x, s, inputs[part], wrong[part], room, 0, own)
         kept = [array.copy() for array in (*b, s, x.effects.state)]
-        _forward(c, x, b, s, inputs[part], wrong[part], room, own, whole)
+        _forward(c, x, s, inputs[part], wrong[part], room, own, whole)
         both = np.empty((whole, 2))
-        _backward(c, x.law, room, whole, both)
+        _backward(x.filter.angle, x.law, room, whole, both)
         for array, before in zip((*b, s, x.effects.state), kept, strict=True):
             array[...] = before
         out[since : since + own] = both[:own]

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.estimation import observer_design
-from eps_hil.estimation.bristle_setup import FilterConstants, filter_constants
+from eps_hil.estimation.bristle_setup import filter_constants
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.physics.effects.added import Added, added
 from eps_hil.physics.friction import FrictionLaw, friction_law
@@ -64,8 +64,6 @@ class Constants(NamedTuple):
     limit: bool
     angle_measured: bool
     known_force: bool
-    bristle_inside: bool
-    filter: FilterConstants
 
 
 class Physics(NamedTuple):
@@ -103,9 +101,8 @@ def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = Fals
     filter_lag = 2 * STEP_S * pole / (1.0 - pole) if settings.low_pass else 0.0
     gain = obs.gain
     lag_s = obs.lag_s + filter_lag
-    bristle = filter_constants(model, settings, STEP_S, angle_seen)
     if settings.kind == "bristle_filter":
-        lag_s = bristle.lag * STEP_S
+        lag_s = STEP_S * filter_constants(model, settings, STEP_S, angle_seen).lag
     return Constants(
         inverse_inertia=1.0 / model.inertia_kg_m2,
         ratio=model.rack_to_rotor_ratio_rad_per_m,
@@ -140,8 +137,6 @@ def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = Fals
         limit=settings.limiter,
         angle_measured=measured,
         known_force=settings.quantity == "friction",
-        bristle_inside=settings.kind == "bristle_filter",
-        filter=bristle,
     )
 
 

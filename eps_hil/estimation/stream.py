@@ -15,11 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
-from eps_hil.estimation import alignment, bristle_filter, levels, rack_force, setup
-from eps_hil.estimation.bristle_setup import Belief, new_belief
+from eps_hil.estimation import alignment, levels, setup
+from eps_hil.estimation.bristle_filter import PhysicsInside, physics_inside
+from eps_hil.estimation.bristle_setup import new_belief
 from eps_hil.estimation.levels import FrictionLevels, LevelChange
 from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.setup import STEP_NS, STEP_S, Constants, Inputs, Physics
+from eps_hil.estimation.step import step
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
@@ -68,7 +70,6 @@ class Memory(NamedTuple):
     estimate: Float64
     reason: Int64
     levels: levels.Queue
-    belief: Belief
 
 
 class Estimate(NamedTuple):
@@ -156,10 +157,7 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         at = m.grid[0] - timing.lookback
         inputs, reason = gather(m, timing, at)
         reason |= extra
-        if c.bristle_inside:
-            m.reason[n] = bristle_filter.filter_step(c, x, m.belief, m.state, inputs, reason)
-        else:
-            m.reason[n] = rack_force.estimator_step(c, x, m.state, inputs, reason)
+        m.reason[n] = step(c, x, m.state, inputs, reason)
         m.t_ns[n] = at - lag
         m.estimate[n, 0] = m.state[setup.OUT_FORCE]
         m.estimate[n, 1] = m.state[setup.OUT_FRICTION]
@@ -218,6 +216,8 @@ class StreamEstimator:
         angle_seen = "motor_angle_rad" in periods_s
         self.constants = setup.constants(model, settings, angle_seen)
         self.physics = setup.physics_of(model)
+        if settings.kind == "bristle_filter":
+            self.physics = physics_inside(model, settings, self.physics, angle_seen)
         self.timing = _timing(model, settings, periods_s)
         self._places = {name: i for i, name in enumerate(SIGNALS) if name in periods_s}
         self.memory = _new_memory()
@@ -274,6 +274,8 @@ class StreamEstimator:
         twin.constants, twin.timing = self.constants, self.timing
         effects = self.physics.effects._replace(state=self.physics.effects.state.copy())
         twin.physics = self.physics._replace(effects=effects)
+        if isinstance(twin.physics, PhysicsInside):
+            twin.physics = twin.physics._replace(belief=new_belief())
         twin.settings, twin._places, twin._latest = self.settings, self._places, 0
         twin.memory = _new_memory()
         for name in self._places:
@@ -331,7 +333,6 @@ def _new_memory() -> Memory:
         np.zeros((_BATCH_ROWS, 2)),
         np.full(_BATCH_ROWS, _NOT_STARTED, np.int64),
         levels.new_queue(),
-        new_belief(),
     )
 
 

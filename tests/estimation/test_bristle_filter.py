@@ -12,6 +12,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from eps_hil.estimation import bristle_smoother
 from eps_hil.estimation.batch import estimate, events, latency_s, sample_periods_s
+from eps_hil.estimation.bristle_filter import PhysicsInside
 from eps_hil.estimation.bristle_model import Step, transition
 from eps_hil.estimation.bristle_setup import FORCE, OMEGA, PHI, RATE, SIZE, Drive
 from eps_hil.estimation.bristle_smoother import smooth
@@ -223,7 +224,8 @@ def test_steady_gain_is_the_riccati_equations(linear_model: Model) -> None:
     series = linear_rig(linear_model)
     stream = StreamEstimator(linear_model, FILTER, sample_periods_s(series))
     stream.run(*events(series))
-    found = stream.memory.belief.gain[0][[OMEGA, FORCE, RATE]]
+    assert isinstance(stream.physics, PhysicsInside)
+    found = stream.physics.belief.gain[0][[OMEGA, FORCE, RATE]]
     assert found == pytest.approx(expected, rel=2e-2)
 
 

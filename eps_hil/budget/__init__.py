@@ -1,0 +1,1 @@
+"""Where the estimate's error comes from: by simulation, source by source."""
