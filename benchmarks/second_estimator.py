@@ -120,7 +120,7 @@ def tuned_observer() -> EstimatorSettings:
     )
 
 
-TUNED = (100.0, 40.0, 4.5)
+TUNED = (70.0, 60.0, 3.0)
 
 
 def delay_ms(settings: EstimatorSettings) -> float:
@@ -142,6 +142,7 @@ def compare() -> None:
             print(f"  {name:34}{cells}{delay_ms(settings):10.1f}")
     robustness(rigs)
     shorter(rigs)
+    standstill(rigs)
     consistency(rigs)
     cost(rigs)
 
@@ -177,6 +178,27 @@ def shorter(rigs: dict[str, list[Recording]]) -> None:
         for name, settings in (("observer, angle", fast), ("bristle filter, angle", filtered)):
             cells = "".join(f"{v:8.1f}" for v in errors(some, ANGLE, settings, MODEL))
             print(f"  {name:34}{cells}{delay_ms(settings):10.1f}")
+
+
+def standstill(rigs: dict[str, list[Recording]]) -> None:
+    """Step manoeuvres: how the estimate wanders at rest, and its largest error at all."""
+    print("\nsteps, angle recorded       drift at rest: median, largest N/s     largest error N")
+    for rig in ("five masses", "other code"):
+        columns, force, speed = rigs[rig][1]
+        still = np.convolve(np.abs(speed) < 0.05, np.ones(500) / 500, mode="same") > 0.999
+        for kind in ("observer", "bristle_filter", "smoother"):
+            settings = EstimatorSettings(kind=kind)  # type: ignore[arg-type]
+            trace = batch.estimate(series_of(columns, ANGLE), MODEL, settings)
+            at = np.arange(500, len(force) - 500)
+            found = np.interp(at * 1e-3, trace.t_ns * 1e-9, trace.rack_force_n)
+            error = found - force[at]
+            slopes = [
+                abs(np.polyfit(np.arange(500) * 1e-3, error[k : k + 500], 1)[0])
+                for k in range(0, len(at) - 500, 100)
+                if np.all(still[at[k : k + 500]])
+            ]
+            drift = f"{np.median(slopes):22.1f}{np.max(slopes):12.1f}"
+            print(f"  {rig + ', ' + kind:30}{drift}{np.max(np.abs(error)):26.0f}")
 
 
 def consistency(rigs: dict[str, list[Recording]]) -> None:
