@@ -2,6 +2,7 @@
 
     .venv/bin/python benchmarks/second_estimator.py            the comparison (evaluation seeds)
     .venv/bin/python benchmarks/second_estimator.py --tune     how both were tuned (other seeds)
+    .venv/bin/python benchmarks/second_estimator.py --write DIR   the recordings as CSV
 
 Three rigs: the simulated five-mass rig; the rig of tests/estimation/independent_rig.py (other
 code, explicit integration at 100 kHz); the truth plant of the proof (Maxwell-slip friction, five
@@ -30,6 +31,7 @@ from eps_hil.physics.model import Model, load_model
 from eps_hil.proof import manoeuvres
 from eps_hil.proof.sensors import measured, reported
 from eps_hil.proof.world import World
+from eps_hil.recordings.write import write_table
 from eps_hil.rig.manoeuvre import load_manoeuvre
 from eps_hil.rig.offline import simulate_recording
 from eps_hil.series import Series
@@ -180,6 +182,16 @@ def shorter(rigs: dict[str, list[Recording]]) -> None:
             print(f"  {name:34}{cells}{delay_ms(settings):10.1f}")
 
 
+def write(folder: Path) -> None:
+    """The evaluation recordings as CSV files, for ``eps-hil compare --second``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for rig, some in recordings(EVALUATION).items():
+        for k, (columns, _, _) in enumerate(some):
+            path = folder / f"{rig.lower().replace(' ', '_').replace('-', '_')}_{k + 1}.csv"
+            write_table(path, {name: np.asarray(one) for name, one in columns.items()})
+            print(path)
+
+
 def standstill(rigs: dict[str, list[Recording]]) -> None:
     """Step manoeuvres: how the estimate wanders at rest, and its largest error at all."""
     print("\nsteps, angle recorded       drift at rest: median, largest N/s     largest error N")
@@ -280,7 +292,11 @@ def _best(rows: list[Any]) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tune", action="store_true")
-    if parser.parse_args().tune:
+    parser.add_argument("--write", metavar="FOLDER", help="only write the recordings as CSV")
+    given = parser.parse_args()
+    if given.tune:
         tune()
+    elif given.write:
+        write(Path(given.write))
     else:
         compare()
