@@ -21,7 +21,11 @@ from eps_hil.cli._inputs import (
 from eps_hil.cli.estimate import ModelPath
 
 if TYPE_CHECKING:
+    from eps_hil.diagnosis.diagnose import Diagnosis
     from eps_hil.series import Series
+
+_TOO_LONG_MIN = 60.0
+"""A test that needs longer than this to separate two effects does not separate them."""
 
 
 def register(app: typer.Typer) -> None:
@@ -58,6 +62,13 @@ def diagnose(
     ] = None,
     write_model: Annotated[
         Path | None, typer.Option("--write-model", help="Model file with the effects added.")
+    ] = None,
+    write_manoeuvre: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-manoeuvre",
+            help="The rig test that best tells the findings from what else they could be.",
+        ),
     ] = None,
     without_effect: Annotated[
         list[str] | None,
@@ -108,6 +119,8 @@ def diagnose(
                 result = run(rig, fitted, judged, say, without)
         except ValueError as error:
             raise InputError(", ".join([*fitted, *judged]), "", str(error)) from None
+    if write_manoeuvre:
+        _advise(result, write_manoeuvre)
     _say(result.content)
     if json:
         write_json(json, result.content)
@@ -185,6 +198,38 @@ def _say(content: Mapping[str, Any]) -> None:
             typer.echo(f"  on hold-outs, {name}: {holdout['baseline'][name]:.4g}{unit} before, "
                        f"{holdout['augmented'][name]:.4g}{unit} after")  # fmt: skip
     typer.echo(f"  sensor noise alone: torque_nrmse {holdout['noise_floor']['torque_nrmse']:.4g}")
+
+
+def _advise(result: "Diagnosis", path: Path) -> None:
+    """Simulate the menu of rig tests; write the one that separates the least sure finding."""
+    from eps_hil.diagnosis.advise import advise
+    from eps_hil.recordings.files import replacing
+    from eps_hil.rig.menu import menu, write
+
+    content = result.content
+    entries = {entry["effect"]: entry for entry in result.model.effects}
+    unsure = [f for f in content["findings"] if f["confusable_with"] and f["effect"] in entries]
+    if not unsure:
+        typer.echo("no finding has a rival: no manoeuvre is needed, and none written")
+        return
+    finding = min(unsure, key=lambda one: float(one["confidence"]))
+    name, rivals = finding["effect"], finding["confusable_with"]
+    with progress("simulating rig tests") as bar:
+        tests = menu(result.problem.model, bar)
+    advice = advise(result.problem.model, entries[name], rivals, tests)
+    content["next_manoeuvre"] = {
+        "effect": name,
+        "against": rivals,
+        "tests": [one.content() for one in advice],
+    }
+    best = advice[0]
+    if not best.minutes < _TOO_LONG_MIN:
+        typer.echo(f"no test of the menu tells {name} from {', '.join(rivals)}; none written")
+        return
+    why = f"tells {name} from {', '.join(rivals)}: run it for {best.minutes:.1g} min or more"
+    with replacing(path) as temporary:
+        write(best.manoeuvre, why, temporary)
+    typer.echo(f"manoeuvre {best.manoeuvre} written to {path}: {why}")
 
 
 def _say_simulation(simulation: Mapping[str, Any] | None) -> None:

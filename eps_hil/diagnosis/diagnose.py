@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis import locate
+from eps_hil.diagnosis import locate, regions
 from eps_hil.diagnosis.first_look import first_look
 from eps_hil.diagnosis.fit import Fit
 from eps_hil.diagnosis.leftover import Leftover, leftover
@@ -178,8 +178,16 @@ def _content(
         ]
         if listed
         else [],
+        "location": _location(problem, selection.null.residual) if listed else {},
         "fit": {"holdout": _proof(problem, found, findings, judged)},
     }
+
+
+def _location(problem: Problem, residual: Floats) -> dict[str, Any]:
+    """Cells of one and two coordinates that hold more of the mismatch than of the time."""
+    cut = clipped(residual, knee(residual))
+    found = regions.cells(problem, np.maximum(cut**2 - 1.0, 0.0))
+    return {"sentence": regions.sentence(found), "cells": [cell.content() for cell in found]}
 
 
 def _proof(
@@ -216,7 +224,7 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     without = problem.residual(problem.with_entries(others, found.own))
     share = (without - found.residual) ** 2
     sentence, values = effect.wording(entry)
-    regions = locate.where(problem, np.where(problem.sliding, share, 0.0))
+    places = locate.where(problem, np.where(problem.sliding, share, 0.0))
     return {
         "effect": effect.id,
         "kind": str(effect.kind),
@@ -231,7 +239,7 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
                 "to": region.high,
                 "share_of_excess": region.share,
             }
-            for region in regions
+            for region in places
         ],
         "confusable_with": twins,
         "next_experiment": _experiment(effect, twins),
