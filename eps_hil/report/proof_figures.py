@@ -133,6 +133,8 @@ def _named_first(axis: Any, judged: Sequence[Judgement]) -> None:
 
 def closed_loop(cases: Sequence[Scored], path: Path) -> Path:
     """Rack-force error and torque residual of nominal and augmented model over the true one's."""
+    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+
     figure, axes = figures.subplots(1, 2, width_cm=28.0, height_cm=12.0)
     known = [
         one
@@ -161,6 +163,10 @@ def closed_loop(cases: Sequence[Scored], path: Path) -> Path:
             )
         low, high = axis.get_xlim()[0], axis.get_ylim()[1]
         axis.plot([low, high], [low, high], color="0.6", linestyle="--", label="as the true model")
+        for direction in (axis.xaxis, axis.yaxis):
+            direction.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            direction.set_major_formatter(ScalarFormatter())
+            direction.set_minor_formatter(NullFormatter())
         axis.set_title(words, fontsize="medium")
         axis.set_xlabel("with the true model")
         axis.set_ylabel("with the model")

@@ -1,9 +1,13 @@
 """A proof in batches: sealed before diagnosed, and nothing done twice after a kill."""
 
 import json
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -180,3 +184,32 @@ def test_what_is_to_be_left_out_reaches_the_diagnosis(tmp_path: Path) -> None:
     (tmp_path / WITHOUT).write_text("stribeck\nbreakaway_dwell\n")
     given = " ".join(arguments(["model.yaml", "train_1.csv", WITHOUT], tmp_path))
     assert given.endswith("--without-effect stribeck --without-effect breakaway_dwell")
+
+
+def test_workers_end_with_whoever_started_them() -> None:
+    """Killed as nothing can catch it, a run leaves no process behind."""
+    script = (
+        "import os, time\n"
+        "from eps_hil.proof.run import strangers\n"
+        "if __name__ == '__main__':\n"
+        "    pool = strangers(1)\n"
+        "    print(pool.submit(os.getpid).result(), flush=True)\n"
+        "    time.sleep(100)\n"
+    )
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "begin.py"
+        file.write_text(script)
+        begun = subprocess.Popen([sys.executable, str(file)], stdout=subprocess.PIPE, text=True)
+        assert begun.stdout is not None
+        worker = int(begun.stdout.readline())
+        begun.kill()
+        begun.communicate()
+    until = time.monotonic() + 60.0
+    while _runs(worker) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not _runs(worker)
+
+
+def _runs(process: int) -> bool:
+    stat = Path(f"/proc/{process}/stat")
+    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
