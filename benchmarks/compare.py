@@ -45,18 +45,25 @@ def estimator() -> None:
     model, settings = load_model(ROOT / "configs" / "reference_rig.yaml"), EstimatorSettings()
     names = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s")
     stream = StreamEstimator(model, settings, dict.fromkeys(names, 1e-3))
+    inside = StreamEstimator(
+        model, EstimatorSettings(kind="bristle_filter"), dict.fromkeys(names, 1e-3)
+    )
     stream.warm_up()
+    inside.warm_up()
     found = design(model, settings, angle=False, speed=True, dt=1e-3)
     c = np.array([[0.0, 1.0, 0.0]])
     gain = found.gain[:, 1:]
     n, clock = 2000, [0]
 
-    def ours() -> None:
+    def run(one: StreamEstimator) -> None:
         for _ in range(n):
             clock[0] += 1_000_000
             for name in names:
-                stream.push(name, clock[0], 0.1)
-            stream.advance(clock[0])
+                one.push(name, clock[0], 0.1)
+            one.advance(clock[0])
+
+    def ours() -> None:
+        run(stream)
 
     def peer() -> None:
         x = np.zeros(3)
@@ -66,6 +73,8 @@ def estimator() -> None:
 
     say("live millisecond, all blocks", best_s(ours), "numpy: 3-state Kalman step, no friction",
         best_s(peer), n, "step")  # fmt: skip
+    say("the same with the bristle inside", best_s(lambda: run(inside)),
+        "the paper's estimator, all blocks", best_s(ours), n, "step")  # fmt: skip
 
 
 def decoder() -> None:

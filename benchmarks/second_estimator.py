@@ -2,6 +2,7 @@
 
     .venv/bin/python benchmarks/second_estimator.py            the comparison (evaluation seeds)
     .venv/bin/python benchmarks/second_estimator.py --tune     how both were tuned (other seeds)
+    .venv/bin/python benchmarks/second_estimator.py --each     recording by recording
     .venv/bin/python benchmarks/second_estimator.py --write DIR   the recordings as CSV
 
 Three rigs: the simulated five-mass rig; the rig of tests/estimation/independent_rig.py (other
@@ -182,6 +183,34 @@ def shorter(rigs: dict[str, list[Recording]]) -> None:
             print(f"  {name:34}{cells}{delay_ms(settings):10.1f}")
 
 
+NAMES = {
+    "five masses": ("sweep", "steps", "weave", "dwell", "demo"),
+    "other code": ("sweep", "steps", "weave"),
+    "Maxwell-slip": ("training 1", "training 2", "hold-out"),
+}
+
+
+def each() -> None:
+    """Recording by recording: a mean over manoeuvres hides where which one is better."""
+    rigs = recordings(EVALUATION)
+    chain = load_chain(ROOT / "configs" / "reference_chain.yaml")
+    demo = simulate_recording(MODEL, chain, load_manoeuvre("demo"), seed=EVALUATION)
+    rigs["five masses"].append(
+        (demo.columns, demo.truth["rack_force_n"], demo.truth["motor_speed_rad_s"])
+    )
+    for names, note in ((BASE, "no angle"), (ANGLE, "angle")):
+        heading = "moving revers.   rest    all"
+        print(f"\nN rms, {note:24} observer {heading}   bristle filter {heading}")
+        for rig, some in rigs.items():
+            for name, one in zip(NAMES[rig], some, strict=True):
+                cells = []
+                for kind in ("observer", "bristle_filter"):
+                    settings = EstimatorSettings(kind=kind)  # type: ignore[arg-type]
+                    found = errors([one], names, settings, MODEL)
+                    cells.append("".join("      -" if np.isnan(v) else f"{v:7.1f}" for v in found))
+                print(f"  {rig + ', ' + name:37}{cells[0]}                 {cells[1]}")
+
+
 def write(folder: Path) -> None:
     """The evaluation recordings as CSV files, for ``eps-hil compare --second``."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -292,10 +321,13 @@ def _best(rows: list[Any]) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tune", action="store_true")
+    parser.add_argument("--each", action="store_true")
     parser.add_argument("--write", metavar="FOLDER", help="only write the recordings as CSV")
     given = parser.parse_args()
     if given.tune:
         tune()
+    elif given.each:
+        each()
     elif given.write:
         write(Path(given.write))
     else:
