@@ -103,19 +103,23 @@ def _from_identification(path: Path, model: Model) -> Uncertainty:
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise InputError(path, "", f"cannot be read as JSON: {error}", "give the file of "
                          "eps-hil identify --json") from None  # fmt: skip
-    parameters, delays = {}, {}
+    parameters: dict[str, float] = {}
+    delays: dict[str, float] = {}
+    offsets: dict[str, float] = {}
     for keys, interval in _intervals(content):
         half = 0.5 * (float(interval[1]) - float(interval[0])) / _HALF_WIDTH_95
         if keys[-1] in model_parameters():
             parameters[keys[-1]] = abs(half)
-        elif keys[-1] in DELAYED:
+        elif keys[-1] in DELAYED and "skews_s" not in keys:  # a skew is a difference of two
             delays[keys[-1]] = abs(half)
-    if not parameters and not delays:
+        elif keys[-1] in OFFSETS and "offsets" in keys:
+            offsets[keys[-1]] = abs(half)
+    if not parameters and not delays and not offsets:
         raise InputError(
             path, "", "holds no interval (ci95) of a model parameter or delay",
             "give the file of eps-hil identify --json, or a YAML file",
         )  # fmt: skip
-    return Uncertainty(model=parameters, delays_s=delays)
+    return Uncertainty(model=parameters, delays_s=delays, offsets=offsets)
 
 
 def _intervals(content: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -171,6 +171,8 @@ def test_sizes_come_from_yaml_and_from_an_identification(
                 "parameters": {"inertia_kg_m2": {"value": 2e-4, "ci95": [1.98e-4, 2.02e-4]}},
                 "friction": [{"name": "offset_pos_nm", "value": 0.056, "ci95": [0.054, 0.058]}],
                 "delays_s": {"motor_speed": {"value": 0.004, "ci95": [0.0039, 0.0041]}},
+                "skews_s": {"motor_torque": {"value": 0.003, "ci95": [0.0, 0.1]}},
+                "offsets": {"torque_sensor_nm": {"value": 0.1, "ci95": [0.0902, 0.1098]}},
             }
         ),
         encoding="utf-8",
@@ -180,6 +182,7 @@ def test_sizes_come_from_yaml_and_from_an_identification(
         {"inertia_kg_m2": 2e-6 / 1.96, "offset_pos_nm": 2e-3 / 1.96}
     )
     assert given.delays_s == pytest.approx({"motor_speed": 1e-4 / 1.96})
+    assert given.offsets == pytest.approx({"torque_sensor_nm": 5e-3})
 
 
 @pytest.mark.parametrize(
