@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis import locate, regions
 from eps_hil.diagnosis.first_look import first_look
-from eps_hil.diagnosis.fit import Fit
+from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.leftover import Leftover, leftover
 from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
 from eps_hil.diagnosis.prepare import prepare
@@ -66,7 +66,7 @@ def diagnose(
     ready = [(prepare(name, one, unexplained_nm), one) for name, one in fitted.items()]
     spare = [(prepare(name, one, unexplained_nm), one) for name, one in kept.items()]
     every = [one for one, _ in (*ready, *spare)]
-    load = load_of([one for one, _ in ready], model) if missing(every) else None
+    load = load_of(every, model) if missing(every) else None
     if load is not None:
         ready = [(with_load(one, model, load), series) for one, series in ready]
         spare = [(with_load(one, model, load), series) for one, series in spare]
@@ -79,6 +79,7 @@ def diagnose(
     judged = [Holdout(one, kept[one.name]) for one in look.kept]
     selection = select(problem, say, without)
     findings = _held_out(problem, selection, judged)
+    findings = _refitted(problem, selection, findings)
     if findings and not _better(problem, selection.found, findings, judged):
         findings = []
     if say:
@@ -134,6 +135,23 @@ def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
         if float(np.sum(clipped(without, at) ** 2)) - cost > least:
             keep.append(k)
     return keep
+
+
+def _refitted(problem: Problem, selection: Selection, findings: Sequence[int]) -> list[int]:
+    """Take out what the hold-outs do not bear out, so that it bends no other finding's numbers.
+
+    Returns the findings' places in the new fit.
+    """
+    found = selection.found
+    left = [
+        k
+        for k, entry in enumerate(found.entries)
+        if k in findings or entry["effect"] not in selection.gains
+    ]
+    if len(left) < len(found.entries):
+        entries = [found.entries[k] for k in left]
+        selection.found = fit(problem, entries, own=found.own, like=found)
+    return [left.index(k) for k in findings]
 
 
 def _better(

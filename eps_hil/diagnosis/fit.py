@@ -75,10 +75,14 @@ def fit(
     residual = problem.residual(problem.with_entries(work, knobs.values))
     at = problem.knee = problem.knee or knee(residual)
     cost = problem.cost(residual) + knobs.price
-    jacobian = np.zeros((len(residual), len(knobs.names) + len(names)))
+    jacobian = np.hstack([knobs.columns, np.zeros((len(residual), len(names)))])
     damping = 1e-3
     known = {} if like is None else like.slopes()
     fresh, columns = not known, knobs.columns
+    if not rounds:
+        jacobian = np.hstack(
+            [knobs.columns, _jacobian(problem, work, names, residual, knobs.values)]
+        )
     for _ in range(rounds if jacobian.shape[1] else 0):
         wanted = [n for n in names if fresh or (work[n[0]]["effect"], n[1]) not in known]
         slopes = _jacobian(problem, work, wanted, residual, knobs.values)

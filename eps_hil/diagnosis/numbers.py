@@ -35,6 +35,8 @@ SPANNED = (
 """Effects that a refit of the model's own numbers can stand in for."""
 _SCALES = ("rack_ratio", "motor_torque_gain", "torque_sensor_gain")
 """Not spanned, but each of them looks like another beside several numbers that are off."""
+_CONSTANTS = ("friction_asymmetry", "motor_torque_offset", "torque_sensor_offset")
+"""One constant while sliding; only presliding, where no model is sure, could tell two apart."""
 _FITTED_SETS = 3
 _SMALL_SETS = 2
 
@@ -54,7 +56,8 @@ class _Linear:
     def solved(self, chosen: frozenset[int]) -> tuple[float, Floats]:
         """(cost plus price, coefficients of the chosen columns in order)."""
         named = {self.names[k] for k in chosen}
-        if sum(name in _SCALES for name in named) > self.scales:
+        too_many = sum(name in _SCALES for name in named) > self.scales
+        if too_many or sum(name in _CONSTANTS for name in named) > 1:
             return np.inf, np.zeros(0)
         last = len(self.size) - 1
         order = sorted(chosen)
@@ -158,7 +161,7 @@ def _best_sets(linear: _Linear) -> list[frozenset[int]]:
     for count in range(_SMALL_SETS + 1):
         for chosen in combinations(range(n), count):
             cost(frozenset(chosen))
-    spanned = frozenset(k for k in range(n) if linear.names[k] not in _SCALES)
+    spanned = frozenset(k for k in range(n) if linear.names[k] not in (*_SCALES, *_CONSTANTS[1:]))
     for start in (min(seen, key=seen.__getitem__), spanned):
         best = start
         while True:

@@ -52,6 +52,8 @@ class Prepared:
     """What somebody's simulator leaves open (``simulation.py``): no difference below it counts."""
     barred: npt.NDArray[np.bool_] | None = None
     """Thinned samples that nothing may be concluded from (``first_look.py``); None: no such."""
+    interval_s: float = STEP_S
+    """Between samples of the slowest signal that the balance needs: no instant is known better."""
     _shifted: dict[tuple[int, float], Floats] = field(default_factory=dict)
 
     def changed(self, **values: Any) -> "Prepared":
@@ -202,7 +204,10 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
             np.sqrt(_passed(SMOOTH_HZ, 2) / _passed(SMOOTH_HZ, 0))
         )
     time_s = np.asarray(t_ns * 1e-9 + (origin - start) * 1e-9, dtype=np.float64)
-    return Prepared(name, time_s, raw, noise, derived, unexplained_nm)
+    balance = ("motor_torque_nm", "motor_speed_rad_s", "motor_angle_rad", "rack_force_n")
+    slowest = max(float(np.median(np.diff(used[n].t_ns))) for n in balance if n in used) * 1e-9
+    interval = max(slowest, STEP_S)
+    return Prepared(name, time_s, raw, noise, derived, unexplained_nm, interval)
 
 
 def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:

@@ -168,8 +168,9 @@ def _places(scan: str, position: Floats) -> Sequence[Mapping[str, float]]:
     if span < 1e-3:
         return []
     if scan == "position_m":
-        reach = np.percentile(np.abs(position), (80, 92, 97, 99))
-        return [{"position_m": float(np.clip(place, 0.001, 0.2))} for place in reach]
+        # by place, not by visits: a rig that leans on its stop is mostly beyond where it begins
+        places = np.percentile(np.abs(position), 99.5) * np.array((0.6, 0.7, 0.8, 0.9, 0.97))
+        return [{"position_m": float(np.clip(place, 0.001, 0.2))} for place in places]
     if scan == "curve":
         return [{f"x{k}": float(x) for k, x in enumerate(np.linspace(low, high, _KNOTS))}]
     return [

@@ -21,7 +21,8 @@ CLEAR_SIGMA = 8.0
 SETTLED_RAD = 0.2
 """Path since the last rest or reversal after which the bristle's history is forgotten."""
 PRESLIDING_SIGMA_NM = 0.03
-"""What rest and presliding leave even in a right model, at 0.2 rad/s of speed noise or less."""
+"""What rest and presliding leave even in a right model, at 0.2 rad/s of speed noise or less and
+at 1 kHz: a reversal's instant is known no better than a sample."""
 NOTHING_NM = 1e3
 """Deviation of a sample that says nothing."""
 BLOCK_S = 2.0
@@ -55,7 +56,8 @@ class Problem:
             mask &= ~barred
             floor = float(np.hypot(recording.floor_nm(self.model), recording.unexplained_nm))
             masks.append(mask)
-            unsure = PRESLIDING_SIGMA_NM * max(1.0, recording.noise["motor_speed_rad_s"] / 0.2)
+            noisy = max(1.0, recording.noise["motor_speed_rad_s"] / 0.2)
+            unsure = PRESLIDING_SIGMA_NM * max(noisy, float(np.sqrt(recording.interval_s / STEP_S)))
             usable = np.where(mask, floor, np.hypot(floor, unsure))
             floors.append(np.where(barred, NOTHING_NM, usable))
             index = (recording.thin_time_s - recording.thin_time_s[0]) // BLOCK_S

@@ -27,6 +27,8 @@ CURVE_MARGIN = 0.6
 """A free curve is only looked at where no simpler effect reaches this share of its gain."""
 FORWARD_SHARE, FINAL_SHARE = 0.02, 0.10
 """Least shares of what is still unexplained: on the way, and in the end."""
+FARTHEST = 3.0
+"""Usual errors by which a believable refit moves the model's own numbers at most."""
 NEAR = 0.8
 """A candidate that reaches this share of a finding's gain is fitted in its place."""
 
@@ -67,15 +69,16 @@ def select(problem: Problem, say: Say | None = None, without: Collection[str] = 
     ``without``: ids of effects that are not considered.
     """
     found = fit(problem, [], own={**ALL, **problem.tied})
-    problem.at, problem.columns = found.own, {}
+    problem.at, problem.columns = found.own if _believable(found) else {}, {}
     problem.knee = knee(found.residual)
     null, found = fit(problem, [], own={**TIMING, **problem.tied}), fit(problem, [], own=found.own)
+    here = _where_to_look(problem, found)
     pool = candidates(
         problem,
-        found.entries,
-        found.residual,
+        here.entries,
+        here.residual,
         (lambda part: say("taking sensitivities", part)) if say else None,
-        found.own,
+        here.own,
         without,
     )
     selection = Selection(null, found, pool)
@@ -83,7 +86,8 @@ def select(problem: Problem, say: Say | None = None, without: Collection[str] = 
     for step in range(MOST_EFFECTS):
         if say:
             say("attributing", step / MOST_EFFECTS)
-        chosen = _best(problem, found, score(problem, found, structures))
+        here = _where_to_look(problem, found)
+        chosen = _best(problem, found, here, score(problem, here, structures))
         if chosen is None:
             break
         found = _without_neutral(problem, chosen)
@@ -95,6 +99,20 @@ def select(problem: Problem, say: Say | None = None, without: Collection[str] = 
     selection.found = _exchanged(problem, found, pool)
     _rivals(problem, selection)
     return selection
+
+
+def _believable(found: Fit) -> bool:
+    """Whether the model's own numbers stayed within what errors of them may be."""
+    return all(abs(value) < FARTHEST for value in found.own.values())
+
+
+def _where_to_look(problem: Problem, found: Fit) -> Fit:
+    """The fit; or the same effects on the model file's own numbers, if the refit bent those out of
+    all reason to make up for what is missing: nothing can be recognised beside such a model.
+    """
+    if _believable(found):
+        return found
+    return fit(problem, found.entries, 0, dict.fromkeys(found.own, 0.0))
 
 
 def score(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> list[Scored]:
@@ -124,8 +142,10 @@ def threshold(problem: Problem, residual: Floats, of_excess: float) -> float:
     return max(LEAST_GAIN, LEAST_SHARE * float(np.sum(energy)), of_excess * excess)
 
 
-def _best(problem: Problem, found: Fit, scored: Sequence[Scored]) -> Fit | None:
-    """Refit with each of the best few of different effects; keep the one that fits best."""
+def _best(problem: Problem, found: Fit, here: Fit, scored: Sequence[Scored]) -> Fit | None:
+    """Refit from ``here`` with each of the best few of different effects; keep the one that fits
+    best, if it does better than ``found``.
+    """
     least = threshold(problem, found.residual, FORWARD_SHARE)
     simple = max((one.gain for one in scored if not _is_curve(one.candidate)), default=0.0)
     scored = [
@@ -137,9 +157,7 @@ def _best(problem: Problem, found: Fit, scored: Sequence[Scored]) -> Fit | None:
             break
         if all(one.candidate.effect.id != other.candidate.effect.id for other in shortlist):
             shortlist.append(one)
-    fits = [
-        fit(problem, [*found.entries, one.entry], own=found.own, like=found) for one in shortlist
-    ]
+    fits = [fit(problem, [*here.entries, one.entry], own=here.own, like=here) for one in shortlist]
     fits = [one for one in fits if found.cost - one.cost > least]
     return min(fits, key=_penalised, default=None)
 
