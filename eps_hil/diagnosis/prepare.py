@@ -207,7 +207,7 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
     balance = ("motor_torque_nm", "motor_speed_rad_s", "motor_angle_rad", "rack_force_n")
     slowest = max(float(np.median(np.diff(used[n].t_ns))) for n in balance if n in used) * 1e-9
     interval = max(slowest, STEP_S)
-    return Prepared(name, time_s, raw, noise, derived, unexplained_nm, interval)
+    return Prepared(name, time_s, raw, noise, derived, unexplained_nm, interval_s=interval)
 
 
 def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:
