@@ -1,0 +1,189 @@
+"""``eps-hil calibrate`` as a person meets it: against the rig's process, a dry run, mistakes."""
+
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from eps_hil.bus.frame import Frame
+from eps_hil.bus.port import Port, open_port
+from eps_hil.cli.main import main
+from eps_hil.physics.model import load_model
+
+ROOT = Path(__file__).parents[2]
+CHANNEL = "239.74.163.82"
+OURS = {0x80, 0x140}
+
+
+def port_number(folder: Path) -> int:
+    return 44_000 + hash(str(folder)) % 10_000
+
+
+def write_config(folder: Path, bus: str, extra: str = "") -> Path:
+    text = (ROOT / "configs" / "calibrate_udp.yaml").read_text()
+    text = text[text.index("dbc:") :].replace("../dbc", f"{ROOT}/dbc")
+    text = text.replace("signals: ", f"signals: {ROOT}/configs/")
+    text = text.replace("model: ", f"model: {ROOT}/configs/")
+    path = folder / "c.yaml"
+    path.write_text(f"bus: {bus}\n{text}{extra}")
+    return path
+
+
+def udp(folder: Path) -> str:
+    options = f"{{port: {port_number(folder)}, hop_limit: 0}}"
+    return f"{{interface: udp_multicast, channel: {CHANNEL}, fd: true, options: {options}}}"
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    return write_config(tmp_path, udp(tmp_path))
+
+
+class Ear(threading.Thread):
+    """Everything that is on the bus."""
+
+    def __init__(self, port: Port) -> None:
+        super().__init__()
+        self.frames: list[Frame] = []
+        self._port, self._stopped = port, threading.Event()
+        self.start()
+
+    def run(self) -> None:
+        while not self._stopped.is_set():
+            self.frames += self._port.recv(0.05)
+
+    def stop(self) -> None:
+        self._stopped.set()
+        self.join()
+        self._port.close()
+
+    def ours(self) -> list[Frame]:
+        return [frame for frame in self.frames if frame.can_id in OURS]
+
+
+@pytest.fixture
+def ear(tmp_path: Path) -> Iterator[Ear]:
+    options = {"port": port_number(tmp_path), "hop_limit": 0}
+    made = Ear(open_port("udp_multicast", CHANNEL, fd=True, send_ids=(), options=options))
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def rig(config: Path, ear: Ear) -> Iterator[None]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "eps_hil.cli", "rig", "--config", str(config)],
+        stdout=subprocess.DEVNULL,
+    )
+    end = time.monotonic() + 200
+    while not ear.frames and time.monotonic() < end:
+        time.sleep(0.05)
+    yield
+    process.kill()
+    process.wait()
+
+
+def calibrate(*words: str, seconds: float = 250.0) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-m", "eps_hil.cli", "calibrate", *words],
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+        stdin=subprocess.DEVNULL,
+        check=False,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("rig")
+def test_dry_run_then_a_run_that_finds_the_levels(config: Path, ear: Ear, tmp_path: Path) -> None:
+    told = calibrate("torque-injection", "--config", str(config), "--dry-run", "--duration", "1.5")
+    assert told.returncode == 0, told.stderr
+    assert "send       nothing (dry run)" in told.stdout
+    assert "gate       vehicle_speed_m_s met" in told.stdout
+    assert ear.frames
+    assert ear.ours() == [], "a dry run sends nothing at all"
+    text = config.read_text() + "calibration: {torque_injection: {repetitions: 1}}\n"
+    config.write_text(text)
+    out, journal = tmp_path / "m.yaml", tmp_path / "j.jsonl"
+    options = ("--write-model", str(out), "--journal", str(journal), "--yes-i-stand-clear")
+    told = calibrate("torque-injection", "--config", str(config), *options)
+    assert told.returncode == 0, told.stdout + told.stderr
+    friction = load_model(out).friction
+    assert friction.offset_pos_nm == pytest.approx(0.0560, rel=0.03)
+    assert friction.offset_neg_nm == pytest.approx(0.1258, rel=0.03)
+    (entry,) = yaml.safe_load(out.read_text())["calibrations"]
+    assert entry["before"] == {"offset_pos_nm": 0.056, "offset_neg_nm": 0.1258}
+    assert journal.read_text().splitlines()[-1].count('"to": "off"') == 1
+    assert {frame.can_id for frame in ear.ours()} == OURS
+    assert re.search(r"k0\+ +0\.05\d\d Nm  \(95 %", told.stdout)
+
+
+@pytest.mark.slow
+def test_nobody_at_the_terminal_and_nobody_says_so(config: Path, ear: Ear) -> None:
+    told = calibrate("torque-injection", "--config", str(config))
+    assert told.returncode == 2
+    assert "nobody can hold the dead-man key" in told.stderr
+    assert told.stderr.count("\n") == 1
+    assert ear.ours() == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("max_torque_nm: 0.4 ", "max_torque_nm: 4.0 ", "override.limits.max_torque_nm"),
+        (
+            "max_torque_nm: 0.4 ",
+            "max_torque_nm: 0.3 ",
+            "calibration.torque_injection.max_torque_nm",
+        ),
+        ("override:", "no_override:", "no_override: is not a known field"),
+        ("rig:", "calibration: {sanity_band: 2}\nrig:", "calibration.sanity_band"),
+    ],
+)
+def test_a_mistake_is_status_2_and_one_line(
+    config: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, said: str
+) -> None:
+    text = config.read_text()
+    assert old in text
+    config.write_text(text.replace(old, new, 1))
+    assert main(["calibrate", "torque-injection", "--config", str(config), "--dry-run"]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert str(config) in err
+    assert err.count("\n") == 1
+
+
+def test_without_the_override_block_it_refuses(
+    config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = config.read_text()
+    config.write_text(text[: text.index("override:")])
+    assert main(["calibrate", "torque-injection", "--config", str(config)]) == 2
+    assert "so no torque may ever be commanded" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["torque-injection", "error-injection"])
+def test_reset_needs_something_to_reset_and_a_file(
+    config: Path, capsys: pytest.CaptureFixture[str], verb: str, tmp_path: Path
+) -> None:
+    words = ["calibrate", verb, "--config", str(config), "--reset"]
+    assert main(words) == 2
+    assert "--write-model" in capsys.readouterr().err
+    assert main([*words, "--write-model", str(tmp_path / "m.yaml")]) == 2
+    assert "holds no calibration" in capsys.readouterr().err
+    assert not (tmp_path / "m.yaml").exists()
+
+
+def test_error_injection_without_a_rig_says_so(
+    config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["calibrate", "error-injection", "--config", str(config), "--duration", "0.3"]
+    assert main(words) == 1
+    assert "no sync frame was received" in capsys.readouterr().err
