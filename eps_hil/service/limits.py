@@ -37,11 +37,11 @@ CEILINGS = {
 
 
 def _below(name: str) -> object:
-    return Field(gt=0, le=CEILINGS[name], allow_inf_nan=False)
+    return Field(gt=0, le=CEILINGS[name])
 
 
 def _within(name: str) -> object:
-    return Field(ge=-CEILINGS[name], le=CEILINGS[name], allow_inf_nan=False)
+    return Field(ge=-CEILINGS[name], le=CEILINGS[name])
 
 
 @with_config(ConfigDict(extra="forbid"))

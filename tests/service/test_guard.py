@@ -5,9 +5,10 @@ and mutates both: each mutant has to fail here.
 """
 
 import math
-from dataclasses import fields
+from dataclasses import asdict, fields
 
 import pytest
+from pydantic import TypeAdapter, ValidationError
 
 from eps_hil.estimation.validity import Reason
 from eps_hil.service.guard import (
@@ -566,6 +567,31 @@ class TestLimits:
     def test_none_of_them_can_be_left_out(self, name: str) -> None:
         with pytest.raises(TypeError):
             with_limits(**{name: None})
+
+    @pytest.mark.parametrize("name", list(CEILINGS))
+    def test_a_file_beyond_a_ceiling_is_told_the_field(self, name: str) -> None:
+        from_file = TypeAdapter(Limits).validate_python
+        good = asdict(LIMITS)
+        low = {"rack_position_min_m": -0.06, "rack_position_max_m": -0.0001}.get(name, 5e-324)
+        high = {"rack_position_min_m": 0.0199}.get(name, CEILINGS[name])
+        for value in (low, high):
+            assert getattr(from_file(good | {name: value}), name) == value
+        ceiling = CEILINGS[name]
+        lowest = math.nextafter(-ceiling, -math.inf) if "position_m" in name else 0.0
+        above = math.nextafter(ceiling, math.inf)
+        for value in (lowest, above, math.inf, -math.inf, math.nan, "much"):
+            with pytest.raises(ValidationError) as caught:
+                from_file(good | {name: value})
+            (problem,) = caught.value.errors()
+            assert problem["loc"][0] == name
+
+    @pytest.mark.parametrize("name", list(CEILINGS))
+    def test_a_file_without_a_limit_is_refused(self, name: str) -> None:
+        given = asdict(LIMITS)
+        del given[name]
+        with pytest.raises(ValidationError) as caught:
+            TypeAdapter(Limits).validate_python(given)
+        assert [problem["loc"] for problem in caught.value.errors()] == [(name,)]
 
     def test_a_guard_keeps_its_limits(self) -> None:
         assert TorqueGuard(LIMITS).limits is LIMITS
