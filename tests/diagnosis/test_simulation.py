@@ -16,6 +16,7 @@ from eps_hil.series import Series
 
 MODEL = str(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
 MANOEUVRES = ("sweep", "weave")
+SECONDS = 12.0
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +32,9 @@ def traces(
     record: Callable[..., Any], plant: Mapping[int, float], *names: str, start_s: float = 40.0
 ) -> dict[str, dict[str, Series]]:
     """What a simulator writes: physical instants, no noise, 500 Hz, a clock of its own."""
-    made = record(plant, MANOEUVRES, noise=0.0, speed_late_s=-4e-3, torque_late_s=1e-3)
+    made = record(
+        plant, MANOEUVRES, noise=0.0, speed_late_s=-4e-3, torque_late_s=1e-3, seconds=SECONDS
+    )
     kept = names or tuple(next(iter(made.values())))
     return {
         f"sim_{name}": {
@@ -49,7 +52,8 @@ def run(
     plant: Mapping[int, float],
     simulated: Mapping[str, Mapping[str, Series]],
 ) -> Diagnosis:
-    recordings, kept = record(plant, MANOEUVRES), record(plant, ("weave",), seed=2)
+    recordings = record(plant, MANOEUVRES, seconds=SECONDS)
+    kept = record(plant, ("weave",), seed=2, seconds=SECONDS)
     return diagnose_against(simulated, model, recordings, kept)
 
 
@@ -104,7 +108,7 @@ def test_the_command(
     rig = theirs(other_rig)
     real = {**rig, other_rig.K0P: 0.11, other_rig.K0N: 0.11}
     words = ["diagnose", "--model", MODEL, "--recording"]
-    for name, series in record(real, MANOEUVRES, seconds=12.0).items():
+    for name, series in record(real, MANOEUVRES, seconds=SECONDS).items():
         words.append(_write(tmp_path / f"{name}.csv", series, {}))
     words += ["--simulation"]
     for name, series in traces(record, rig).items():
