@@ -579,9 +579,10 @@ class TestLimits:
         ceiling = CEILINGS[name]
         lowest = math.nextafter(-ceiling, -math.inf) if "position_m" in name else 0.0
         above = math.nextafter(ceiling, math.inf)
-        for value in (lowest, above, math.inf, -math.inf, math.nan, "much"):
+        beyond: tuple[object, ...] = (lowest, above, math.inf, -math.inf, math.nan, "much")
+        for wrong in beyond:
             with pytest.raises(ValidationError) as caught:
-                from_file(good | {name: value})
+                from_file(good | {name: wrong})
             (problem,) = caught.value.errors()
             assert problem["loc"][0] == name
 
