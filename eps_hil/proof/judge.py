@@ -5,7 +5,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from eps_hil.proof.truth import Drive
+
 UNKNOWN = "unknown"
+_TO_ROTOR = Drive().pinion_rad_per_m / Drive().rack_rad_per_m
+_CANCELLED = 0.1
 _TO_90 = 1.644854 / 1.959964
 _NEUTRAL = {"gain": 1.0, "scale": 1.0}
 """Values at which a parameter changes nothing; errors are taken relative to what lies beyond."""
@@ -97,7 +101,7 @@ def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | Non
     truths = tuple(str(one["effect"]) for one in hidden)
     findings: Sequence[Mapping[str, Any]] = diagnosis.get("findings", []) if diagnosis else []
     verdict = str(diagnosis.get("verdict", "")) if diagnosis else ""
-    tolerated = set(answer["tolerated"]) - set(truths)
+    tolerated = {*answer["tolerated"], *_form_of_presliding(answer, findings)} - set(truths)
     counted = [one for one in findings if one["effect"] not in tolerated]
     named = [one for one in counted if one["effect"] != UNKNOWN]
     reported = {one["effect"] for one in findings}
@@ -134,6 +138,34 @@ def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | Non
         twin=str(answer.get("twin", "")),
         twin_in_set=answer.get("twin") in reported,
     )
+
+
+def _form_of_presliding(
+    answer: Mapping[str, Any], findings: Sequence[Mapping[str, Any]]
+) -> set[str]:
+    """Names that say, together, how this plant reverses; neither right nor wrong on a full plant.
+
+    Maxwell-slip elements with unequal limits f and −b are the same as elements with the limits
+    ±(f + b)/2 and a constant (f − b)/2 beside them, in every history; LuGre's bristle with unequal
+    levels is not. So a friction asymmetry and an offset that cancel while sliding are true of it.
+    """
+    if answer["form"] != "full":
+        return set()
+    asymmetry = _value(findings, "friction_asymmetry", "half_difference_nm")
+    offsets = {
+        "motor_torque_offset": _value(findings, "motor_torque_offset", "offset_nm"),
+        "torque_sensor_offset": -_TO_ROTOR * _value(findings, "torque_sensor_offset", "offset_nm"),
+    }
+    if asymmetry and abs(asymmetry - sum(offsets.values())) < _CANCELLED * abs(asymmetry):
+        return {"friction_asymmetry", *(name for name, value in offsets.items() if value)}
+    return set()
+
+
+def _value(findings: Sequence[Mapping[str, Any]], effect: str, parameter: str) -> float:
+    for one in findings:
+        if one["effect"] == effect:
+            return float(one.get("parameters", {}).get(parameter, {}).get("value", 0.0))
+    return 0.0
 
 
 def _estimates(

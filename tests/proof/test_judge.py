@@ -4,11 +4,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from eps_hil.proof import score
 from eps_hil.proof.judge import judge
+from eps_hil.proof.laws import slip_friction
 from eps_hil.proof.seal import seal
+from eps_hil.proof.truth import Drive, maxwell_slip
 
 
 def _answer(*effects: str, kind: str = "singles", **more: Any) -> dict[str, Any]:
@@ -84,6 +87,36 @@ def test_what_is_tolerated_neither_counts_nor_hides_the_first_name() -> None:
     j = judge("a", answer, _said("presliding_hysteresis", "stribeck"))
     assert j.right_first
     assert not j.invented
+
+
+def _pair_that_cancels(offset_nm: float) -> dict[str, Any]:
+    said = _said("stribeck", "friction_asymmetry", "motor_torque_offset")
+    said["findings"][1]["parameters"] = {"half_difference_nm": {"value": 0.026}}
+    said["findings"][2]["parameters"] = {"offset_nm": {"value": offset_nm}}
+    return said
+
+
+def test_how_unequal_slip_elements_reverse_is_nothing_invented() -> None:
+    full = _answer("stribeck", form="full")
+    assert not judge("a", full, _pair_that_cancels(0.0258)).invented
+    assert judge("a", full, _pair_that_cancels(0.01)).invented == (
+        "friction_asymmetry",
+        "motor_torque_offset",
+    )
+    assert judge("a", _answer("stribeck"), _pair_that_cancels(0.0258)).invented  # LuGre: wrong
+
+
+def test_unequal_slip_elements_are_equal_ones_beside_a_constant() -> None:
+    """The reason for that tolerance, on the plant's own friction."""
+    d, slip = Drive(), maxwell_slip()
+    forth, back = 0.05, 0.12
+    unequal, equal = np.zeros(6), -0.5 * (forth - back) * slip.level_share
+    rng = np.random.default_rng(2)
+    for speed in np.repeat(rng.normal(0.0, 0.4, 60), 50):
+        one = slip_friction(d, slip, unequal, speed, forth, back, 1e-3)
+        half = 0.5 * (forth + back)
+        other = slip_friction(d, slip, equal, speed, half, half, 1e-3)
+        assert one == pytest.approx(other + 0.5 * (forth - back), abs=1e-12)
 
 
 def test_a_pair_has_two_names() -> None:
