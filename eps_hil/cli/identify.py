@@ -1,0 +1,139 @@
+"""``eps-hil identify``: a rig's model from its recordings (CONTRACT 6)."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from eps_hil.cli._files import write_json
+from eps_hil.cli._inputs import (
+    Channel,
+    Dbc,
+    Gaps,
+    GapsOption,
+    IgnoreUnknown,
+    RecordingPaths,
+    Signals,
+    progress,
+    read_recordings,
+)
+from eps_hil.cli.estimate import ModelPath
+
+if TYPE_CHECKING:
+    from eps_hil.identification.result import Estimate, Identification
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("identify")(identify)
+
+
+def identify(
+    recordings: RecordingPaths,
+    model: ModelPath,
+    write_model: Annotated[
+        Path | None, typer.Option("--write-model", help="Model file with what was identified.")
+    ] = None,
+    json: Annotated[Path | None, typer.Option("--json", help="The result as JSON.")] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="The result as one HTML page, for people.")
+    ] = None,
+    dbc: Dbc = None,
+    signals: Signals = None,
+    gaps: GapsOption = Gaps.REFUSE,
+    ignore_unknown: IgnoreUnknown = False,
+    channel: Channel = None,
+) -> None:
+    """Delays, inertia, friction map and bristle parameters from rig recordings, with intervals.
+
+    The model file gives the ratios, starting values, and whatever the recordings cannot tell.
+    Needs motor torque, and rotor speed or angle; the load cell where the load is not a free rack
+    or a spring.
+    """
+    from eps_hil.errors import InputError
+    from eps_hil.identification.identify import identify as run
+    from eps_hil.identification.write_model import model_file
+    from eps_hil.physics.model import load_model
+    from eps_hil.recordings.files import replacing
+
+    if report:
+        from eps_hil.report import identification_page
+
+        identification_page.check()
+    rig = load_model(model)
+    read = {}
+    for path, recording in zip(
+        recordings,
+        read_recordings(
+            recordings,
+            dbc=dbc,
+            signals=signals,
+            gaps=gaps,
+            ignore_unknown=ignore_unknown,
+            channel=channel,
+        ),
+        strict=True,
+    ):
+        if str(path) in read:
+            raise InputError(path, "", "is given twice", "name each recording once")
+        read[str(path)] = recording.series
+    with progress("identifying") as bar:
+        found = run(read, rig, bar)
+    _say(found)
+    if json:
+        write_json(json, found.content())
+    if report:
+        identification_page.write(found, report, str(model))
+    if write_model:
+        with replacing(write_model) as temporary:
+            text = model_file(found, str(model), [str(path) for path in recordings])
+            temporary.write_text(text, encoding="utf-8")
+        typer.echo(f"model written to {write_model}")
+
+
+def _say(found: "Identification") -> None:
+    typer.echo(f"{found.seconds:.0f} s in {len(found.recordings)} recordings")
+    shown = {**found.parameters, **found.offsets}
+    width = max(len(name) for name in shown)
+    for name, one in shown.items():
+        typer.echo(f"  {name:{width}} {_line(one)}")
+    typer.echo("differences of delays, which are what recordings show:")
+    for name, one in found.skews_s.items():
+        typer.echo(f"  {name:{width}} {_line(one)}")
+    typer.echo(_coverage(found))
+    for finding in found.findings:
+        where = ", ".join(part for part in (finding.recording, finding.signal) if part)
+        typer.echo(f"note: {where + ': ' if where else ''}{finding.summary}")
+    typer.echo(
+        f"left over while sliding: {1e3 * found.residual_nm:.3g} mNm rms; "
+        f"sensor noise alone: {1e3 * found.floor_nm:.3g}"
+    )
+
+
+def _line(one: "Estimate") -> str:
+    scale, unit = (1e3, "ms") if one.unit == "s" else (1.0, one.unit)
+    text = f"{scale * one.value:11.5g} {unit:9}"
+    if one.ci95 is not None:
+        text += f" {scale * one.ci95[0]:.5g} to {scale * one.ci95[1]:.5g}"
+    else:
+        text += f" {one.status}"
+    if one.from_model is not None and one.status == "identified":
+        text += f" (was {scale * one.from_model:.4g})"
+    return text + (f": {one.note}" if one.note else "")
+
+
+def _coverage(found: "Identification") -> str:
+    table = found.map
+    lines = ["seconds of steady sliding, speed in rad/s (down) over load in N (across):"]
+    lines.append(" " * 14 + "".join(f"{int(low):>7}+" for low in table.loads[:-1]))
+    rows = [(1, i) for i in reversed(range(len(table.speeds) - 1))]
+    rows += [(0, i) for i in range(len(table.speeds) - 1)]
+    for sign, i in rows:
+        mark = "-" if sign else "+"
+        label = f"{mark}{table.speeds[i]:g} to {mark}{table.speeds[i + 1]:g}"
+        cells = "".join(
+            f"{seconds:8.1f}" if seconds > 0.05 else f"{'.':>8}"
+            for seconds in table.seconds[sign, i].tolist()
+        )
+        lines.append(f"{label:>14}{cells}")
+    return "\n".join(lines)

@@ -1,0 +1,242 @@
+"""Identification of a rig from its recordings: from checks to a model with intervals (issue 3)."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from eps_hil.errors import InputError
+from eps_hil.identification import delays, filters, findings, kinematics, plausibility
+from eps_hil.identification.balance import Case, cases
+from eps_hil.identification.friction_map import friction_map
+from eps_hil.identification.identifiable import choose, widened
+from eps_hil.identification.least_squares import Fit
+from eps_hil.identification.noise_bias import corrected
+from eps_hil.identification.offsets import Offset, offset
+from eps_hil.identification.prepare import Finding, Prepared, prepare
+from eps_hil.identification.result import Estimate, Identification
+from eps_hil.identification.stages import SETTLED_SHARE, Found, estimate
+from eps_hil.identification.state import (
+    BRISTLE_UNITS,
+    FRICTION_UNITS,
+    Spring,
+    State,
+    get,
+    sliding_parameters,
+)
+from eps_hil.physics.effects.catalogue import with_model_effects
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+METHOD_INERTIA = 2e-4
+METHOD_SAMPLES = 0.03
+"""Own error of the method (relative; of a 1 ms step), on plants whose truth is known."""
+LOOSEST_BRISTLE = 0.5
+LEAST_OFFSET_NM = {"torque_sensor_nm": 0.005, "motor_torque_nm": 0.001}
+
+Progress = Callable[[float], None]
+Recordings = Mapping[str, Mapping[str, Series]]
+
+
+def identify(
+    recordings: Recordings, model: Model, on_progress: Progress | None = None
+) -> Identification:
+    """Identify ``model``'s numbers from ``recordings`` (canonical series by name).
+
+    The model gives ratios, starting values, and whatever the recordings do not show. Raises
+    :class:`InputError` for recordings that nothing can be learnt from, and for channels that are
+    swapped or have the wrong sign or unit.
+    """
+    say = on_progress or (lambda _part: None)
+    if not recordings:
+        raise InputError("recordings", "", "none given", "name one or more")
+    ready = [prepare(name, series) for name, series in recordings.items()]
+    angle = kinematics.skew(ready)
+    late_s = angle.seconds if angle else 0.0
+    start = State(
+        with_model_effects(model),
+        {k: Spring() for k, one in enumerate(ready) if not one.has("rack_force_n")},
+    )
+    rows = cases(ready, [kinematics.kinematics(one, late_s) for one in ready])
+    say(0.05)
+    plausibility.check(rows, start)
+    offsets = {name: offset(rows, name) for name in ("torque_sensor_nm", "motor_torque_nm")}
+    ready = [_without_offsets(one, offsets) for one in ready]
+    rows = cases(ready, [case.motion for case in rows])
+    signals = {name for one in ready for name in one.raw}
+    chosen = choose(rows, start, sliding_parameters(start, signals))
+    findings.check_loads(rows, chosen.fit.state)
+    say(0.3)
+    found = estimate(rows, chosen.fit.state, chosen.fitted, lambda p: say(0.3 + 0.4 * p),
+                     prior=start)  # fmt: skip
+    found = corrected(found, ready, late_s, start, chosen.fitted)
+    say(0.9)
+    sliding = widened(found.sliding, rows, chosen.kept, found.weights)
+    found = replace(found, sliding=sliding)
+    result = _result(model, start, ready, rows, found, angle, offsets)
+    say(1.0)
+    return result
+
+
+def _without_offsets(one: Prepared, offsets: Mapping[str, Offset | None]) -> Prepared:
+    for name, reading in offsets.items():
+        if reading is not None and one.has(name) and _significant(name, reading):
+            one = one.with_signal(name, one.raw[name] - reading.value)
+    return one
+
+
+def _significant(name: str, reading: Offset) -> bool:
+    low, high = reading.ci95
+    return abs(reading.value) > LEAST_OFFSET_NM[name] and (low > 0 or high < 0)
+
+
+def _result(
+    before: Model,
+    start: State,
+    ready: Sequence[Prepared],
+    rows: Sequence[Case],
+    found: Found,
+    angle: kinematics.Skew | None,
+    offsets: Mapping[str, Offset | None],
+) -> Identification:
+    fit = found.sliding
+    quantile = _quantile(fit.blocks)
+    timing = delays.timing(
+        fit,
+        angle,
+        start.model.delays_s,
+        quantile,
+        METHOD_SAMPLES * filters.STEP_S,
+        "hardly changes, or was not recorded: its delay cannot be seen",
+    )
+    parameters = _sliding_estimates(fit, start, quantile)
+    parameters |= {f"delays_s.{key}": one for key, one in timing.estimates.items()}
+    bristle = _bristle_estimates(found.bristle, start)
+    parameters |= bristle
+    state = fit.state
+    friction = replace(
+        state.model.friction,
+        **{name.removeprefix("friction."): one.value for name, one in bristle.items()},
+    )
+    state = replace(state, model=replace(state.model, friction=friction))
+    residual, floor = findings.residual(rows, state, found.weights)
+    told = [one for recording in ready for one in recording.findings]
+    told += kinematics.ratio_findings(ready, angle)
+    told += findings.of_fit(rows, state, found, residual, floor, timing.moved_s)
+    names, seconds = tuple(one.name for one in ready), sum(len(one.time_s) for one in ready)
+    return Identification(
+        model=_model(before, state, timing.delays, offsets),
+        parameters=parameters,
+        skews_s=timing.skews,
+        delay_reference=timing.reference,
+        offsets=_offset_estimates(offsets),
+        loads=_loads(ready, state, fit, quantile),
+        map=friction_map(rows, state, found.weights),
+        findings=tuple(told),
+        recordings=names,
+        seconds=seconds * filters.STEP_S,
+        residual_nm=residual,
+        floor_nm=floor,
+        presliding_misfit=found.rough if found.bristle else None,
+    )
+
+
+def _quantile(blocks: int) -> float:
+    from scipy.stats import t
+
+    return float(t.ppf(0.975, max(blocks - 1, 1)))
+
+
+def _sliding_estimates(fit: Fit, start: State, quantile: float) -> dict[str, Estimate]:
+    fitted = {p.name for p in fit.parameters}
+    units = {"inertia_kg_m2": "kg m²"} | {f"friction.{k}": u for k, u in FRICTION_UNITS.items()}
+    result = {}
+    for name, unit in units.items():
+        was = get(start, name)
+        if name not in fitted:
+            result[name] = Estimate(was, unit, None, was, "kept", findings.why_not(name))
+            continue
+        value = get(fit.state, name)
+        own = METHOD_INERTIA * value if name == "inertia_kg_m2" else 0.0
+        half = quantile * float(np.hypot(fit.sigma(name), own))
+        note = ""
+        if value < 0:
+            note = "the recordings say less than zero; the model file takes zero"
+        result[name] = Estimate(
+            max(value, 0.0), unit, (value - half, value + half), was, "identified", note
+        )
+    return result
+
+
+def _bristle_estimates(fit: Fit | None, start: State) -> dict[str, Estimate]:
+    result = {}
+    for key, unit in BRISTLE_UNITS.items():
+        name = f"friction.{key}"
+        was = get(start, name)
+        value = get(fit.state, name) if fit else was
+        sigma = fit.sigma(name) if fit else np.inf
+        if fit is None or not sigma < LOOSEST_BRISTLE * value:
+            result[name] = Estimate(was, unit, None, was, "kept", findings.why_not(name))
+            continue
+        half = _quantile(fit.blocks) * sigma
+        result[name] = Estimate(value, unit, (value - half, value + half), was, "identified")
+    return result
+
+
+def _offset_estimates(offsets: Mapping[str, Offset | None]) -> dict[str, Estimate]:
+    result = {}
+    for name, reading in offsets.items():
+        key = name.replace("_nm", "_offset_nm")
+        if reading is None:
+            result[key] = Estimate(0.0, "Nm", None, None, "kept", findings.why_not(key))
+            continue
+        used = _significant(name, reading)
+        note = f"from {reading.seconds:g} s in which nothing drives it"
+        note += "" if used else "; too small to be taken off"
+        result[key] = Estimate(reading.value, "Nm", reading.ci95, None, "identified", note)
+    return result
+
+
+def _loads(
+    ready: Sequence[Prepared], state: State, fit: Fit, quantile: float
+) -> dict[str, dict[str, Any]]:
+    result: dict[str, dict[str, Any]] = {}
+    for k, spring in state.springs.items():
+        half = quantile * fit.sigma(f"spring{k}.stiffness_n_per_m")
+        known = bool(np.isfinite(half))
+        result[ready[k].name] = {
+            "rack_force": "not measured; taken as a spring of its own",
+            "stiffness_n_per_m": spring.stiffness_n_per_m,
+            "ci95": [spring.stiffness_n_per_m - half, spring.stiffness_n_per_m + half]
+            if known
+            else None,
+            "damping_n_s_per_m": spring.damping_n_s_per_m,
+            "force_at_centre_n": spring.force_n,
+        }
+    return result
+
+
+def _model(before: Model, state: State, late: Any, offsets: Mapping[str, Offset | None]) -> Model:
+    """The model to write: valid by CONTRACT 4, so friction is nowhere negative."""
+    friction = replace(
+        state.model.friction,
+        **{key: max(getattr(state.model.friction, key), 0.0) for key in FRICTION_UNITS},
+    )
+    effects = [dict(entry) for entry in state.model.effects]
+    for name, sign in (("torque_sensor_nm", 1.0), ("motor_torque_nm", -1.0)):
+        reading = offsets[name]
+        if reading is not None and _significant(name, reading):
+            effect = name.replace("_nm", "_offset")
+            effects = [entry for entry in effects if entry["effect"] != effect]
+            effects.append({"effect": effect, "offset_nm": sign * reading.value})
+    return replace(
+        before,
+        inertia_kg_m2=state.model.inertia_kg_m2,
+        delays_s=late,
+        friction=friction,
+        effects=tuple(effects),
+    )
+
+
+__all__ = ["SETTLED_SHARE", "Finding", "identify"]

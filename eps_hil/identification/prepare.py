@@ -1,0 +1,182 @@
+"""One recording made ready: on a 1 kHz grid, spikes and gaps marked, noise measured.
+
+Nothing is shifted in time here: delays are what is to be found.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.errors import InputError
+from eps_hil.identification.filters import STEP_S
+from eps_hil.series import Series
+
+Floats = npt.NDArray[np.float64]
+Masks = npt.NDArray[np.bool_]
+
+SHORTEST_S = 3.0
+LONGEST_GAP_S = 0.05
+_SPIKE_SIGMA = 12.0
+_SLOW_S = 1.5e-3
+_USED = (
+    "motor_torque_nm",
+    "torque_sensor_nm",
+    "motor_speed_rad_s",
+    "motor_angle_rad",
+    "rack_force_n",
+    "rack_position_m",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something about the recordings that a person should know; ``kind`` is for programs."""
+
+    kind: str
+    recording: str
+    signal: str
+    summary: str
+
+    def content(self) -> dict[str, str]:
+        """JSON-ready."""
+        return {
+            "kind": self.kind,
+            "recording": self.recording,
+            "signal": self.signal,
+            "summary": self.summary,
+        }
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """One recording as reported, every signal on the same 1 kHz stamps; arrays (n,).
+
+    ``density`` is the one-sided noise density of each signal (its unit² per Hz); ``good`` is
+    False within a gap of any signal.
+    """
+
+    name: str
+    time_s: Floats
+    raw: Mapping[str, Floats]
+    density: Mapping[str, float]
+    good: Masks
+    findings: tuple[Finding, ...]
+
+    def has(self, signal: str) -> bool:
+        """Whether the signal was recorded."""
+        return signal in self.raw
+
+    def with_signal(self, signal: str, values: Floats) -> "Prepared":
+        """The recording with other values of one signal."""
+        return replace(self, raw={**self.raw, signal: values})
+
+
+def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
+    """Put one recording on a grid; :class:`InputError` for one that nothing can be learnt from."""
+    used = {key: series[key] for key in _USED if key in series}
+    if "motor_torque_nm" not in used:
+        raise InputError(name, "motor_torque_nm", "is missing", "record the motor torque")
+    if "motor_speed_rad_s" not in used and "motor_angle_rad" not in used:
+        problem = "neither motor_speed_rad_s nor motor_angle_rad"
+        raise InputError(name, "", problem, "record the rotor's motion")
+    clean = {key: _finite(name, key, one) for key, one in used.items()}
+    origin = max(int(t[0]) for t, _ in clean.values())
+    end = min(int(t[-1]) for t, _ in clean.values())
+    n = (end - origin) // 1_000_000 + 1
+    if n * STEP_S < SHORTEST_S:
+        problem = f"its signals share only {max(n, 0) * STEP_S:.1f} s"
+        raise InputError(name, "", problem, f"record {SHORTEST_S:g} s or more")
+    start = min(int(one.t_ns[0]) for one in used.values())
+    grid = np.arange(n, dtype=np.int64) * 1_000_000
+    raw, density, findings = {}, {}, []
+    good = np.ones(n, dtype=np.bool_)
+    for key, (t_ns, values) in clean.items():
+        step = float(np.median(np.diff(t_ns))) * 1e-9
+        sigma = noise_of(values)
+        mended, spikes = without_spikes(values, sigma)
+        if spikes:
+            summary = f"{spikes} outliers (single samples far from their neighbours) left out"
+            findings.append(Finding("outliers", name, key, summary))
+        raw[key] = _on_grid(t_ns - origin, mended, grid, step)
+        density[key] = max(2.0 * sigma**2 * step, 1e-18)
+        findings += _shape(name, key, mended, sigma)
+        holes = np.flatnonzero(np.diff(t_ns) > 1e9 * max(LONGEST_GAP_S, 5 * step))
+        for hole in holes:
+            good &= ~((grid >= t_ns[hole] - origin) & (grid <= t_ns[hole + 1] - origin))
+        if len(holes):
+            summary = f"{len(holes)} gaps longer than {max(LONGEST_GAP_S, 5 * step):.3g} s left out"
+            findings.append(Finding("gaps", name, key, summary))
+    time_s = np.asarray((grid + (origin - start)) * 1e-9, dtype=np.float64)
+    return Prepared(name, time_s, raw, density, good, tuple(findings))
+
+
+def noise_of(values: Floats) -> float:
+    """Standard deviation of white noise on a smooth signal, from its third differences.
+
+    Third differences beyond ten usual sizes are motion and count no more. 0 for a constant.
+    """
+    bends = np.abs(np.diff(values, n=3))
+    if np.mean(bends > 0) < 0.2:
+        return float(np.sqrt(np.mean(bends**2) / 20.0)) if len(bends) else 0.0
+    usual = float(np.median(bends)) / 0.6745
+    return float(np.sqrt(np.mean(np.minimum(bends, 10.0 * usual) ** 2) / 20.0))
+
+
+def without_spikes(values: Floats, sigma: float) -> tuple[Floats, int]:
+    """The signal with single wild samples (one or two in a row) bridged, and how many there were.
+
+    A wild sample stands off the median of five by many times the noise and by more than the
+    signal's own bend there (half the swing of its surroundings without it).
+    """
+    from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
+
+    if len(values) < 16:
+        return values, 0
+    middle = median_filter(values, 5, mode="nearest")
+    off = np.abs(values - middle)
+    swing = maximum_filter1d(middle, 9) - minimum_filter1d(middle, 9)
+    least = 1e-3 * float(np.subtract(*np.percentile(values, [95, 5])))
+    usual = 1.4826 * float(np.median(off))
+    wild = off > np.maximum(_SPIKE_SIGMA * max(sigma, usual), 2.0 * swing) + least
+    count = int(wild.sum())
+    if count == 0 or count > 0.02 * len(values):
+        return values, 0
+    index = np.arange(len(values))
+    return np.interp(index, index[~wild], values[~wild]), count
+
+
+def _finite(name: str, key: str, one: Series) -> tuple[npt.NDArray[np.int64], Floats]:
+    good = np.isfinite(one.value)
+    if good.sum() < 8:
+        raise InputError(name, key, "has fewer than 8 values", "leave the column out")
+    return one.t_ns[good], one.value[good]
+
+
+def _on_grid(
+    t_ns: npt.NDArray[np.int64], values: Floats, grid: npt.NDArray[np.int64], step: float
+) -> Floats:
+    steps = np.diff(t_ns)
+    if step > _SLOW_S and steps.min() > 0.2e9 * step:
+        from scipy.interpolate import CubicSpline
+
+        return np.asarray(CubicSpline(t_ns * 1e-9, values)(grid * 1e-9), dtype=np.float64)
+    return np.asarray(np.interp(grid, t_ns, values), dtype=np.float64)
+
+
+def _shape(name: str, key: str, values: Floats, sigma: float) -> list[Finding]:
+    """Signals that do not move, or sit at their greatest value."""
+    low, high = float(values.min()), float(values.max())
+    if high - low <= 0:
+        return [Finding("constant", name, key, f"is {high:g} all the time")]
+    found = []
+    for at, word in ((high, "greatest"), (low, "least")):
+        flat = np.abs(values - at) <= 1e-9 * max(abs(at), 1e-9)
+        runs = np.flatnonzero(np.convolve(flat, np.ones(25), mode="valid") == 25)
+        if abs(at) > 0.5 * max(abs(low), abs(high)) and len(runs) and sigma < 0.02 * (high - low):
+            share = float(flat.mean())
+            if 0.002 < share < 0.5 and np.abs(np.diff(values)).max() > 0:
+                words = f"stays at its {word} value {at:g} for {100 * share:.1f} % of the time"
+                found.append(Finding("clipped", name, key, words + ": clipped?"))
+    return found
