@@ -82,18 +82,24 @@ def timing(
         halves["motor_speed"] = quantile * between("motor_speed", reference)
     if angle is not None and reference:
         halves["motor_angle"] = float(np.hypot(halves["motor_speed"], quantile * angle.sigma_s))
-    estimates = {}
-    for key, late in value.items():
-        was = before.of("motor_angle_rad") if key == "motor_angle" else getattr(before, key)
-        if key == reference:
-            words = "held: only differences of delays can be observed"
-            estimates[key] = Estimate(late + moved, "s", None, was, "held", words)
-        elif key in halves:
-            estimates[key] = _estimate(late + moved, halves[key], was)
-        else:
-            estimates[key] = Estimate(late + moved, "s", None, was, "kept", kept)
+    estimates = {
+        key: _delay(key, late + moved, before, reference, halves, kept)
+        for key, late in value.items()
+    }
     delays = Delays(**{key: late + moved for key, late in value.items()})
     return Timing(delays, estimates, skews, reference, moved)
+
+
+def _delay(
+    key: str, late: float, before: Delays, reference: str, halves: Mapping[str, float], kept: str
+) -> Estimate:
+    was = before.of("motor_angle_rad") if key == "motor_angle" else getattr(before, key)
+    if key == reference:
+        words = "only differences of delays can be observed"
+        return Estimate(late, "s", None, was, "held", words)
+    if key in halves:
+        return _estimate(late, halves[key], was)
+    return Estimate(late, "s", None, was, "kept", kept)
 
 
 def _reference(spread: Mapping[str, float]) -> str:

@@ -23,6 +23,8 @@ _ROBUST = 3.0
 _ROUGH = 0.2
 """How wrong friction may be while a bristle is unsettled, of its level, before it was fitted."""
 _FEWEST = 50
+_CAREFUL = 3.0
+"""Presliding misfit repeats itself at every reversal, so it counts this much more than noise."""
 
 
 @dataclass
@@ -101,9 +103,9 @@ def estimate(
             Presliding(weights),
             rounds=10 if k == 0 else 4,
         )
-        weights = Sliding(max(0.01, _misfit(cases, bristle, weights)))
+        weights = Sliding(_CAREFUL * max(0.01, _misfit(cases, bristle, weights)))
         sliding = fit(cases, bristle.state, parameters, prior, weights, rounds=6)
-    return Found(sliding, bristle, weights.rough, weights)
+    return Found(sliding, bristle, weights.rough / _CAREFUL, weights)
 
 
 def _unsettled_rows(cases: Sequence[Case], state: State, weights: Sliding) -> int:
