@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.identification import filters
-from eps_hil.identification.filters import STEP_S
-from eps_hil.identification.friction_rows import COLUMNS, friction_rows
-from eps_hil.identification.kinematics import Kinematics, low_pass
+from eps_hil.identification.filters import STEP_S, low_pass
+from eps_hil.identification.friction_rows import COLUMNS, friction_rows, residual
+from eps_hil.identification.kinematics import FREQUENCY, Kinematics
 from eps_hil.identification.prepare import Prepared
 from eps_hil.identification.state import Parameter, Spring, State, get, put
-from eps_hil.physics.balance import Motion, residual_nm
+from eps_hil.physics.balance import Motion
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -102,7 +102,7 @@ class Case:
 
     def residual(self, state: State) -> Floats:
         """What the torques are short of the balance, Nm at the rotor, (m,)."""
-        left, _ = residual_nm(state.model, self.physical(state))
+        left = residual(state.model, self.physical(state))
         return filters.smooth(left) - state.model.inertia_kg_m2 * self.motion.acceleration
 
     def linearised(self, state: State, parameters: Sequence[Parameter]) -> tuple[Floats, Floats]:
@@ -127,15 +127,32 @@ class Case:
                 return np.zeros(len(residual))
             moved = put(state, name, get(state, name) + parameter.step)
             return (self.residual(moved) - residual) / parameter.step
-        key = name.removeprefix("delays_s.")
-        signal = {"rack_force": "rack_force_n", "torque_sensor": "torque_sensor_nm"}
-        per_unit = {
-            "motor_torque": 1.0,
-            "torque_sensor": model.sensor_to_rotor,
-            "rack_force": -1.0 / model.rack_to_rotor_ratio_rad_per_m,
-        }[key]
-        values = self.signal(signal.get(key, "motor_torque_nm"), get(state, name))
-        return per_unit * filters.derivative(values)
+        signal, per_unit = _torque(name, model)
+        return per_unit * filters.derivative(self.signal(signal, get(state, name)))
+
+    def noise_variance(self, state: State, name: str) -> float:
+        """What noise adds to the mean square of a parameter's column."""
+        if name == "inertia_kg_m2":
+            return self.motion.acceleration_variance
+        if not name.startswith("delays_s."):
+            return 0.0
+        signal, per_unit = _torque(name, state.model)
+        if not self.recording.has(signal):
+            return 0.0
+        density = np.full(len(FREQUENCY), self.recording.density[signal])
+        if signal == "rack_force_n":
+            density *= filters.low_pass_power(FREQUENCY, LOAD_HZ)
+        return per_unit**2 * filters.derivative_variance(density, FREQUENCY)
+
+    def floor_nm(self, model: Model) -> float:
+        """Rms that sensor noise alone leaves in the rows."""
+        density = self.recording.density
+        share = float(np.sum(filters.kernel() ** 2)) / (2 * STEP_S)
+        torque = density.get("motor_torque_nm", 0.0)
+        torque += model.sensor_to_rotor**2 * density.get("torque_sensor_nm", 0.0)
+        torque += density.get("rack_force_n", 0.0) / model.rack_to_rotor_ratio_rad_per_m**2
+        moved = model.inertia_kg_m2**2 * self.motion.acceleration_variance
+        return float(np.sqrt(share * torque + moved))
 
     def unsettled(self, state: State) -> Floats:
         """Share of the filter's length in which the bristle has a history (or nobody knows), (m,).
@@ -171,6 +188,15 @@ class Case:
         back = f.offset_neg_nm + f.viscous_neg_nm_s_per_rad * np.abs(speed)
         forth, back = forth + f.load_pos_nm_per_n * load, back + f.load_neg_nm_per_n * load
         return np.maximum(np.where(speed >= 0, forth, back), 1e-3)
+
+
+def _torque(name: str, model: Model) -> tuple[str, float]:
+    """Signal whose delay a parameter is, and torque at the rotor per unit of it."""
+    return {
+        "delays_s.motor_torque": ("motor_torque_nm", 1.0),
+        "delays_s.torque_sensor": ("torque_sensor_nm", model.sensor_to_rotor),
+        "delays_s.rack_force": ("rack_force_n", -1.0 / model.rack_to_rotor_ratio_rad_per_m),
+    }[name]
 
 
 def cases(recordings: Sequence[Prepared], motions: Sequence[Kinematics]) -> list[Case]:

@@ -69,6 +69,18 @@ def thinned(values: Floats) -> Floats:
     return values[HALF : len(values) - HALF : THIN]
 
 
+def low_pass(values: Floats, corner_hz: float, order: int = 4) -> Floats:
+    """Butterworth forward and backward: no phase."""
+    from scipy.signal import butter, sosfiltfilt
+
+    return np.asarray(sosfiltfilt(butter(order, corner_hz, fs=1 / STEP_S, output="sos"), values))
+
+
+def low_pass_power(frequency_hz: Floats, corner_hz: float, order: int = 4) -> Floats:
+    """Gain of :func:`low_pass` for power."""
+    return np.asarray(1.0 / (1.0 + (frequency_hz / corner_hz) ** (2 * order)) ** 2)
+
+
 def derivative_variance(density_hz: Floats, frequency_hz: Floats) -> float:
     """Variance of filtered, differentiated noise of a one-sided density over frequency."""
     t = np.arange(-HALF, HALF + 1) * STEP_S

@@ -65,21 +65,11 @@ def residual(cases: Sequence[Case], state: State, weights: Sliding) -> tuple[flo
     for case in cases:
         mine = (weights.unsettled(case, state) <= SETTLED_SHARE) & case.good
         left.append(case.residual(state)[mine])
-        noise.append(np.full(int(mine.sum()), _floor(case, state) ** 2))
+        noise.append(np.full(int(mine.sum()), case.floor_nm(state.model) ** 2))
     residuals, floors = np.concatenate(left), np.concatenate(noise)
     if len(residuals) == 0:
         return float("nan"), float("nan")
     return float(np.sqrt(np.mean(residuals**2))), float(np.sqrt(np.mean(floors)))
-
-
-def _floor(case: Case, state: State) -> float:
-    model, density = state.model, case.recording.density
-    share = float(np.sum(filters.kernel() ** 2)) / (2 * filters.STEP_S)
-    torque = density.get("motor_torque_nm", 0.0)
-    torque += model.sensor_to_rotor**2 * density.get("torque_sensor_nm", 0.0)
-    torque += density.get("rack_force_n", 0.0) / model.rack_to_rotor_ratio_rad_per_m**2
-    moved = model.inertia_kg_m2**2 * case.motion.acceleration_variance
-    return float(np.sqrt(share * torque + moved))
 
 
 def of_fit(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eps_hil.identification.balance import Case
-from eps_hil.identification.least_squares import Fit, fit, linearised
+from eps_hil.identification.least_squares import Fit, expected, fit, linearised
 from eps_hil.identification.stages import Sliding
 from eps_hil.identification.state import Parameter, State, get, put
 
@@ -25,7 +25,7 @@ class Choice:
 
 def choose(cases: Sequence[Case], start: State, parameters: Sequence[Parameter]) -> Choice:
     """Fit the sliding stage, and drop the least certain parameter until the rest is certain."""
-    fitted, kept = list(parameters), []
+    fitted, kept = _informed(cases, start, parameters)
     weights = Sliding()
     found = fit(cases, start, fitted, start, weights)
     while fitted:
@@ -39,7 +39,51 @@ def choose(cases: Sequence[Case], start: State, parameters: Sequence[Parameter])
             found = replace(found, state=state, parameters=(), covariance=np.zeros((0, 0)))
             break
         found = fit(cases, state, fitted, start, weights, rounds=6)
+    for _ in range(2):
+        held = _held(found, start, kept)
+        if fitted and held != found.state:
+            found = fit(cases, held, fitted, start, weights, rounds=6)
     return Choice(tuple(fitted), tuple(kept), found)
+
+
+def _held(found: Fit, start: State, kept: Sequence[Parameter]) -> State:
+    """Kept delays put back to the model file's value, now that the speed's own is known."""
+    before = start.model.delays_s
+    sure = {key: found.sigma(f"delays_s.{key}") for key in ("torque_sensor", "rack_force")}
+    sure = {key: sigma for key, sigma in sure.items() if np.isfinite(sigma)}
+    if not sure:
+        return found.state
+    best = min(sure, key=lambda key: sure[key])
+    speed = getattr(before, best) - get(found.state, f"delays_s.{best}")
+    state = found.state
+    for parameter in kept:
+        if parameter.name.startswith("delays_s."):
+            late = getattr(before, parameter.name.removeprefix("delays_s."))
+            state = put(state, parameter.name, late - speed)
+    return state
+
+
+def _informed(
+    cases: Sequence[Case], start: State, parameters: Sequence[Parameter]
+) -> tuple[list[Parameter], list[Parameter]]:
+    """(parameters, delays left out) by what could be known if the model were right.
+
+    Asked before the fit: a motor torque that is a spring of the same motion can be early or late
+    together with the viscous friction and the inertia, and a fit would slide along that valley.
+    """
+    fitted = list(parameters)
+    out: list[Parameter] = []
+    while True:
+        covariance = expected(cases, start, fitted, Sliding())
+        doubts = {
+            k: float(np.sqrt(covariance[k, k])) / (LOOSEST["delays_s"] * p.prior)
+            for k, p in enumerate(fitted)
+            if p.name.startswith("delays_s")
+        }
+        worst = max(doubts, key=lambda k: doubts[k], default=None)
+        if worst is None or doubts[worst] <= 1.0:
+            return fitted, out
+        out.append(fitted.pop(worst))
 
 
 def widened(fit: Fit, cases: Sequence[Case], kept: Sequence[Parameter], weights: Sliding) -> Fit:

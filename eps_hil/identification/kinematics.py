@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from eps_hil.errors import InputError
 from eps_hil.identification import filters
-from eps_hil.identification.filters import STEP_S
+from eps_hil.identification.filters import STEP_S, low_pass
 from eps_hil.identification.prepare import Finding, Prepared
 
 Floats = npt.NDArray[np.float64]
@@ -24,7 +24,7 @@ SMOOTH_HZ = 80.0
 REST_WINDOW_S = 0.03
 MOST_SKEW_S = 0.04
 _WORN = 0.25
-_FREQUENCY = np.linspace(0.25, 500.0, 2000)
+FREQUENCY = np.linspace(0.25, 500.0, 2000)
 _UNITS = ((60.0 / (2 * np.pi), "rpm"), (180.0 / np.pi, "degrees per second"))
 
 
@@ -69,17 +69,17 @@ def kinematics(recording: Prepared, skew_s: float) -> Kinematics:
     if "motor_speed_rad_s" not in raw:
         angle = raw["motor_angle_rad"]
         fused = filters.slope(angle)
-        noise = (2 * np.pi * _FREQUENCY) ** 2 * density["motor_angle_rad"]
+        noise = (2 * np.pi * FREQUENCY) ** 2 * density["motor_angle_rad"]
     elif "motor_angle_rad" in raw:
         angle = filters.shifted(raw["motor_angle_rad"], skew_s)
         fused, noise = _mixed(raw["motor_speed_rad_s"], angle, density)
     else:
         fused = raw["motor_speed_rad_s"]
-        noise = np.full(len(_FREQUENCY), density["motor_speed_rad_s"])
+        noise = np.full(len(FREQUENCY), density["motor_speed_rad_s"])
         angle = None
     smooth = low_pass(fused, SMOOTH_HZ)
-    shape = 1.0 / (1.0 + (_FREQUENCY / SMOOTH_HZ) ** 8)
-    sigma = float(np.sqrt(np.sum(noise * shape**2) * (_FREQUENCY[1] - _FREQUENCY[0])))
+    power = noise * filters.low_pass_power(FREQUENCY, SMOOTH_HZ)
+    sigma = float(np.sqrt(np.sum(power) * (FREQUENCY[1] - FREQUENCY[0])))
     resting = _resting(smooth, sigma)
     path = np.concatenate([[0.0], np.cumsum(0.5 * (smooth[1:] + smooth[:-1])) * STEP_S])
     travel = np.diff(path, prepend=0.0)
@@ -91,7 +91,7 @@ def kinematics(recording: Prepared, skew_s: float) -> Kinematics:
         np.sqrt(np.maximum(travel**2 - _WORN * (sigma * STEP_S) ** 2, 0.0)),
         resting,
         sigma,
-        filters.derivative_variance(noise, _FREQUENCY),
+        filters.derivative_variance(noise, FREQUENCY),
     )
 
 
@@ -183,16 +183,9 @@ def _mixed(speed: Floats, angle: Floats, density: Mapping[str, float]) -> tuple[
     of_speed, of_angle = density["motor_speed_rad_s"], density["motor_angle_rad"]
     corner = float(np.clip(np.sqrt(of_speed / of_angle) / (2 * np.pi), 0.3, 60.0))
     fused = speed + low_pass(filters.slope(angle) - speed, corner, 1)
-    share = 1.0 / (1.0 + (_FREQUENCY / corner) ** 2)
-    noise = (1 - share) ** 2 * of_speed + share**2 * (2 * np.pi * _FREQUENCY) ** 2 * of_angle
+    share = 1.0 / (1.0 + (FREQUENCY / corner) ** 2)
+    noise = (1 - share) ** 2 * of_speed + share**2 * (2 * np.pi * FREQUENCY) ** 2 * of_angle
     return fused, noise
-
-
-def low_pass(values: Floats, corner_hz: float, order: int = 4) -> Floats:
-    """Butterworth forward and backward: no phase."""
-    from scipy.signal import butter, sosfiltfilt
-
-    return np.asarray(sosfiltfilt(butter(order, corner_hz, fs=1 / STEP_S, output="sos"), values))
 
 
 def _resting(smooth: Floats, sigma: float) -> Masks:

@@ -20,6 +20,8 @@ Floats = npt.NDArray[np.float64]
 
 BLOCK_S = 2.0
 _ROUNDS = 12
+_MOST_NOISE = 0.9
+_DOUBT = 0.3
 _SURE = 25.0
 """A step this short (squared, in deviations) needs no look at whether it makes things better."""
 _DELAY_STEP_S = 0.006
@@ -78,6 +80,7 @@ def fit(
         before = size
     rows = linearised(cases, state, parameters, weights)
     normal, _ = _normal(cases, rows, state, parameters, prior)
+    normal = _doubted(cases, rows, normal, state, parameters)
     covariance, blocks = jackknife(cases, rows, normal, state, parameters)
     return Fit(state, tuple(parameters), covariance, tuple(rows), blocks)
 
@@ -118,15 +121,55 @@ def _normal(
 def _noise_share(
     case: Case, one: Rows, state: State, parameters: Sequence[Parameter]
 ) -> tuple[Floats, Floats]:
-    """What noise in the acceleration adds to the normal matrix, and how it pulls at the inertia."""
+    """What noise in columns adds to the normal matrix, and how it pulls at the inertia.
+
+    Noise of a derivative is uncorrelated with the noise it is the derivative of, so delays are not
+    pulled at; but their columns' noise must not pass for knowledge.
+    """
     excess, pull = np.zeros((len(parameters),) * 2), np.zeros(len(parameters))
     for k, parameter in enumerate(parameters):
-        if parameter.name == "inertia_kg_m2":
-            power = float(one.weight.sum()) * case.motion.acceleration_variance
-            power = min(power, 0.8 * float(one.weight @ one.columns[:, k] ** 2))
+        variance = case.noise_variance(state, parameter.name)
+        if variance > 0:
+            power = float(one.weight.sum()) * variance
+            power = min(power, _MOST_NOISE * float(one.weight @ one.columns[:, k] ** 2))
             excess[k, k] = power
-            pull[k] = power * state.model.inertia_kg_m2
+            if parameter.name == "inertia_kg_m2":
+                pull[k] = power * state.model.inertia_kg_m2
     return excess, pull
+
+
+def expected(
+    cases: Sequence[Case], state: State, parameters: Sequence[Parameter], weights: Weights
+) -> Floats:
+    """Covariance that rows could have at best: nothing left but sensor noise."""
+    rows = []
+    for one, case in zip(linearised(cases, state, parameters, weights), cases, strict=True):
+        top = float(one.weight.max())
+        scale = case.floor_nm(state.model) ** -2 / top if top > 0 else 0.0
+        rows.append(Rows(one.columns, 0.0 * one.residual, one.weight * scale, one.block))
+    normal, _ = _normal(cases, rows, state, parameters, state)
+    sure = _doubted(cases, rows, normal, state, parameters)
+    return np.asarray(np.linalg.inv(sure), dtype=np.float64)
+
+
+def _doubted(
+    cases: Sequence[Case],
+    rows: Sequence[Rows],
+    normal: Floats,
+    state: State,
+    parameters: Sequence[Parameter],
+) -> Floats:
+    """The normal matrix without what may be noise after all, nowhere below the priors.
+
+    How strong noise is is known to some per cent only. Where columns nearly add up to nothing (a
+    motor that is a spring of the same motion), that much of it would look like knowledge.
+    """
+    for case, one in zip(cases, rows, strict=True):
+        normal = normal - _DOUBT * _noise_share(case, one, state, parameters)[0]
+    prior = np.array([p.prior for p in parameters])
+    value, vector = np.linalg.eigh(normal * np.outer(prior, prior))
+    safe = (vector * np.maximum(value, 1.0)) @ vector.T
+    return np.asarray(safe / np.outer(prior, prior), dtype=np.float64)
 
 
 def jackknife(

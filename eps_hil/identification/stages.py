@@ -79,7 +79,7 @@ def estimate(
     start: State,
     parameters: Sequence[Parameter],
     on_progress: Callable[[float], None] | None = None,
-    passes: int = 3,
+    passes: int = 2,
     prior: State | None = None,
 ) -> Found:
     """Alternate the stages from ``start``; at the last one the sliding stage has the last word.

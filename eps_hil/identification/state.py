@@ -28,7 +28,7 @@ DELAYS = ("motor_torque", "torque_sensor", "rack_force")
 
 _LEAST = {"offset": 0.05, "viscous": 1e-3, "load": 5e-5}
 """Priors are half of the model's value, or half of these typical ones where it says less."""
-_DELAY_PRIOR_S = 0.01
+_DELAY_PRIOR_S = 0.006
 
 
 @dataclass(frozen=True, slots=True)
