@@ -29,7 +29,7 @@ from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
-METHOD_INERTIA = 2e-4
+METHOD_INERTIA, METHOD_BRISTLE = 2e-4, 0.01
 METHOD_SAMPLES = 0.03
 """Own error of the method (relative; of a 1 ms step), on plants whose truth is known."""
 LOOSEST_BRISTLE = 0.5
@@ -179,7 +179,7 @@ def _bristle_estimates(fit: Fit | None, start: State) -> dict[str, Estimate]:
         if fit is None or not sigma < LOOSEST_BRISTLE * value:
             result[name] = Estimate(was, unit, None, was, "kept", findings.why_not(name))
             continue
-        half = _quantile(fit.blocks) * sigma
+        half = _quantile(fit.blocks) * float(np.hypot(sigma, METHOD_BRISTLE * value))
         result[name] = Estimate(value, unit, (value - half, value + half), was, "identified")
     return result
 
