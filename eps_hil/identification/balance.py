@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from eps_hil.identification import filters
 from eps_hil.identification.filters import STEP_S, low_pass
-from eps_hil.identification.friction_rows import COLUMNS, friction_rows, residual
+from eps_hil.identification.friction_rows import COLUMNS, friction_rows
 from eps_hil.identification.kinematics import FREQUENCY, Kinematics
 from eps_hil.identification.prepare import Prepared
 from eps_hil.identification.state import Parameter, Spring, State, get, put
-from eps_hil.physics.balance import Motion
+from eps_hil.physics.balance import Motion, residual_nm
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -102,7 +102,7 @@ class Case:
 
     def residual(self, state: State) -> Floats:
         """What the torques are short of the balance, Nm at the rotor, (m,)."""
-        left = residual(state.model, self.physical(state))
+        left, _ = residual_nm(state.model, self.physical(state))
         return filters.smooth(left) - state.model.inertia_kg_m2 * self.motion.acceleration
 
     def linearised(self, state: State, parameters: Sequence[Parameter]) -> tuple[Floats, Floats]:

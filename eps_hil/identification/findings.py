@@ -19,6 +19,7 @@ LEFT_OVER = 2.0
 MOST_ROUGH = 0.08
 _GAIN = 0.02
 _NO_SPRING = 0.35
+_FARTHEST = 2.0
 
 _WHY = {
     "inertia_kg_m2": "the rotor is hardly accelerated; record a sine sweep or a multisine",
@@ -38,9 +39,23 @@ def why_not(name: str) -> str:
     return next(words for start, words in _WHY.items() if name.startswith(start))
 
 
-def check_loads(cases: Sequence[Case], state: State) -> None:
-    """:class:`InputError` where a load without a cell is neither free rack nor spring."""
+def check_loads(cases: Sequence[Case], start: State, state: State) -> None:
+    """:class:`InputError` where a load without a cell is neither free rack nor spring.
+
+    A force that drives the rig is a sum of spring, damper and inertia of the motion that it
+    causes: then the balance closes on nothing at all, and the inertia runs away.
+    """
     weights = Sliding()
+    lost = [case for case in cases if not case.measured_load]
+    apart = state.model.inertia_kg_m2 / start.model.inertia_kg_m2
+    if lost and not 1 / _FARTHEST < apart < _FARTHEST:
+        raise InputError(
+            lost[0].recording.name,
+            "rack_force_n",
+            f"is missing, and the inertia would come out {apart:.2g} times the model file's: "
+            "the load drives the rig",
+            "record the load cell",
+        )
     for case in cases:
         if case.measured_load:
             continue

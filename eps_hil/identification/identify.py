@@ -66,7 +66,7 @@ def identify(
     rows = cases(ready, [case.motion for case in rows])
     signals = {name for one in ready for name in one.raw}
     chosen = choose(rows, start, sliding_parameters(start, signals))
-    findings.check_loads(rows, chosen.fit.state)
+    findings.check_loads(rows, start, chosen.fit.state)
     say(0.3)
     found = estimate(rows, chosen.fit.state, chosen.fitted, lambda p: say(0.3 + 0.4 * p),
                      prior=start)  # fmt: skip

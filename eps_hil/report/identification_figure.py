@@ -59,14 +59,15 @@ def _over_load(axis: Any, found: Identification) -> None:
     cells = _cells(found)
     law = friction_law(found.model.friction)
     ranges = sorted({cell.speed_range for cell in cells})
-    for colour, one in zip(_colours(len(ranges)), ranges, strict=True):
+    for k, (colour, one) in enumerate(zip(_colours(len(ranges)), ranges, strict=True)):
+        marker = "o" if k < len(COLOURS) else "s"
         label = f"{one[0]:g} to {one[1]:g}"
         for sign in (-1.0, 1.0):
             mine = [c for c in cells if c.speed_range == one and np.sign(c.speed_rad_s) == sign]
             if not mine:
                 continue
             speed = float(np.mean([c.speed_rad_s for c in mine]))
-            _points(axis, [c.load_n for c in mine], mine, colour, label)
+            _points(axis, [c.load_n for c in mine], mine, colour, label, marker)
             label = ""
             loads = np.linspace(min(c.load_n for c in mine), max(c.load_n for c in mine), 20)
             levels = [sign * static_level_nm(speed, load, law) for load in loads]
@@ -77,12 +78,14 @@ def _over_load(axis: Any, found: Identification) -> None:
     axis.legend(title="|rotor speed|, rad/s", fontsize=8, ncols=2)
 
 
-def _points(axis: Any, x: list[float], cells: list[Any], colour: str, label: str) -> None:
+def _points(
+    axis: Any, x: list[float], cells: list[Any], colour: str, label: str, marker: str = "o"
+) -> None:
     sign = [np.sign(cell.speed_rad_s) for cell in cells]
     y = [s * cell.friction_nm for s, cell in zip(sign, cells, strict=True)]
     half = [0.0 if c.ci95 is None else 0.5 * (c.ci95[1] - c.ci95[0]) for c in cells]
     axis.errorbar(
-        x, y, yerr=half, fmt="o", markersize=4, color=colour, capsize=2, label=label or None
+        x, y, yerr=half, fmt=marker, markersize=4, color=colour, capsize=2, label=label or None
     )
 
 

@@ -1,0 +1,214 @@
+"""Identification on rigs that this project's physics did not simulate."""
+
+import importlib.util
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.errors import InputError
+from eps_hil.identification.identify import identify
+from eps_hil.identification.result import Identification
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+pytestmark = pytest.mark.slow
+
+Recordings = Mapping[str, Mapping[str, Series]]
+
+
+def with_signal(recordings: Recordings, signal: str, change: Callable[[Any], Any]) -> Recordings:
+    return {
+        name: {
+            key: Series(one.t_ns, change(one.value)) if key == signal else one
+            for key, one in series.items()
+        }
+        for name, series in recordings.items()
+    }
+
+
+def within_the_issues_limits(found: Identification, true: Any) -> None:
+    p = found.parameters
+    assert p["inertia_kg_m2"].value == pytest.approx(true.inertia_kg_m2, rel=0.03)
+    assert p["friction.offset_pos_nm"].value == pytest.approx(true.k0_pos, rel=0.05)
+    assert p["friction.offset_neg_nm"].value == pytest.approx(true.k0_neg, rel=0.05)
+    assert p["friction.load_pos_nm_per_n"].value == pytest.approx(true.kr_pos, rel=0.08)
+    assert p["friction.load_neg_nm_per_n"].value == pytest.approx(true.kr_neg, rel=0.08)
+    skew = found.skews_s["motor_speed_minus_motor_torque"].value
+    assert skew == pytest.approx(0.0045, abs=0.5e-3)
+
+
+def test_everything_on_a_rig_of_the_models_form(
+    programme: Recordings, reference_model: Model, true: Any
+) -> None:
+    found = identify(programme, reference_model)
+    within_the_issues_limits(found, true)
+    p = found.parameters
+    truth = {
+        "inertia_kg_m2": true.inertia_kg_m2,
+        "friction.offset_pos_nm": true.k0_pos,
+        "friction.offset_neg_nm": true.k0_neg,
+        "friction.viscous_pos_nm_s_per_rad": true.kw_pos,
+        "friction.viscous_neg_nm_s_per_rad": true.kw_neg,
+        "friction.load_pos_nm_per_n": true.kr_pos,
+        "friction.load_neg_nm_per_n": true.kr_neg,
+        "friction.sigma0_nm_per_rad": true.sigma0,
+        "friction.sigma1_nm_s_per_rad": true.sigma1,
+    }
+    intervals = {name: p[name].ci95 for name in truth}
+    inside = [ci[0] <= truth[name] <= ci[1] for name, ci in intervals.items() if ci is not None]
+    assert len(inside) == len(truth)
+    assert sum(inside) >= len(truth) - 1
+    assert p["friction.sigma0_nm_per_rad"].value == pytest.approx(true.sigma0, rel=0.06)
+    assert p["friction.sigma1_nm_s_per_rad"].value == pytest.approx(true.sigma1, rel=0.3)
+    assert p["delays_s.motor_speed"].value == pytest.approx(0.0052, abs=0.3e-3)
+    assert found.delay_reference in ("rack_force", "torque_sensor")
+    assert found.residual_nm < 1.1 * found.floor_nm
+    preloaded = [c for c in found.map.cells if c.load_n > 1500 and c.seconds > 0.5]
+    assert preloaded
+    for cell in preloaded:
+        k0, kr = (true.k0_pos, true.kr_pos) if cell.speed_rad_s > 0 else (true.k0_neg, true.kr_neg)
+        kw = true.kw_pos if cell.speed_rad_s > 0 else true.kw_neg
+        level = k0 + kw * abs(cell.speed_rad_s) + kr * cell.load_n
+        assert cell.friction_nm == pytest.approx(level, rel=0.02)
+
+
+def test_levels_on_five_masses_with_maxwell_slip(
+    record: Callable[..., Any], reference_model: Model, true: Any
+) -> None:
+    what = {"constant_speed": 45.0, "sweep": 20.0}
+    found = identify(record(what, simple=False), reference_model)
+    within_the_issues_limits(found, true)
+
+
+def test_one_preload_leaves_the_load_gains_to_the_model_file(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    recordings = with_signal(
+        record({"constant_speed": 30.0}), "rack_force_n", lambda force: 0.0 * force
+    )
+    # a rack that is free in truth: the preload's share of the motor torque goes with it
+    ratio = reference_model.rack_to_rotor_ratio_rad_per_m
+    force = record({"constant_speed": 30.0})["constant_speed"]["rack_force_n"].value
+    recordings = with_signal(recordings, "motor_torque_nm", lambda torque: torque - force / ratio)
+    found = identify(recordings, reference_model)
+    for side in ("pos", "neg"):
+        one = found.parameters[f"friction.load_{side}_nm_per_n"]
+        assert one.status == "kept"
+        assert one.ci95 is None
+        assert one.value == getattr(reference_model.friction, f"load_{side}_nm_per_n")
+        assert "preload" in one.note
+    assert found.model.friction.load_pos_nm_per_n == reference_model.friction.load_pos_nm_per_n
+
+
+def test_without_a_load_cell_against_a_spring(
+    record: Callable[..., Any], reference_model: Model, true: Any
+) -> None:
+    recordings = {
+        name: {key: one for key, one in series.items() if key != "rack_force_n"}
+        for name, series in record({"weave": 25.0, "multisine": 15.0}).items()
+    }
+    found = identify(recordings, reference_model)
+    p = found.parameters
+    assert p["inertia_kg_m2"].value == pytest.approx(true.inertia_kg_m2, rel=0.03)
+    assert p["friction.offset_pos_nm"].value == pytest.approx(true.k0_pos, rel=0.05)
+    assert p["friction.load_neg_nm_per_n"].value == pytest.approx(true.kr_neg, rel=0.08)
+    assert found.loads["multisine"]["stiffness_n_per_m"] == pytest.approx(1.2e5, rel=0.02)
+    assert {one.kind for one in found.findings} >= {"no_load_cell"}
+
+
+def test_an_unmeasured_load_that_is_no_spring_is_refused(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    series = record({"sweep": 20.0})["sweep"]
+    lost = {key: one for key, one in series.items() if key != "rack_force_n"}
+    with pytest.raises(InputError, match="record the load cell"):
+        identify({"sweep": lost}, reference_model)
+
+
+def test_torsion_bar_offset_from_hands_off(
+    programme: Recordings, reference_model: Model, true: Any
+) -> None:
+    shifted = with_signal(programme, "torque_sensor_nm", lambda torque: torque + 0.2)
+    found = identify(shifted, reference_model)
+    offset = found.offsets["torque_sensor_offset_nm"]
+    assert offset.value == pytest.approx(0.2, abs=0.01)
+    assert [dict(entry) for entry in found.model.effects] == [
+        {"effect": "torque_sensor_offset", "offset_nm": offset.value}
+    ]
+    assert found.parameters["friction.offset_pos_nm"].value == pytest.approx(true.k0_pos, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("signals", "words"),
+    [
+        (("motor_torque_nm",), "motor_torque_nm has the wrong sign"),
+        (("rack_force_n",), "rack_force_n has the wrong sign"),
+        (("motor_speed_rad_s",), "opposite signs"),
+        (("motor_speed_rad_s", "motor_angle_rad"), "motor_speed_rad_s .* has the wrong sign"),
+    ],
+)
+def test_wrong_signs_are_named(
+    programme: Recordings, reference_model: Model, signals: tuple[str, ...], words: str
+) -> None:
+    turned = programme
+    for signal in signals:
+        turned = with_signal(turned, signal, lambda values: -values)
+    with pytest.raises(InputError, match=words):
+        identify(turned, reference_model)
+
+
+def test_swapped_columns_and_kilonewtons_are_named(
+    programme: Recordings, reference_model: Model
+) -> None:
+    swapped = {
+        name: {
+            **series,
+            "motor_torque_nm": series["torque_sensor_nm"],
+            "torque_sensor_nm": series["motor_torque_nm"],
+        }
+        for name, series in programme.items()
+    }
+    with pytest.raises(InputError, match="swapped"):
+        identify(swapped, reference_model)
+    with pytest.raises(InputError, match="in kN"):
+        identify(with_signal(programme, "rack_force_n", lambda f: f / 1000), reference_model)
+
+
+def independent_rig() -> ModuleType:
+    name = "independent_rig_for_identification"
+    if name not in sys.modules:
+        file = Path(__file__).parents[1] / "estimation" / "independent_rig.py"
+        spec = importlib.util.spec_from_file_location(name, file)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+def test_a_motor_that_is_a_spring_hides_its_delay(reference_model: Model) -> None:
+    """Torque = −c φ − d ω: late torque, more viscous friction and less inertia look the same.
+
+    Second truth plant: explicit integration at 100 kHz.
+    """
+    rig = independent_rig()
+    recordings = {}
+    for name, force in (("sweep", rig.sweep(30.0)), ("steps", rig.steps())):
+        columns = rig.run(force, np.zeros(len(force)), seed=len(name)).columns
+        t_ns = np.round(columns["time_s"] * 1e9).astype(np.int64)
+        recordings[name] = {k: Series(t_ns, v) for k, v in columns.items() if k != "time_s"}
+    found = identify(recordings, reference_model)
+    p = found.parameters
+    assert p["delays_s.motor_torque"].status == "kept"
+    inertia = p["inertia_kg_m2"]
+    assert inertia.ci95 is not None
+    assert inertia.ci95[0] < rig.INERTIA < inertia.ci95[1]
+    assert inertia.ci95[1] - inertia.ci95[0] > 0.02 * rig.INERTIA
+    assert p["delays_s.motor_speed"].value == pytest.approx(0.004, abs=0.3e-3)
+    assert p["friction.offset_pos_nm"].value == pytest.approx(0.056, rel=0.02)
+    assert p["friction.load_neg_nm_per_n"].value == pytest.approx(4.345e-5, rel=0.03)
