@@ -144,7 +144,7 @@ class _Rows:
 
         self.e = thin(motion.angle_rad - ratio * motion.position_m)
         self.x = thin(motion.position_m)
-        self.torque = thin(torque)
+        self.torque, self.force = thin(torque), thin(motion.rack_force_n)
         self.columns = {
             "ratio": ratio * self.x,
             "delay": -thin(motion.speed_rad_s),
@@ -310,14 +310,14 @@ def _judged(
     sigma = _deviations(rows, names, with_it)
     gain = _cost(without) - _cost(with_it)
     total = max(_cost(without) - len(without), 1.0)
-    speed = np.concatenate([one.torque for one in rows])
-    low, high = (float(v) for v in np.percentile(speed, [2, 98]))
+    force = np.concatenate([one.force for one in rows])
+    low, high = (float(v) for v in np.percentile(force, [2, 98]))
     position = np.concatenate([one.x for one in rows])
     near, far = (float(v) for v in np.percentile(position, [2, 98]))
     place = (
         ("rack_position_m", near, far, 1.0)
         if effect == "rack_ratio"
-        else ("transmitted_torque_nm", low, high, 1.0)
+        else ("rack_force_n", low, high, 1.0)
     )
     return Seen(entry, _own(effect, values, sigma), gain, min(1.0, gain / total), (place,))
 

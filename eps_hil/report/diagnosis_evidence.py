@@ -5,7 +5,7 @@ these two models do, and nothing that only the search had seen.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -90,17 +90,28 @@ class Evidence:
 
 def fitted(diagnosis: Diagnosis) -> Evidence:
     """Of the recordings that were fitted."""
-    return Evidence(diagnosis.problem, diagnosis.model, _entries(diagnosis))
+    return Evidence(diagnosis.problem, _judged_model(diagnosis), _entries(diagnosis))
 
 
 def held_out(diagnosis: Diagnosis) -> Evidence:
     """Of the recordings that were kept from the fit."""
     problem = Problem([one.prepared for one in diagnosis.judged], diagnosis.problem.model)
-    return Evidence(problem, diagnosis.model, _entries(diagnosis))
+    return Evidence(problem, _judged_model(diagnosis), _entries(diagnosis))
+
+
+def _judged_model(diagnosis: Diagnosis) -> Model:
+    """The augmented model as the torque balance meets it.
+
+    What the kinematics showed was put right in the recordings themselves, and must not act twice.
+    """
+    own = diagnosis.problem.model.effects
+    return replace(diagnosis.model, effects=(*own, *_entries(diagnosis)))
 
 
 def _entries(diagnosis: Diagnosis) -> Sequence[Mapping[str, Any]]:
-    return diagnosis.model.effects[len(diagnosis.problem.model.effects) :]
+    elsewhere = {one["effect"] for one in diagnosis.content["findings"] if "seen_in" in one}
+    new = diagnosis.model.effects[len(diagnosis.problem.model.effects) :]
+    return [entry for entry in new if entry["effect"] not in elsewhere]
 
 
 def acts_over(
