@@ -11,7 +11,7 @@ import typer
 if TYPE_CHECKING:
     from eps_hil.physics.model import Model
     from eps_hil.programme.run import OnProgress, Summary
-    from eps_hil.programme.summary import Identified
+    from eps_hil.programme.summary import Identified, Whole
 
 
 def register(app: typer.Typer) -> None:
@@ -27,11 +27,14 @@ def programme(
         bool, typer.Option("--resume", help="Go on with the programme that --out holds.")
     ] = False,
     write_model: Annotated[
-        Path | None, typer.Option("--write-model", help="Model file with the friction found.")
+        Path | None, typer.Option("--write-model", help="Model file with what was identified.")
     ] = None,
-    json: Annotated[Path | None, typer.Option("--json", help="Cells and fit as JSON.")] = None,
+    cells_only: Annotated[
+        bool, typer.Option("--cells-only", help="Friction from the cells' means, no more.")
+    ] = False,
+    json: Annotated[Path | None, typer.Option("--json", help="All results as JSON.")] = None,
 ) -> None:
-    """Run every cell of speed and preload on the rig, both ways, and identify the friction.
+    """Run every cell of speed and preload on the rig, both ways, record and identify.
 
     The rig must run and follow RIG_Command (the simulated one: eps-hil rig --manoeuvre idle
     --loop). Each cell is a log of its own; finished cells outlive an interruption, kill -9
@@ -40,10 +43,11 @@ def programme(
     from eps_hil.bus.config import load_bus_setup
     from eps_hil.cli._bus_options import stop_on_signals
     from eps_hil.cli._files import write_json
+    from eps_hil.cli._inputs import progress
     from eps_hil.physics.model import load_model
     from eps_hil.programme.plan import load_plan
     from eps_hil.programme.run import ProgrammeRun, prepare_folder
-    from eps_hil.programme.summary import content, identified, table_file
+    from eps_hil.programme.summary import content, identified, identify_logs, table_file
 
     setup = load_bus_setup(config)
     model = load_model(setup.model)
@@ -57,10 +61,15 @@ def programme(
     table_file(summary, out / "cells.csv")
     found = identified(summary, model)
     _say(summary, model, found)
+    whole = None
+    if not cells_only:
+        with progress("identifying from the logs") as bar:
+            whole = identify_logs(summary, setup, model, out, bar)
+        _say_whole(whole)
     if json:
-        write_json(json, content(plan, summary, found))
+        write_json(json, content(plan, summary, found, whole))
     if write_model:
-        _write_model(write_model, model, found)
+        _write_model(write_model, model, found, whole)
     typer.echo(f"logs and cells.csv: {out}")
 
 
@@ -95,7 +104,7 @@ def _say(summary: "Summary", model: "Model", found: "Identified") -> None:
     if found.friction is None:
         typer.echo(f"no friction identified: {found.problem}")
         return
-    table = Table(title="friction (eq. 3)", title_justify="left", box=None)
+    table = Table(title="friction (eq. 3) from the cells' means", title_justify="left", box=None)
     table.add_column("parameter")
     for heading in ("found", "95 % half width", "in the model file"):
         table.add_column(heading, justify="right")
@@ -105,15 +114,40 @@ def _say(summary: "Summary", model: "Model", found: "Identified") -> None:
     Console(width=100, highlight=False).print(table)
 
 
-def _write_model(path: Path, model: "Model", found: "Identified") -> None:
+def _say_whole(whole: "Whole") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    if whole.found is None:
+        typer.echo(f"the logs identify nothing more: {whole.problem}")
+        return
+    table = Table(title="identified from the logs", title_justify="left", box=None)
+    table.add_column("parameter")
+    for heading in ("found", "95 % interval", "in the model file"):
+        table.add_column(heading, justify="right")
+    for name, one in whole.found.parameters.items():
+        interval = "kept" if one.ci95 is None else f"{one.ci95[0]:.4g} to {one.ci95[1]:.4g}"
+        before = "" if one.from_model is None else f"{one.from_model:.4g}"
+        table.add_row(name, f"{one.value:.4g}", interval, before)
+    Console(width=100, highlight=False).print(table)
+    for finding in whole.found.findings:
+        typer.echo(f"note: {finding.summary}")
+
+
+def _write_model(path: Path, model: "Model", found: "Identified", whole: "Whole | None") -> None:
+    """The whole identification where there is one, else the friction from the cells."""
     from dataclasses import replace
 
     from eps_hil.errors import EpsHilError
     from eps_hil.physics.model import dump_model
     from eps_hil.recordings.files import replacing
 
-    if found.friction is None:
+    if whole is not None and whole.text:
+        text = whole.text
+    elif found.friction is not None:
+        text = dump_model(replace(model, friction=found.friction))
+    else:
         raise EpsHilError(f"{path}: not written, {found.problem}")
     with replacing(path) as temporary:
-        temporary.write_text(dump_model(replace(model, friction=found.friction)), encoding="utf-8")
-    typer.echo(f"model with the friction found: {path}")
+        temporary.write_text(text, encoding="utf-8")
+    typer.echo(f"model written to {path}")

@@ -1,13 +1,24 @@
-"""What a finished programme comes to: a table of cells, and the friction of eq. 3 from them."""
+"""What a finished programme comes to: a table of cells, eq. 3 from them, and the whole model.
+
+Eq. 3 from the cells' means is what the paper did. The identification from the logs takes every
+sample, reversals and ways to the next cell included, and so finds inertia, delays and bristle too.
+"""
 
 import csv
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from eps_hil.bus.config import BusSetup
+from eps_hil.errors import InputError
 from eps_hil.identification.constant_speed import Cell, fitted
+from eps_hil.identification.identify import identify
+from eps_hil.identification.result import Identification
+from eps_hil.identification.write_model import model_file
 from eps_hil.physics.model import Friction, Model
 from eps_hil.programme.plan import Plan
+from eps_hil.programme.recordings import joined
 from eps_hil.programme.run import Summary
 from eps_hil.recordings.files import replacing
 
@@ -26,6 +37,32 @@ class Identified:
     friction: Friction | None
     half_widths: dict[str, float]
     problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """The identification from the logs and its model file's text; or why there is none."""
+
+    found: Identification | None
+    text: str = ""
+    problem: str = ""
+
+
+def identify_logs(
+    summary: Summary,
+    setup: BusSetup,
+    model: Model,
+    folder: Path,
+    on_progress: Callable[[float], None] | None = None,
+) -> Whole:
+    """Everything that the logs of the accepted cells tell; a refusal becomes a ``problem``."""
+    logs = [folder / f"{one.cell.name}.log" for one in summary.accepted]
+    try:
+        recordings = joined(logs, setup)
+        found = identify(recordings, model, on_progress)
+    except InputError as error:
+        return Whole(None, problem=str(error))
+    return Whole(found, model_file(found, str(setup.model), list(recordings)))
 
 
 def identified(summary: Summary, model: Model) -> Identified:
@@ -53,7 +90,9 @@ def table_file(summary: Summary, path: Path) -> None:
         writer.writerows(_rows(summary))
 
 
-def content(plan: Plan, summary: Summary, found: Identified) -> dict[str, Any]:
+def content(
+    plan: Plan, summary: Summary, found: Identified, whole: Whole | None = None
+) -> dict[str, Any]:
     """JSON-ready."""
     return {
         "schema": SCHEMA,
@@ -62,6 +101,8 @@ def content(plan: Plan, summary: Summary, found: Identified) -> dict[str, Any]:
         "friction": asdict(found.friction) if found.friction else None,
         "half_width95": found.half_widths,
         "problem": found.problem,
+        "identification": whole.found.content() if whole and whole.found else None,
+        "identification_problem": whole.problem if whole else "",
     }
 
 
