@@ -222,7 +222,8 @@ def _fit(rows: Sequence[_Rows], names: Sequence[str]) -> tuple[dict[str, float],
     a, b = _design(rows, names)
     size = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
     solved = np.linalg.lstsq(a / size, b, rcond=1e-9)[0] / size
-    return dict(zip(names, solved[len(rows) :], strict=True)), b - a @ solved
+    values = (float(value) for value in solved[len(rows) :])
+    return dict(zip(names, values, strict=True)), b - a @ solved
 
 
 def _cost(residual: Floats) -> float:
