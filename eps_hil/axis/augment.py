@@ -29,6 +29,18 @@ _ROUNDS = 2
 
 TIMING = {"effect": "motor_torque_delay", "delay_s": 0.0}
 
+NOT_FROM_FREE_RUNS = (
+    "motor_torque_gain",
+    "motor_torque_saturation",
+    "rack_ratio",
+    "position_torque",
+    "position_dependent_friction",
+    "unmodelled_spring",
+)
+"""Not to be known from one recording without any load. No force is known there, so how the motor's
+scale varies shows only against mass and friction, which are not known either; and one programme
+passes each place at the same speeds, so that a shape over place takes what belongs to speed."""
+
 Say = Callable[[str, float], None]
 Entries = Sequence[Mapping[str, Any]]
 
@@ -53,7 +65,7 @@ def augment(record: AxisRecord, published: Model, say: Say | None = None) -> Aug
     nominal = identify(fitted, published)
     noise = _typical_residual_nm(fitted, nominal)
     fitted, judged, whole = (_noisy(one, noise) for one in (fitted, judged, whole))
-    found = select(Problem([fitted], nominal), say)
+    found = select(Problem([fitted], nominal), say, NOT_FROM_FREE_RUNS)
     entries: Entries = found.found.entries
     if all(entry["effect"] != TIMING["effect"] for entry in entries):
         entries = (TIMING, *entries)
