@@ -25,6 +25,7 @@ from eps_hil.service.limits import CEILINGS, Limits
 from .guard_bench import INPUTS, LIMITS, MS, Bench, armed, injecting, with_limits
 
 ZERO = Command(0.0, False)
+FROM_FILE = TypeAdapter(Limits)
 
 
 def tripped(bench: Bench, trips: Trip) -> None:
@@ -570,7 +571,7 @@ class TestLimits:
 
     @pytest.mark.parametrize("name", list(CEILINGS))
     def test_a_file_beyond_a_ceiling_is_told_the_field(self, name: str) -> None:
-        from_file = TypeAdapter(Limits).validate_python
+        from_file = FROM_FILE.validate_python
         good = asdict(LIMITS)
         low = {"rack_position_min_m": -0.06, "rack_position_max_m": -0.0001}.get(name, 5e-324)
         high = {"rack_position_min_m": 0.0199}.get(name, CEILINGS[name])
@@ -591,7 +592,7 @@ class TestLimits:
         given = asdict(LIMITS)
         del given[name]
         with pytest.raises(ValidationError) as caught:
-            TypeAdapter(Limits).validate_python(given)
+            FROM_FILE.validate_python(given)
         assert [problem["loc"] for problem in caught.value.errors()] == [(name,)]
 
     def test_a_guard_keeps_its_limits(self) -> None:
