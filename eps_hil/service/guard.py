@@ -157,7 +157,6 @@ class TorqueGuard:
         self.armed = True
         self.energy_j = 0.0
         self._armed_ns = self._beat_ns = now_ns
-        self._release()
         return True
 
     def heartbeat(self, now_ns: int) -> None:
@@ -168,7 +167,6 @@ class TorqueGuard:
         """Back to unarmed; a latched trip stays."""
         self.armed = False
         self._prepared_ns = None
-        self._release()
 
     def trip(self, trips: Trip, reason: Reason = Reason.FINE) -> None:
         """Latch (the first trip's reasons stay) and disarm."""
@@ -194,17 +192,14 @@ class TorqueGuard:
                 self.trip(found, seen.reason)
         self._last_ns = now_ns
         if request_nm is None or not self.armed:
-            self._release()
+            self._torque_nm = 0.0
+            self._enabled_ns = None
         else:
             self._torque_nm = request_nm
             if self._enabled_ns is None:
                 self._enabled_ns = now_ns
         self._history.append((now_ns, self._torque_nm))
         return Command(self._torque_nm, self._enabled_ns is not None)
-
-    def _release(self) -> None:
-        self._torque_nm = 0.0
-        self._enabled_ns = None
 
     def _watch(self, now_ns: int, seen: Seen) -> None:
         """Since when each input has its value, the work done, and which commands still count."""

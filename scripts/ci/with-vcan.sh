@@ -125,7 +125,7 @@ INIT
 chmod +x "$work/init.sh"
 
 # Guest memory is a file: in /dev/shm where there is room, else on disk.
-mem_mb=1024
+mem_mb=2048
 memory=(env -u TMPDIR -u TMP -u TEMP)
 shm_mb=$(df --output=avail -m /dev/shm 2>/dev/null | tail -1 || true)
 if [ "${shm_mb:-0}" -lt $((mem_mb + 200)) ]; then

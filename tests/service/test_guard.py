@@ -62,7 +62,7 @@ class TestArming:
     def test_the_second_step_alone_does_nothing(self) -> None:
         bench = Bench()
         bench.idle(5)
-        assert not bench.guard.arm(bench.now_ns, bench.seen())
+        assert bench.guard.arm(bench.now_ns, bench.seen()) is False
         assert not bench.guard.armed
 
     @pytest.mark.parametrize(
@@ -86,12 +86,12 @@ class TestArming:
         assert not bench.guard.arm(bench.now_ns, bench.seen())
 
     def test_armed_it_cannot_be_prepared_again(self) -> None:
-        assert not armed().guard.prepare(0)
+        assert armed().guard.prepare(0) is False
 
     def test_it_does_not_arm_on_inputs_that_are_not_good(self) -> None:
         bench = Bench()
         bench.reason = Reason.SETTLING
-        assert not bench.arm()
+        assert bench.arm() is False
         assert bench.guard.trips == Trip.NONE, "refused, not tripped"
         bench.reason = Reason.FINE
         assert bench.arm()
@@ -304,6 +304,15 @@ class TestGear:
         bench = armed(with_limits(max_armed_s=0.5))
         bench.idle(500)
         assert bench.guard.armed
+        bench.step(None)
+        tripped(bench, Trip.TIME_BUDGET)
+
+    def test_ten_minutes_are_counted_to_the_nanosecond(self) -> None:
+        bench = armed(with_limits(max_armed_s=600.0))
+        bench.guard._armed_ns = bench.now_ns + MS - 600_000 * MS
+        bench.step(None)
+        assert bench.guard.armed
+        bench.guard._armed_ns = bench.now_ns + MS - 600_000 * MS - 1
         bench.step(None)
         tripped(bench, Trip.TIME_BUDGET)
 
@@ -527,6 +536,18 @@ class TestLink:
 
 
 class TestLimits:
+    def test_the_bits_of_a_trip(self) -> None:
+        """They are on the bus and in journals."""
+        names = (
+            "NOT_FINITE TORQUE STEP CHANGE_250MS DRIVER TORQUE_ERROR ECU_STATUS SPEED POSITION "
+            "ENERGY TIME_BUDGET HEARTBEAT OTHER_TRANSMITTER STALE_INPUT INVALID_INPUT "
+            "FROZEN_INPUT BUS CLOCK OPERATOR"
+        )
+        assert {each.name: int(each) for each in Trip} == {
+            name: 2**bit for bit, name in enumerate(names.split())
+        }
+        assert Trip.NONE == 0
+
     def test_every_limit_has_a_ceiling(self) -> None:
         assert {field.name for field in fields(Limits)} == set(CEILINGS)
 
