@@ -36,6 +36,7 @@ NOT_FROM_FREE_RUNS = (
     "position_torque",
     "position_dependent_friction",
     "unmodelled_spring",
+    "end_stop",
 )
 """Not to be known from one recording without any load. No force is known there, so how the motor's
 scale varies shows only against mass and friction, which are not known either; and one programme
