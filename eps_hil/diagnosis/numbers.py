@@ -96,7 +96,9 @@ def numbers_off(problem: Problem, found: Fit, pool: Sequence[Candidate], price: 
             left = [e for e in one.entries if e not in small]
             one = fit(problem, left, own=one.own, like=one)
         fits.append((one.cost + price * (len(one.entries) + len(free)), one))
-    return _with_delay(problem, min(fits, key=lambda pair: pair[0])[1])
+    best = min(fits, key=lambda pair: pair[0])[1]
+    considered = any(one.effect.id == HOLD for one in pool)
+    return _with_delay(problem, best) if considered else best
 
 
 def _with_delay(problem: Problem, found: Fit) -> Fit:

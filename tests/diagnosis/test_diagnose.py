@@ -243,3 +243,16 @@ def test_what_the_catalogue_lacks_is_unknown(
     result = run(record, reference_model, plant)
     assert result.content["verdict"] in ("unknown_effect", "partly_explained")
     assert "unknown" in names(result)
+
+
+def test_what_is_not_to_be_considered_is_not_named_in_any_way(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    from dataclasses import replace
+
+    delays = replace(reference_model.delays_s, motor_torque=0.003)
+    model = replace(reference_model, delays_s=delays)
+    kept, recordings = record({}, ("weave",), seed=2), record({})
+    assert "motor_torque_delay" in names(diagnose(model, recordings, kept))
+    withheld = ("motor_torque_delay", "speed_sensor_delay")
+    assert not set(names(diagnose(model, recordings, kept, without=withheld))) & set(withheld)
