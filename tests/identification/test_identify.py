@@ -1,10 +1,6 @@
 """Identification on rigs that this project's physics did not simulate."""
 
-import importlib.util
-import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -179,24 +175,14 @@ def test_swapped_columns_and_kilonewtons_are_named(
         identify(with_signal(programme, "rack_force_n", lambda f: f / 1000), reference_model)
 
 
-def independent_rig() -> ModuleType:
-    name = "independent_rig_for_identification"
-    if name not in sys.modules:
-        file = Path(__file__).parents[1] / "estimation" / "independent_rig.py"
-        spec = importlib.util.spec_from_file_location(name, file)
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-def test_a_motor_that_is_a_spring_hides_its_delay(reference_model: Model) -> None:
+def test_a_motor_that_is_a_spring_hides_its_delay(
+    reference_model: Model, independent_rig: Any
+) -> None:
     """Torque = −c φ − d ω: late torque, more viscous friction and less inertia look the same.
 
     Second truth plant: explicit integration at 100 kHz.
     """
-    rig = independent_rig()
+    rig = independent_rig
     recordings = {}
     for name, force in (("sweep", rig.sweep(30.0)), ("steps", rig.steps())):
         columns = rig.run(force, np.zeros(len(force)), seed=len(name)).columns
