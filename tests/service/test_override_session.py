@@ -114,8 +114,8 @@ class Stage:
 
         async def session() -> None:
             self.session = OverrideSession(
-                parts_of(self.config), Sawtooth(PEAK_NM, 0.4), operator or Unattended(), self.said.append,
-                show=look, journal=journal, opener=self.opener,
+                parts_of(self.config), Sawtooth(PEAK_NM, 0.4), operator or Unattended(),
+                self.said.append, show=look, journal=journal, opener=self.opener,
             )  # fmt: skip
             await self.session.run(60.0)
 
