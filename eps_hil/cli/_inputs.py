@@ -1,24 +1,30 @@
 """How every verb takes recordings: the same options, the same errors, the same progress.
 
-A verb declares its parameters with these annotated types and hands them to
-:func:`read_recordings`:
+A verb is registered through :func:`reads_recordings`, which gives it the reading options, and
+hears what they said as :class:`Reading`:
 
-    def estimate(recordings: RecordingPaths, dbc: Dbc = None, signals: Signals = None,
-                 gaps: GapsOption = Gaps.REFUSE, ignore_unknown: IgnoreUnknown = False,
-                 channel: Channel = None) -> None: ...
+    app.command("estimate")(reads_recordings(estimate))
+
+    def estimate(recordings: RecordingPaths, *, reading: Reading) -> None: ...
 """
 
 import contextlib
 import enum
+import functools
+import inspect
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from eps_hil.errors import InputError
+
 if TYPE_CHECKING:
     from eps_hil.recordings.recording import Recording
+    from eps_hil.series import Series
 
 
 class Gaps(enum.StrEnum):
@@ -28,10 +34,32 @@ class Gaps(enum.StrEnum):
     MARK = "mark"
 
 
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the reading options said; what they mean is with the options below."""
+
+    dbc: tuple[Path, ...] = ()
+    signals: Path | None = None
+    gaps: Gaps = Gaps.REFUSE
+    ignore_unknown: bool = False
+    channel: str | None = None
+
+    def arguments(self) -> dict[str, Any]:
+        """As :mod:`eps_hil.recordings` takes them."""
+        return {
+            "dbc": self.dbc,
+            "signals": self.signals,
+            "gaps": self.gaps.value,
+            "ignore_unknown": self.ignore_unknown,
+            "channel": self.channel,
+        }
+
+
 RecordingPaths = Annotated[
     list[Path],
     typer.Argument(metavar="REC...", help="CSV, Parquet, MF4, or a CAN log (LOG, BLF, ASC, TRC)."),
 ]
+ModelPath = Annotated[Path, typer.Option("--model", help="Model file of the rig (YAML).")]
 Dbc = Annotated[
     list[Path] | None,
     typer.Option("--dbc", help="CAN database of a CAN log; may be given more than once."),
@@ -54,31 +82,71 @@ Channel = Annotated[
 ]
 
 
-def read_recordings(
-    paths: Sequence[Path],
-    *,
-    dbc: Sequence[Path] | None = None,
-    signals: Path | None = None,
-    gaps: Gaps = Gaps.REFUSE,
-    ignore_unknown: bool = False,
-    channel: str | None = None,
-) -> "Iterator[Recording]":
-    """Read one recording after the other; notes go to stderr, progress to a terminal."""
-    from eps_hil.recordings.read import read_recording
+def reads_recordings(verb: Callable[..., None], gaps: Gaps = Gaps.REFUSE) -> Callable[..., None]:
+    """The verb with the reading options behind its own; it hears them as ``reading``.
 
+    ``gaps``: what the verb does with gaps where the user does not say.
+    """
+    options = {
+        "dbc": (Dbc, None),
+        "signals": (Signals, None),
+        "gaps": (GapsOption, gaps),
+        "ignore_unknown": (IgnoreUnknown, False),
+        "channel": (Channel, None),
+    }
+
+    @functools.wraps(verb)
+    def command(**values: Any) -> None:
+        said = {name: values.pop(name) for name in options}
+        verb(**values, reading=Reading(**{**said, "dbc": tuple(said["dbc"] or ())}))
+
+    own = inspect.signature(verb)
+    kept = [one for one in own.parameters.values() if one.name != "reading"]
+    added = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+        for name, (kind, default) in options.items()
+    ]
+    command.__signature__ = own.replace(parameters=[*kept, *added])  # type: ignore[attr-defined]
+    command.__annotations__ = {one.name: one.annotation for one in (*kept, *added)}
+    return command
+
+
+def read_recording(path: Path, reading: Reading) -> "Recording":
+    """Read one recording; notes go to stderr, progress to a terminal."""
+    from eps_hil.recordings.read import read_recording as read
+
+    with progress(f"reading {path.name}") as on_progress:
+        recording = read(path, **reading.arguments(), on_progress=on_progress)
+    say_notes(path, recording.notes)
+    return recording
+
+
+def read_each(paths: Sequence[Path], reading: Reading) -> "Iterator[tuple[Path, Recording]]":
+    """Path and recording, read one after the other as they are asked for."""
     for path in paths:
-        with progress(f"reading {path.name}") as on_progress:
-            recording = read_recording(
-                path,
-                dbc=dbc or (),
-                signals=signals,
-                gaps=gaps.value,
-                ignore_unknown=ignore_unknown,
-                channel=channel,
-                on_progress=on_progress,
-            )
-        say_notes(path, recording.notes)
-        yield recording
+        yield path, read_recording(path, reading)
+
+
+def read_all(paths: Sequence[Path], reading: Reading) -> "dict[str, Mapping[str, Series]]":
+    """All recordings' signals by path, as the user wrote it; the same path twice is refused."""
+    found: dict[str, Mapping[str, Series]] = {}
+    for path in paths:
+        if str(path) in found:
+            raise InputError(path, "", "is given twice", "name each recording once")
+        found[str(path)] = read_recording(path, reading).series
+    return found
+
+
+@contextlib.contextmanager
+def told_what_it_holds(
+    path: Path, recording: "Recording", refusal: type[Exception] = ValueError
+) -> Iterator[None]:
+    """A ``refusal`` of a recording becomes an error that names the file and what it holds."""
+    try:
+        yield
+    except refusal as error:
+        there = ", ".join(sorted(recording.series))
+        raise InputError(path, "", str(error), f"it holds {there}") from None
 
 
 def say_notes(path: Path, notes: Sequence[str]) -> None:

@@ -6,15 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.cli._inputs import (
-    Channel,
-    Dbc,
-    Gaps,
-    GapsOption,
-    IgnoreUnknown,
+    ModelPath,
+    Reading,
     RecordingPaths,
-    Signals,
     progress,
-    read_recordings,
+    read_each,
+    told_what_it_holds,
 )
 
 if TYPE_CHECKING:
@@ -23,16 +20,13 @@ if TYPE_CHECKING:
 
 def reversals(
     recordings: RecordingPaths,
-    model: Annotated[Path, typer.Option("--model", help="Model file (YAML).")],
+    model: ModelPath,
     json: Annotated[Path | None, typer.Option("--json", help="Levels as JSON.")] = None,
     without_load_cell: Annotated[
         bool, typer.Option("--without-load-cell", help="Leave rack_force_n aside.")
     ] = False,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    gaps: GapsOption = Gaps.REFUSE,
-    ignore_unknown: IgnoreUnknown = False,
-    channel: Channel = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Friction levels from every change of direction in recordings, at any rack force.
 
@@ -41,26 +35,13 @@ def reversals(
     from eps_hil.adaptation.offline import adapt
     from eps_hil.adaptation.reversal import ReversalAdaptation, ReversalSettings
     from eps_hil.cli._files import write_json
-    from eps_hil.errors import InputError
     from eps_hil.physics.model import load_model
 
     rig = load_model(model)
     adaptation = ReversalAdaptation(ReversalSettings(load_cell=not without_load_cell), rig)
-    read = read_recordings(
-        recordings,
-        dbc=dbc,
-        signals=signals,
-        gaps=gaps,
-        ignore_unknown=ignore_unknown,
-        channel=channel,
-    )
-    for path, recording in zip(recordings, read, strict=True):
-        with progress(f"adapting to {path.name}") as on_progress:
-            try:
-                states = adapt(recording.series, rig, adaptation, on_progress)
-            except ValueError as error:
-                there = ", ".join(sorted(recording.series))
-                raise InputError(path, "", str(error), f"it holds {there}") from None
+    for path, recording in read_each(recordings, reading):
+        with progress(f"adapting to {path.name}") as bar, told_what_it_holds(path, recording):
+            states = adapt(recording.series, rig, adaptation, bar)
         typer.echo(f"{path.name}: {len(states)} stretches of 6 s")
     for line in _words(adaptation.state):
         typer.echo(line)

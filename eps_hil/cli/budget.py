@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from eps_hil.cli._files import write_json
-from eps_hil.cli._inputs import progress
-from eps_hil.cli.estimate import Kind, ModelPath
+from eps_hil.cli._inputs import ModelPath, progress
+from eps_hil.cli.estimate import Kind
 
 if TYPE_CHECKING:
     from eps_hil.budget.budget import Budget

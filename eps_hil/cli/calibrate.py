@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from eps_hil.cli._inputs import reads_recordings
 from eps_hil.cli._reversals import reversals
 from eps_hil.errors import EpsHilError, InputError, SafetyStop
 
@@ -40,7 +41,7 @@ def register(app: typer.Typer) -> None:
     verb = typer.Typer(help="Adapt the friction levels of a rig on the bus.", no_args_is_help=True)
     verb.command("torque-injection")(torque_injection)
     verb.command("error-injection")(error_injection)
-    verb.command("reversals")(reversals)
+    verb.command("reversals")(reads_recordings(reversals))
     app.add_typer(verb, name="calibrate")
 
 

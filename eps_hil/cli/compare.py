@@ -5,15 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eps_hil.cli._inputs import (
-    Channel,
-    Dbc,
-    Gaps,
-    GapsOption,
-    IgnoreUnknown,
-    Signals,
-    read_recordings,
-)
+from eps_hil.cli._inputs import ModelPath, Reading, read_recording, reads_recordings
 
 if TYPE_CHECKING:
     from eps_hil.report.comparison import Candidate
@@ -21,14 +13,14 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer) -> None:
     """Add the verb."""
-    app.command("compare")(compare)
+    app.command("compare")(reads_recordings(compare))
 
 
 def compare(
     recording: Annotated[
         Path, typer.Argument(metavar="REC", help="Rig recording that holds the load cell.")
     ],
-    model: Annotated[Path, typer.Option("--model", help="Model file of the rig (YAML).")],
+    model: ModelPath,
     live: Annotated[
         Path | None,
         typer.Option("--live", help="Estimates of the same time: run --log-estimates FILE."),
@@ -48,11 +40,8 @@ def compare(
     settings: Annotated[
         Path | None, typer.Option("--settings", help="Estimator settings (YAML).")
     ] = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    gaps: GapsOption = Gaps.REFUSE,
-    ignore_unknown: IgnoreUnknown = False,
-    channel: Channel = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Compare the estimator's variants with the load cell: table, and figure if asked for.
 
@@ -71,17 +60,10 @@ def compare(
     zooms = [_zoom(text) for text in zoom or []]
     rig = load_model(model)
     chosen = load(settings, EstimatorSettings) if settings else EstimatorSettings()
-    if signals:
-        chosen = derived_settings(chosen, load_mapping(signals))
+    if reading.signals:
+        chosen = derived_settings(chosen, load_mapping(reading.signals))
     published = comparison.read_published(live) if live else None
-    (read,) = read_recordings(
-        [recording],
-        dbc=dbc,
-        signals=signals,
-        gaps=gaps,
-        ignore_unknown=ignore_unknown,
-        channel=channel,
-    )
+    read = read_recording(recording, reading)
     candidates = comparison.compare(read, rig, chosen, published, second=second)
     _say(candidates)
     if json:

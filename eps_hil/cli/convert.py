@@ -5,31 +5,19 @@ from typing import Annotated
 
 import typer
 
-from eps_hil.cli._inputs import (
-    Channel,
-    Dbc,
-    Gaps,
-    GapsOption,
-    IgnoreUnknown,
-    Signals,
-    progress,
-    say_notes,
-)
+from eps_hil.cli._inputs import Reading, progress, reads_recordings, say_notes
 
 
 def register(app: typer.Typer) -> None:
     """Add the verb."""
-    app.command("convert")(convert)
+    app.command("convert")(reads_recordings(convert))
 
 
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Recording to read.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; suffix = format.")],
-    dbc: Dbc = None,
-    signals: Signals = None,
-    gaps: GapsOption = Gaps.REFUSE,
-    ignore_unknown: IgnoreUnknown = False,
-    channel: Channel = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Convert a recording: CSV, Parquet, MF4, or a CAN log; the suffixes name the formats.
 
@@ -38,14 +26,5 @@ def convert(
     from eps_hil.recordings.conversion import convert as convert_file
 
     with progress(f"converting {source.name}") as on_progress:
-        notes = convert_file(
-            source,
-            target,
-            dbc=dbc or (),
-            signals=signals,
-            gaps=gaps.value,
-            ignore_unknown=ignore_unknown,
-            channel=channel,
-            on_progress=on_progress,
-        )
+        notes = convert_file(source, target, **reading.arguments(), on_progress=on_progress)
     say_notes(source, notes)

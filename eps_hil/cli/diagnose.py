@@ -7,18 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.cli._files import write_json
-from eps_hil.cli._inputs import (
-    Channel,
-    Dbc,
-    Gaps,
-    GapsOption,
-    IgnoreUnknown,
-    Signals,
-    progress,
-    read_recordings,
-    say_notes,
-)
-from eps_hil.cli.estimate import ModelPath
+from eps_hil.cli._inputs import ModelPath, Reading, progress, read_all, reads_recordings, say_notes
 
 if TYPE_CHECKING:
     from eps_hil.diagnosis.diagnose import Diagnosis
@@ -30,7 +19,7 @@ _TOO_LONG_MIN = 60.0
 
 def register(app: typer.Typer) -> None:
     """Add the verb."""
-    app.command("diagnose")(diagnose)
+    app.command("diagnose")(reads_recordings(diagnose))
 
 
 def diagnose(
@@ -76,11 +65,8 @@ def diagnose(
             "--without-effect", metavar="ID", help="Do not consider this effect; may repeat."
         ),
     ] = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    gaps: GapsOption = Gaps.REFUSE,
-    ignore_unknown: IgnoreUnknown = False,
-    channel: Channel = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Locate where recordings and model differ, name the missing physics, and show the gain.
 
@@ -95,20 +81,13 @@ def diagnose(
     from eps_hil.recordings.files import replacing
 
     if report:
-        from eps_hil.report import diagnosis_page
+        from eps_hil.report import diagnosis_page, page
 
-        diagnosis_page.check()
+        page.check()
     rig = load_model(model)
     without = _known(without_effect or [])
-    options: dict[str, Any] = {
-        "dbc": dbc,
-        "signals": signals,
-        "gaps": gaps,
-        "ignore_unknown": ignore_unknown,
-        "channel": channel,
-    }
-    fitted = _read(recording, options)
-    judged = _read(holdout or [], options)
+    fitted = read_all(recording, reading)
+    judged = read_all(holdout or [], reading)
     with progress("diagnosing") as bar:
         try:
             say = (lambda _what, part: bar(part)) if bar else None
@@ -144,17 +123,6 @@ def _known(effects: list[str]) -> frozenset[str]:
             remedy = f"did you mean '{near[0]}'?" if near else "docs/reference-effects.md lists all"
             raise InputError("--without-effect", "", f"'{name}' is no effect", remedy)
     return frozenset(effects)
-
-
-def _read(paths: list[Path], options: Mapping[str, Any]) -> "dict[str, Mapping[str, Series]]":
-    from eps_hil.errors import InputError
-
-    found: dict[str, Mapping[str, Series]] = {}
-    for path, recording in zip(paths, read_recordings(paths, **options), strict=True):
-        if str(path) in found:
-            raise InputError(path, "", "is given twice", "name each recording once")
-        found[str(path)] = recording.series
-    return found
 
 
 def _traces(paths: list[Path], mapping: Path | None) -> "dict[str, Mapping[str, Series]]":

@@ -9,14 +9,12 @@ import typer
 
 from eps_hil.cli._files import check_different, output_for, write_json
 from eps_hil.cli._inputs import (
-    Channel,
-    Dbc,
-    Gaps,
-    GapsOption,
-    IgnoreUnknown,
+    ModelPath,
+    Reading,
     RecordingPaths,
-    Signals,
-    read_recordings,
+    read_each,
+    reads_recordings,
+    told_what_it_holds,
 )
 
 if TYPE_CHECKING:
@@ -45,12 +43,9 @@ class Kind(enum.StrEnum):
     SMOOTHER = "smoother"
 
 
-ModelPath = Annotated[Path, typer.Option("--model", help="Model file of the rig (YAML).")]
-
-
 def register(app: typer.Typer) -> None:
     """Add the verb."""
-    app.command("estimate")(estimate)
+    app.command("estimate")(reads_recordings(estimate))
 
 
 def estimate(
@@ -75,11 +70,8 @@ def estimate(
         bool,
         typer.Option("--friction", help="Rack force known: give the friction torque instead."),
     ] = False,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    gaps: GapsOption = Gaps.REFUSE,
-    ignore_unknown: IgnoreUnknown = False,
-    channel: Channel = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Estimate the rack force of recordings.
 
@@ -90,23 +82,12 @@ def estimate(
 
     rig = load_model(model)
     chosen = _settings(settings, without or [], friction, kind)
-    if signals:
-        chosen = _with_window(chosen, signals)
+    if reading.signals:
+        chosen = _with_window(chosen, reading.signals)
     if out:
         _check_out(out, recordings)
     results = []
-    for path, recording in zip(
-        recordings,
-        read_recordings(
-            recordings,
-            dbc=dbc,
-            signals=signals,
-            gaps=gaps,
-            ignore_unknown=ignore_unknown,
-            channel=channel,
-        ),
-        strict=True,
-    ):
+    for path, recording in read_each(recordings, reading):
         trace, result = _one(path, recording, rig, chosen)
         results.append(result)
         if out:
@@ -167,12 +148,9 @@ def _one(
 
     if wrong := problem(settings, live=False):
         raise InputError("settings", "kind", wrong)
-    try:
+    with told_what_it_holds(path, recording):
         trace = batch.estimate(recording.series, rig, settings)
         latency = batch.latency_s(rig, settings, batch.sample_periods_s(recording.series))
-    except ValueError as error:
-        there = ", ".join(sorted(recording.series))
-        raise InputError(path, "", str(error), f"it holds {there}") from None
     if not len(trace.t_ns):
         raise InputError(
             path, "", "is too short for one estimate", f"record more than {latency:.3f} s"

@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.cli._inputs import (
-    Channel,
-    Dbc,
     Gaps,
-    GapsOption,
-    IgnoreUnknown,
+    ModelPath,
+    Reading,
     RecordingPaths,
-    Signals,
     progress,
-    read_recordings,
+    read_each,
+    reads_recordings,
+    told_what_it_holds,
 )
-from eps_hil.cli.estimate import ModelPath
 
 if TYPE_CHECKING:
     from eps_hil.identification.chain_response import Agreement, Load
@@ -29,7 +27,7 @@ SCHEMA = "eps-hil/frequency-response/1"
 
 def register(app: typer.Typer) -> None:
     """Add the verb."""
-    app.command("frequency-response")(frequency_response)
+    app.command("frequency-response")(reads_recordings(frequency_response, Gaps.MARK))
 
 
 def frequency_response(
@@ -61,11 +59,8 @@ def frequency_response(
     ] = "h1",
     out: Annotated[Path | None, typer.Option("--out", help="Picture (.png, .svg, .pdf).")] = None,
     json: Annotated[Path | None, typer.Option("--json", help="All lines as JSON.")] = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    gaps: GapsOption = Gaps.MARK,
-    ignore_unknown: IgnoreUnknown = False,
-    channel: Channel = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Frequency responses of speed, position, wheel speed and force to the motor torque.
 
@@ -87,14 +82,7 @@ def frequency_response(
         raise InputError("--load-stiffness", "", "goes with --load-damping", "give both or none")
     settings = ResponseSettings(from_hz, to_hz, resolution_hz, estimator)  # type: ignore[arg-type]
     rig = load_model(model)
-    options = {
-        "dbc": dbc,
-        "signals": signals,
-        "gaps": gaps,
-        "ignore_unknown": ignore_unknown,
-        "channel": channel,
-    }
-    parts = _stretches(recordings, rig, options)
+    parts = _stretches(recordings, rig, reading)
     try:
         measured = responses(parts, settings)
     except ValueError as error:
@@ -116,17 +104,13 @@ def frequency_response(
         typer.echo(f"figure: {frequency_figure.draw(measured, models, out)}")
 
 
-def _stretches(paths: list[Path], rig: "Model", options: Mapping[str, Any]) -> "list[Stretch]":
-    from eps_hil.errors import InputError
+def _stretches(paths: list[Path], rig: "Model", reading: Reading) -> "list[Stretch]":
     from eps_hil.identification.frequency_response import stretches
 
     parts: list[Stretch] = []
-    for path, recording in zip(paths, read_recordings(paths, **options), strict=True):
-        try:
+    for path, recording in read_each(paths, reading):
+        with told_what_it_holds(path, recording):
             parts += stretches(recording.series, rig)
-        except ValueError as error:
-            there = ", ".join(sorted(recording.series))
-            raise InputError(path, "", str(error), f"it holds {there}") from None
     return parts
 
 

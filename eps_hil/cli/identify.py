@@ -7,17 +7,13 @@ import typer
 
 from eps_hil.cli._files import write_json
 from eps_hil.cli._inputs import (
-    Channel,
-    Dbc,
-    Gaps,
-    GapsOption,
-    IgnoreUnknown,
+    ModelPath,
+    Reading,
     RecordingPaths,
-    Signals,
     progress,
-    read_recordings,
+    read_all,
+    reads_recordings,
 )
-from eps_hil.cli.estimate import ModelPath
 
 if TYPE_CHECKING:
     from eps_hil.identification.result import Estimate, Identification
@@ -25,7 +21,7 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer) -> None:
     """Add the verb."""
-    app.command("identify")(identify)
+    app.command("identify")(reads_recordings(identify))
 
 
 def identify(
@@ -38,11 +34,8 @@ def identify(
     report: Annotated[
         Path | None, typer.Option("--report", help="The result as one HTML page, for people.")
     ] = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    gaps: GapsOption = Gaps.REFUSE,
-    ignore_unknown: IgnoreUnknown = False,
-    channel: Channel = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Delays, inertia, friction map and bristle parameters from rig recordings, with intervals.
 
@@ -50,33 +43,17 @@ def identify(
     Needs motor torque, and rotor speed or angle; the load cell where the load is not a free rack
     or a spring.
     """
-    from eps_hil.errors import InputError
     from eps_hil.identification.identify import identify as run
     from eps_hil.identification.write_model import model_file
     from eps_hil.physics.model import load_model
     from eps_hil.recordings.files import replacing
 
     if report:
-        from eps_hil.report import identification_page
+        from eps_hil.report import identification_page, page
 
-        identification_page.check()
+        page.check("--report", "matplotlib")
     rig = load_model(model)
-    read = {}
-    for path, recording in zip(
-        recordings,
-        read_recordings(
-            recordings,
-            dbc=dbc,
-            signals=signals,
-            gaps=gaps,
-            ignore_unknown=ignore_unknown,
-            channel=channel,
-        ),
-        strict=True,
-    ):
-        if str(path) in read:
-            raise InputError(path, "", "is given twice", "name each recording once")
-        read[str(path)] = recording.series
+    read = read_all(recordings, reading)
     with progress("identifying") as bar:
         found = run(read, rig, bar)
     _say(found)

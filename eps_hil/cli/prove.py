@@ -54,9 +54,9 @@ def concealed(
     from eps_hil.oracle.closed_loop import closed_loop
     from eps_hil.proof.plans import MIX
     from eps_hil.proof.run import Desk, Setting, run
-    from eps_hil.report import proof_page
+    from eps_hil.report import page, proof_page
 
-    proof_page.check()
+    page.check("prove", "matplotlib")
     setting = Setting(seed, quick, not (quick or development), cases or sum(MIX.values()))
     folder = out or Path(f"concealed{'_quick' if quick else ''}_{seed}")
     with progress("proving") as bar:

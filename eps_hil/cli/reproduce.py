@@ -32,10 +32,11 @@ def reproduce(
     from eps_hil.cli._files import write_json
     from eps_hil.cli._inputs import progress
     from eps_hil.errors import InputError
+    from eps_hil.report.page import check
     from eps_hil.reproduction import page
     from eps_hil.reproduction.reproduce import reproduce as run
 
-    page.check()
+    check("reproduce", "matplotlib")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -7,15 +7,12 @@ import typer
 
 from eps_hil.cli._files import check_different
 from eps_hil.cli._inputs import (
-    Channel,
-    Dbc,
-    Gaps,
-    GapsOption,
-    IgnoreUnknown,
-    Signals,
-    read_recordings,
+    ModelPath,
+    Reading,
+    read_recording,
+    reads_recordings,
+    told_what_it_holds,
 )
-from eps_hil.cli.estimate import ModelPath
 
 if TYPE_CHECKING:
     from eps_hil.physics.model import Model
@@ -24,7 +21,7 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer) -> None:
     """Add the verb."""
-    app.command("simulate")(simulate)
+    app.command("simulate")(reads_recordings(simulate))
 
 
 def simulate(
@@ -35,11 +32,8 @@ def simulate(
         bool,
         typer.Option("--physical", help="Write physical instants, not what sensors report late."),
     ] = False,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    gaps: GapsOption = Gaps.REFUSE,
-    ignore_unknown: IgnoreUnknown = False,
-    channel: Channel = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Run the recorded motor torque, torsion-bar torque and rack force through the model.
 
@@ -52,28 +46,17 @@ def simulate(
     rig = load_model(model)
     check_writable_suffix(out)
     check_different(out, inputs)
-    (recording,) = read_recordings(
-        [inputs],
-        dbc=dbc,
-        signals=signals,
-        gaps=gaps,
-        ignore_unknown=ignore_unknown,
-        channel=channel,
-    )
+    recording = read_recording(inputs, reading)
     t_ns, columns = _run(inputs, recording, rig, physical)
     write_table(out, columns, t_ns=t_ns)
     typer.echo(f"{inputs.name}: {len(t_ns)} rows simulated to {out}")
 
 
 def _run(path: Path, recording: "Recording", rig: "Model", physical: bool) -> Any:
-    from eps_hil.errors import InputError
     from eps_hil.physics.forward import InputMissingError, forward
 
-    try:
+    with told_what_it_holds(path, recording, InputMissingError):
         result = forward(rig, recording.series, physical=physical)
-    except InputMissingError as error:
-        there = ", ".join(sorted(recording.series))
-        raise InputError(path, "", str(error), f"it holds {there}") from None
     for note in result.notes:
         typer.echo(f"{path.name}: {note}", err=True)
     return result.t_ns, result.columns

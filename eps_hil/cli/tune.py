@@ -7,17 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.cli._files import write_json
-from eps_hil.cli._inputs import (
-    Channel,
-    Dbc,
-    Gaps,
-    GapsOption,
-    IgnoreUnknown,
-    Signals,
-    progress,
-    read_recordings,
-)
-from eps_hil.cli.estimate import ModelPath
+from eps_hil.cli._inputs import ModelPath, Reading, progress, read_recording, reads_recordings
 
 if TYPE_CHECKING:
     from eps_hil.estimation.tuning import Noise, Point
@@ -29,7 +19,7 @@ _CHECKED = 5
 
 def register(app: typer.Typer) -> None:
     """Add the verb."""
-    app.command("tune")(tune)
+    app.command("tune")(reads_recordings(tune))
 
 
 def tune(
@@ -48,11 +38,8 @@ def tune(
     figure: Annotated[
         Path | None, typer.Option("--figure", help="The curve (.png, .svg, .pdf).")
     ] = None,
-    dbc: Dbc = None,
-    signals: Signals = None,
-    gaps: GapsOption = Gaps.REFUSE,
-    ignore_unknown: IgnoreUnknown = False,
-    channel: Channel = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Show what a faster or slower observer costs: newtons of noise against milliseconds of delay.
 
@@ -73,11 +60,7 @@ def tune(
                          "leave it at rack_force")  # fmt: skip
     noise = tuning.assumed_noise(chosen)
     if recording is not None:
-        (read,) = read_recordings(
-            [recording], dbc=dbc, signals=signals, gaps=gaps, ignore_unknown=ignore_unknown,
-            channel=channel,
-        )  # fmt: skip
-        noise = _noise_of(read, recording, rig)
+        noise = _noise_of(read_recording(recording, reading), recording, rig)
     now, points = tuning.point(rig, chosen, noise), tuning.curve(rig, chosen, noise)
     places = [round(k * (len(points) - 1) / (_CHECKED - 1)) for k in range(_CHECKED)]
     checked: list[tuple[Point, float]] = []

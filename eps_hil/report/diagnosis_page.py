@@ -4,19 +4,16 @@ The page loads nothing: style, script (uPlot, MIT licence, in ``assets/uplot``) 
 and its content security policy forbids the rest. What comes from files is escaped by the template.
 """
 
-import math
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from eps_hil.diagnosis.diagnose import Diagnosis
 from eps_hil.diagnosis.select import FORWARD_SHARE, score, threshold
-from eps_hil.errors import InputError
 from eps_hil.physics.effects.catalogue import catalogue
-from eps_hil.recordings.files import replacing
-from eps_hil.report import diagnosis_evidence, diagnosis_figures, diagnosis_maps
+from eps_hil.report import diagnosis_evidence, diagnosis_figures, diagnosis_maps, page
 from eps_hil.report.diagnosis_evidence import Evidence
+from eps_hil.report.page import number
 from eps_hil.report.plots import Plot
 
 MOST_OTHERS = 6
@@ -29,64 +26,25 @@ MEASURES: Mapping[str, tuple[str, str, bool]] = {
 """Names, units, and whether more is better, of CONTRACT 7's measures."""
 
 
-def check() -> None:
-    """:class:`InputError` where the library that fills the page is not installed."""
-    try:
-        import jinja2  # noqa: F401
-    except ImportError:
-        raise InputError(
-            "--report", "", "a page needs the 'report' extra", 'pip install "eps_hil[report]"'
-        ) from None
-
-
 def write(diagnosis: Diagnosis, path: Path, model_name: str) -> None:
     """Write the page whole or not at all; ``model_name`` is the model file as the user calls it."""
-    page = render(diagnosis, model_name)
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    page.write(path, render(diagnosis, model_name))
 
 
 def render(diagnosis: Diagnosis, model_name: str) -> str:
     """The page's HTML."""
-    check()
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("eps_hil.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = number
     plots: list[Plot] = []
     values = _values(diagnosis, plots)
-    template = environment.get_template("diagnosis.html.jinja")
-    return template.render(
+    return page.fill(
+        "diagnosis.html.jinja",
         model_name=model_name,
         **values,
         plots=[plot.content() for plot in plots],
-        uplot_js=_asset("uplot/uPlot.iife.min.js"),
-        uplot_css=_asset("uplot/uPlot.min.css"),
-        page_js=_asset("diagnosis.js"),
-        page_css=_asset("diagnosis.css"),
+        uplot_js=page.asset("uplot/uPlot.iife.min.js"),
+        uplot_css=page.asset("uplot/uPlot.min.css"),
+        page_js=page.asset("diagnosis.js"),
+        page_css=page.asset("diagnosis.css"),
     )
-
-
-def _asset(name: str) -> str:
-    return (files("eps_hil.report") / "assets" / name).read_text(encoding="utf-8")
-
-
-def number(value: Any, digits: int = 3) -> str:
-    """A value for reading: three digits, a minus that is one, and "–" for none."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return "–"
-    if value == 0:
-        return "0"
-    text = f"{value:.{digits}g}"
-    if "e" in text and 1e-6 < abs(value) < 1e6:
-        text = f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
-    return text.replace("e-0", "e-").replace("e+0", "e").replace("-", "−")
 
 
 def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:

@@ -1,15 +1,12 @@
 """An identification as one self-contained HTML page: numbers, map, coverage, delays, findings."""
 
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from eps_hil.errors import InputError
 from eps_hil.identification.friction_map import ENOUGH_S
 from eps_hil.identification.result import Estimate, Identification
-from eps_hil.recordings.files import replacing
-from eps_hil.report import identification_figure
+from eps_hil.report import identification_figure, page
 
 MEANINGS = {
     "inertia_kg_m2": "inertia at the rotor, J",
@@ -25,38 +22,15 @@ MEANINGS = {
 }
 
 
-def check() -> None:
-    """:class:`InputError` where the libraries that fill the page are not installed."""
-    try:
-        import jinja2  # noqa: F401
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise InputError(
-            "--report", "", "a page needs the 'report' extra", 'pip install "eps_hil[report]"'
-        ) from None
-
-
 def write(found: Identification, path: Path, model_name: str) -> None:
     """Write the page whole or not at all; ``model_name`` is the model file as the user calls it."""
-    page = render(found, model_name)
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    page.write(path, render(found, model_name))
 
 
 def render(found: Identification, model_name: str) -> str:
     """The page's HTML."""
-    check()
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("eps_hil.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    style = (files("eps_hil.report") / "assets" / "diagnosis.css").read_text(encoding="utf-8")
-    return environment.get_template("identification.html.jinja").render(
+    return page.fill(
+        "identification.html.jinja",
         model_name=model_name,
         found=found,
         verdict=_verdict(found),
@@ -66,7 +40,7 @@ def render(found: Identification, model_name: str) -> str:
         coverage=_coverage(found),
         enough_s=ENOUGH_S,
         figure=identification_figure.svg(found),
-        css=style,
+        css=page.asset("diagnosis.css"),
     )
 
 

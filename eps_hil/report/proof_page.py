@@ -1,9 +1,7 @@
 """A proof as one page: figures beside their goals, pictures, failures with links, every case."""
 
-import base64
 import json
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +9,7 @@ from eps_hil.proof import goals, score
 from eps_hil.proof.judge import Judgement, failed
 from eps_hil.proof.run import SEALS, Setting, judgement, long_seconds
 from eps_hil.recordings.files import replacing
-from eps_hil.report import proof_figures
-from eps_hil.report.diagnosis_page import check, number
-
-__all__ = ["PAGE", "RESULT", "check", "render", "write"]
+from eps_hil.report import page, proof_figures
 
 PAGE, RESULT = "index.html", "proof.json"
 
@@ -53,8 +48,7 @@ def write(out: Path, setting: Setting, lines: Sequence[dict[str, Any]]) -> dict[
     }
     with replacing(out / RESULT) as temporary:
         temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    with replacing(out / PAGE) as temporary:
-        temporary.write_text(render(result, rows, lines, judged, pictures), encoding="utf-8")
+    page.write(out / PAGE, render(result, rows, lines, judged, pictures))
     return {"table": goals.table(rows), "details": score.report(judged), "result": result}
 
 
@@ -66,18 +60,9 @@ def render(
     pictures: Mapping[str, Path],
 ) -> str:
     """The page's HTML, pictures inside."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("eps_hil.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = number
     told = [_told(line, j) for line, j in zip(lines, judged, strict=True)]
-    return environment.get_template("proof.html.jinja").render(
+    return page.fill(
+        "proof.html.jinja",
         result=result,
         rows=rows,
         shares=score.shares(judged),
@@ -85,8 +70,8 @@ def render(
         told=told,
         failures=[one for one in told if one["failed"]],
         unanswered=sum(not j.answered for j in judged),
-        pictures={name: _inside(path) for name, path in pictures.items()},
-        page_css=(files("eps_hil.report") / "assets" / "diagnosis.css").read_text("utf-8"),
+        pictures={name: page.picture(path) for name, path in pictures.items()},
+        page_css=page.asset("diagnosis.css"),
     )
 
 
@@ -130,7 +115,3 @@ def _seconds(lines: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
         "hiding": hidden[len(hidden) // 2] if hidden else None,
         "diagnosing": seen[len(seen) // 2] if seen else None,
     }
-
-
-def _inside(path: Path) -> str:
-    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")

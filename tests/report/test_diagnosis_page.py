@@ -15,7 +15,7 @@ from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
 from eps_hil.physics.model import load_model
 from eps_hil.report import diagnosis_page
 from eps_hil.report.diagnosis_maps import colour
-from eps_hil.report.diagnosis_page import number
+from eps_hil.report.page import number
 from eps_hil.report.plots import numbers, thinned
 from eps_hil.series import Series
 
