@@ -17,13 +17,10 @@ settings.register_profile("rig", deadline=None)
 settings.load_profile("rig")
 
 
-def _independent_rig() -> ModuleType:
-    """``tests/estimation/independent_rig.py``, once per process."""
-    name = "independent_rig"
+def _module(name: str, folder: str) -> ModuleType:
+    """``tests/<folder>/<name>.py``, once per process and under one name, which numba caches by."""
     if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(
-            name, ROOT / "tests" / "estimation" / "independent_rig.py"
-        )
+        spec = importlib.util.spec_from_file_location(name, ROOT / "tests" / folder / f"{name}.py")
         assert spec is not None
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
@@ -39,7 +36,13 @@ def reference_model() -> Model:
 
 @pytest.fixture(scope="session")
 def independent_rig() -> ModuleType:
-    return _independent_rig()
+    return _module("independent_rig", "estimation")
+
+
+@pytest.fixture(scope="session")
+def other_rig() -> ModuleType:
+    """A second rig of other code, whose missing physics is known."""
+    return _module("other_rig", "diagnosis")
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ the exact count of frames that the kernel dropped, and a receive buffer that was
 """
 
 import asyncio
+import contextlib
 import errno
 import os
 import select
@@ -13,7 +14,7 @@ import socket
 import struct
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from eps_hil.bus.frame import Frame
@@ -40,6 +41,20 @@ _ANCILLARY_BYTES = socket.CMSG_SPACE(16) + socket.CMSG_SPACE(48) + socket.CMSG_S
 # level-triggered selector calls again at once.
 _BATCH_MAX = 1024
 _FULL = {errno.ENOBUFS, errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOMEM}
+
+
+@contextlib.contextmanager
+def options_refused(
+    interface: str, channel: str, options: Mapping[str, Any], known: Sequence[str], note: str = ""
+) -> Iterator[None]:
+    """:class:`BusError` for an option that is not ``known``, or whose value the block refuses."""
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise BusError(f"{interface} has no option '{unknown[0]}'; known: {', '.join(known)}{note}")
+    try:
+        yield
+    except (TypeError, ValueError, OverflowError, struct.error) as error:
+        raise BusError(f"{channel}: an option has a value that does not fit: {error}") from None
 
 
 class SocketPort(ABC):

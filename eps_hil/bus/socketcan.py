@@ -18,6 +18,7 @@ from eps_hil.bus.socket_port import (
     RECEIVE_BUFFER_BYTES,
     SO_TIMESTAMPING,
     SocketPort,
+    options_refused,
     require_option,
     set_receive_buffer,
     stamp_and_count,
@@ -182,17 +183,10 @@ def open_socketcan(
     options: Mapping[str, Any],
 ) -> Port:
     """:class:`SocketCanPort` with options from a configuration file."""
-    known = {"receive_buffer_bytes", "receive_own", "hardware_stamps"}
-    unknown = sorted(set(options) - known)
-    if unknown:
-        raise BusError(
-            f"socketcan has no option '{unknown[0]}'; known: {', '.join(sorted(known))} "
-            "(the bit rate is set with ip link, not here)"
-        )
-    try:
+    known = ("hardware_stamps", "receive_buffer_bytes", "receive_own")
+    note = " (the bit rate is set with ip link, not here)"
+    with options_refused("socketcan", channel, options, known, note):
         return SocketCanPort(channel, fd=fd, receive_ids=receive_ids, send_ids=send_ids, **options)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise BusError(f"{channel}: an option has a value that does not fit: {error}") from None
 
 
 def _raw_socket() -> socket.socket:

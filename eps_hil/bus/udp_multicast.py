@@ -21,6 +21,7 @@ from eps_hil.bus.port import Port
 from eps_hil.bus.socket_port import (
     RECEIVE_BUFFER_BYTES,
     SocketPort,
+    options_refused,
     set_receive_buffer,
     stamp_and_count,
 )
@@ -137,18 +138,11 @@ def open_udp_multicast(
     options: Mapping[str, Any],
 ) -> Port:
     """:class:`UdpMulticastPort` with options from a configuration file."""
-    known = {"port", "hop_limit", "receive_buffer_bytes"}
-    unknown = sorted(set(options) - known)
-    if unknown:
-        raise BusError(
-            f"udp_multicast has no option '{unknown[0]}'; known: {', '.join(sorted(known))}"
-        )
-    try:
+    known = ("hop_limit", "port", "receive_buffer_bytes")
+    with options_refused("udp_multicast", channel, options, known):
         return UdpMulticastPort(
             channel, fd=fd, receive_ids=receive_ids, send_ids=send_ids, **options
         )
-    except (TypeError, ValueError, OverflowError, struct.error) as error:
-        raise BusError(f"{channel}: an option has a value that does not fit: {error}") from None
 
 
 def _family(channel: str) -> socket.AddressFamily:

@@ -1,9 +1,6 @@
 """Recordings of a rig of other code whose missing physics is known."""
 
-import importlib.util
-import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -13,24 +10,6 @@ import pytest
 from eps_hil.series import Series
 
 Recordings = Mapping[str, Mapping[str, Series]]
-
-
-def _other_rig() -> ModuleType:
-    name = "other_rig"
-    if name not in sys.modules:
-        file = Path(__file__).with_name("other_rig.py")
-        spec = importlib.util.spec_from_file_location(name, file)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
-        spec.loader.exec_module(module)
-    return sys.modules[name]
-
-
-@pytest.fixture(scope="session")
-def other_rig() -> ModuleType:
-    return _other_rig()
 
 
 @pytest.fixture(scope="session")

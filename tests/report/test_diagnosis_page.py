@@ -1,8 +1,6 @@
 """The page of a diagnosis: whole, escaped, self-contained, and right for every verdict."""
 
-import importlib.util
 import json
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
@@ -24,19 +22,7 @@ EVIL = "<script>alert(1)</script>&\"'.csv"
 _VOID = {"meta", "rect", "br", "link"}
 
 
-def _other_rig() -> ModuleType:
-    path = ROOT / "tests" / "diagnosis" / "other_rig.py"
-    spec = importlib.util.spec_from_file_location("other_rig", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # numba caches under this name
-    spec.loader.exec_module(module)
-    return module
-
-
-def _diagnosed(effects: dict[str, float]) -> Diagnosis:
-    rig = _other_rig()
+def _diagnosed(rig: ModuleType, effects: dict[str, float]) -> Diagnosis:
     plant = rig.Effects({getattr(rig, name): value for name, value in effects.items()})
 
     def recorded(manoeuvre: str, seed: int) -> dict[str, Series]:
@@ -50,8 +36,8 @@ def _diagnosed(effects: dict[str, float]) -> Diagnosis:
 
 
 @pytest.fixture(scope="module")
-def explained() -> Diagnosis:
-    return _diagnosed({"SPRING": 0.004})
+def explained(other_rig: ModuleType) -> Diagnosis:
+    return _diagnosed(other_rig, {"SPRING": 0.004})
 
 
 @pytest.fixture(scope="module")
@@ -166,8 +152,8 @@ def test_ablation_lists_every_term(page: str) -> None:
     assert "sensor noise alone" in text
 
 
-def test_page_of_nothing_missing() -> None:
-    result = _diagnosed({})
+def test_page_of_nothing_missing(other_rig: ModuleType) -> None:
+    result = _diagnosed(other_rig, {})
     assert result.content["verdict"] == "no_mismatch"
     checked = _Checked(diagnosis_page.render(result, "m.yaml"))
     assert checked.open == []
