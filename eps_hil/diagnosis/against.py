@@ -5,7 +5,8 @@ from dataclasses import replace
 
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
 from eps_hil.diagnosis.select import Say
-from eps_hil.diagnosis.simulation import Signals, Simulated, explain, silent_on
+from eps_hil.diagnosis.simulation import Simulated, explain, silent_on
+from eps_hil.diagnosis.traces import Signals
 from eps_hil.physics.model import Model
 
 

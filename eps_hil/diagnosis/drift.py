@@ -1,7 +1,7 @@
 """A clock that drifts: one signal's stamps run fast or slow against the others'.
 
 A drift of 100 ppm is 6 ms after a minute: more than any delay of the model file. Speed and angle
-are looked at against the rack position (``kinematics.py``), where a delay that grows with time
+are looked at against the rack position (``rotor_and_rack.py``), where a delay that grows with time
 shows directly.
 """
 

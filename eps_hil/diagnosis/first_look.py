@@ -12,6 +12,7 @@ from typing import Any
 from eps_hil.diagnosis import kinematics, quality
 from eps_hil.diagnosis.drift import Drift
 from eps_hil.diagnosis.prepare import Prepared
+from eps_hil.diagnosis.seen import finding
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -85,7 +86,7 @@ def first_look(
             ready = [drifting.corrected(one) for one in ready]
             findings.append(drifting.finding())
             continue
-        findings.append(kinematics.finding(effect))
+        findings.append(finding(effect))
         if name == "rack_ratio":
             model = replace(model, effects=(*model.effects, effect.entry))
         else:

@@ -1,0 +1,290 @@
+"""Rotor against rack, e = φ − i_APA · x: play, a belt that gives, a wrong ratio, a clock's drift.
+
+With the transmitted torque τ = F/i_APA − (i_pi/i_APA)·T_sen + J₂ω̇ an elastic belt makes e = τ/c,
+play makes e jump by the gap where τ changes its sign, a wrong ratio makes it grow with x, a late
+angle with the speed. All are columns of one least-squares fit.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.drift import drift_matters
+from eps_hil.diagnosis.prepare import Prepared, low_pass
+from eps_hil.diagnosis.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
+from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+BLOCK_S = 2.0
+LEAST_COMPLIANCE = 1.0 / 60.0
+"""rad/Nm; a stiffer drive resonates above 150 Hz, where no torque balance sees it."""
+LEAST_GAP_RAD = 0.02
+LEAST_RATIO = 0.004
+_OPEN_NM, _WIDE = 0.03, 9
+"""Within so many thinned samples of a smaller transmitted torque a gap may be open."""
+_CONTACT_NM = 0.01
+"""Transmitted torque at which a gap counts as closed."""
+_ONE_SOURCE = 1e-3
+"""A rack position this near (rad at the rotor) to the angle was made from it."""
+_INERTIA_SHARE = 0.33
+_SMOOTH_HZ = 40.0
+_ALWAYS = ("ratio", "delay")
+"""Columns of every fit…"""
+_GROUPS = {
+    "belt_compliance": ("compliance", "inertia"),
+    "backlash": ("half_gap",),
+    "rack_ratio": ("ratio_slope", "ratio_bend"),
+    "clock_drift": ("drift",),
+}
+"""…and those that an effect adds."""
+
+
+class Rows:
+    """Thinned residual and regressors of one recording."""
+
+    def __init__(self, one: Prepared, model: Model) -> None:
+        motion = one.motion(model)
+        ratio = model.rack_to_rotor_ratio_rad_per_m
+        self.one = one
+        torque = transmitted(one, model)
+        closed = ~may_be_open(one.thin(torque))
+
+        def thin(values: Floats) -> Floats:
+            return one.thin(values)[closed]
+
+        self.e = thin(motion.angle_rad - ratio * motion.position_m)
+        self.x = thin(motion.position_m)
+        self.torque, self.force = thin(torque), thin(motion.rack_force_n)
+        self.columns = {
+            "ratio": ratio * self.x,
+            "delay": -thin(motion.speed_rad_s),
+            "drift": -thin(motion.speed_rad_s * (one.time_s - one.time_s[0])) * 1e-6,
+            "compliance": self.torque,
+            "inertia": thin(model.inertia_kg_m2 * motion.acceleration_rad_s2),
+            "half_gap": np.tanh(self.torque / _CONTACT_NM),
+            "ratio_slope": ratio * self.x * self.x,
+            "ratio_bend": ratio * self.x**3,
+        }
+        sigma = np.hypot(
+            one.noise.get("motor_angle_rad", 0.0), ratio * one.noise["rack_position_m"]
+        )
+        self.sigma = max(float(sigma) * np.sqrt(_passed()), 1e-6)
+        block = (one.thin_time_s - one.thin_time_s[0]) // BLOCK_S
+        self.block = block[closed].astype(np.int64)
+
+
+def may_be_open(torque: Floats) -> Flags:
+    """Where the transmitted torque is about to change its sign: a gap may be open there."""
+    small = np.abs(torque) < _OPEN_NM
+    small |= np.append(np.diff(np.sign(torque)) != 0, False)
+    return np.asarray(np.convolve(small, np.ones(_WIDE), mode="same") > 0)
+
+
+def _passed() -> float:
+    """Share of white noise's power that the low-pass of ``thin`` lets through."""
+    from scipy.signal import butter, sosfreqz
+
+    sos = butter(4, 40.0, fs=1000.0, output="sos")
+    return float(np.mean(np.abs(sosfreqz(sos, 2048)[1]) ** 4))
+
+
+def has_rack(one: Prepared, model: Model) -> bool:
+    """Angle and rack position, measured apart."""
+    if "motor_angle_rad" not in one.raw or "rack_position_m" not in one.raw:
+        return False
+    apart = one.raw["motor_angle_rad"] - (
+        model.rack_to_rotor_ratio_rad_per_m * one.raw["rack_position_m"]
+    )
+    return float(np.std(np.diff(apart))) > _ONE_SOURCE
+
+
+def transmitted(one: Prepared, model: Model) -> Floats:
+    """Torque from rotor to rack (Nm at the rotor), 1 kHz; the rack side's inertia included."""
+    motion = one.motion(model)
+    load = motion.rack_force_n / model.rack_to_rotor_ratio_rad_per_m
+    hand = model.sensor_to_rotor * motion.torque_sensor_nm
+    share = _INERTIA_SHARE * model.inertia_kg_m2
+    return np.asarray(load - hand + share * low_pass(motion.acceleration_rad_s2, _SMOOTH_HZ))
+
+
+def _design(rows: Sequence[Rows], names: Sequence[str]) -> tuple[Floats, Floats]:
+    """(columns, residual), both in noise deviations; one constant a recording."""
+    parts = []
+    for k, one in enumerate(rows):
+        constants = np.zeros((len(one.e), len(rows)))
+        constants[:, k] = 1.0
+        columns = np.column_stack([one.columns[name] for name in names])
+        parts.append(np.column_stack([constants, columns]) / one.sigma)
+    return np.concatenate(parts), np.concatenate([one.e / one.sigma for one in rows])
+
+
+def _fit(rows: Sequence[Rows], names: Sequence[str]) -> tuple[dict[str, float], Floats]:
+    """(coefficients by name, their residual in noise deviations)."""
+    a, b = _design(rows, names)
+    size = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
+    solved = np.linalg.lstsq(a / size, b, rcond=1e-9)[0] / size
+    values = (float(value) for value in solved[len(rows) :])
+    return dict(zip(names, values, strict=True)), b - a @ solved
+
+
+def _held_out_gain(rows: Sequence[Rows], names: Sequence[str], group: Sequence[str]) -> float:
+    """What ``group`` gains beside ``names`` on blocks that were not fitted."""
+    a, b = _design(rows, [*names, *group])
+    block = np.concatenate([one.block + 1000 * k for k, one in enumerate(rows)])
+    size = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
+    gain = 0.0
+    for part in (0, 1):
+        fitted, judged = block % 2 == part, block % 2 != part
+        costs = []
+        for columns in (a[:, : len(rows) + len(names)], a):
+            scale = size[: columns.shape[1]]
+            solved = np.linalg.lstsq(columns[fitted] / scale, b[fitted], rcond=1e-9)[0] / scale
+            costs.append(robust_cost(b[judged] - columns[judged] @ solved))
+        gain += costs[0] - costs[1]
+    return gain
+
+
+def _accepted(rows: Sequence[Rows]) -> list[str]:
+    """Effects in the order of their gain on blocks that were not fitted, while it is enough."""
+    names = list(_ALWAYS)
+    accepted: list[str] = []
+    while True:
+        left = _fit(rows, names)[1]
+        excess = robust_cost(left) - len(left)
+        gains = {
+            effect: _held_out_gain(rows, names, group)
+            for effect, group in _GROUPS.items()
+            if effect not in accepted
+        }
+        best = max(gains, key=lambda effect: gains[effect], default=None)
+        if best is None or gains[best] < max(LEAST_GAIN, LEAST_SHARE * excess):
+            return accepted
+        accepted.append(best)
+        names += _GROUPS[best]
+
+
+def rotor_against_rack(
+    rows: Sequence[Rows], kept: Sequence[Rows]
+) -> tuple[list[Seen], dict[str, Any]]:
+    """Effects seen, and what the JSON says of the residual.
+
+    ``kept``: hold-outs, on which an effect must help too.
+    """
+    accepted = _accepted(rows)
+    names = [*_ALWAYS, *(column for effect in accepted for column in _GROUPS[effect])]
+    base = _fit(rows, _ALWAYS)[1]
+    values, left = _fit(rows, names)
+    found = []
+    for effect in accepted:
+        one = _judged(rows, kept, names, values, effect)
+        if one is not None:
+            found.append(one)
+    if abs(values["ratio"]) > LEAST_RATIO:
+        one = _judged(rows, kept, names, values, "rack_ratio", constant=True)
+        if one is not None and all(s.entry["effect"] != "rack_ratio" for s in found):
+            found.append(one)
+    content = {
+        "residual": "motor angle less rack_to_rotor_ratio times rack position, rad",
+        "rms_rad": float(np.sqrt(np.mean(base**2))) * rows[0].sigma,
+        "rms_left_rad": float(np.sqrt(np.mean(left**2))) * rows[0].sigma,
+        "noise_rad": rows[0].sigma,
+        "ratio_error": values["ratio"],
+        "angle_delay_beyond_model_s": values["delay"],
+    }
+    return found, content
+
+
+def _judged(
+    rows: Sequence[Rows],
+    kept: Sequence[Rows],
+    names: Sequence[str],
+    values: Mapping[str, float],
+    effect: str,
+    *,
+    constant: bool = False,
+) -> Seen | None:
+    """The finding, if its numbers make sense, are large enough, and help on the hold-outs."""
+    group = ("ratio",) if constant else _GROUPS[effect]
+    entry = _entry(effect, values, constant=constant)
+    if effect == "clock_drift" and not drift_matters(values["drift"], [one.one for one in rows]):
+        return None
+    if entry is None or (kept and not _helps(kept, names, values, group)):
+        return None
+    others = [name for name in names if name not in group]
+    with_it, without = _fit(rows, names)[1], _fit(rows, others)[1]
+    sigma = _deviations(rows, names, with_it)
+    gain = robust_cost(without) - robust_cost(with_it)
+    total = max(robust_cost(without) - len(without), 1.0)
+    force = np.concatenate([one.force for one in rows])
+    low, high = (float(v) for v in np.percentile(force, [2, 98]))
+    position = np.concatenate([one.x for one in rows])
+    near, far = (float(v) for v in np.percentile(position, [2, 98]))
+    place = (
+        ("rack_position_m", near, far, 1.0)
+        if effect == "rack_ratio"
+        else ("rack_force_n", low, high, 1.0)
+    )
+    return Seen(entry, _own(effect, values, sigma), gain, min(1.0, gain / total), (place,))
+
+
+def _entry(effect: str, values: Mapping[str, float], *, constant: bool) -> dict[str, Any] | None:
+    if effect == "rack_ratio":
+        return {"effect": effect, "scale": values["ratio"]} if constant else {
+            "effect": effect, "scale": values["ratio"],
+            "slope_per_m": values["ratio_slope"], "bend_per_m2": values["ratio_bend"],
+        }  # fmt: skip
+    if effect == "clock_drift":
+        return {"effect": effect, "ppm": values["drift"]}
+    if effect == "backlash":
+        gap = 2.0 * values["half_gap"]
+        return {"effect": effect, "gap_rad": gap} if gap > LEAST_GAP_RAD else None
+    compliance = values["compliance"]
+    if compliance < LEAST_COMPLIANCE:
+        return None
+    return {"effect": effect, "stiffness_nm_per_rad": 1.0 / compliance}
+
+
+def _own(effect: str, values: Mapping[str, float], sigma: Mapping[str, float]) -> dict[str, float]:
+    """Deviations of the effect's own parameters."""
+    if effect == "rack_ratio":
+        return {
+            "scale": sigma["ratio"],
+            "slope_per_m": sigma.get("ratio_slope", 0.0),
+            "bend_per_m2": sigma.get("ratio_bend", 0.0),
+        }
+    if effect == "clock_drift":
+        return {"ppm": sigma["drift"]}
+    if effect == "backlash":
+        return {"gap_rad": 2.0 * sigma["half_gap"]}
+    return {"stiffness_nm_per_rad": sigma["compliance"] / values["compliance"] ** 2}
+
+
+def _helps(
+    kept: Sequence[Rows], names: Sequence[str], values: Mapping[str, float], group: Sequence[str]
+) -> bool:
+    """Whether the fitted numbers of ``group`` lower the hold-outs' residual."""
+    cost = {True: 0.0, False: 0.0}
+    for one in kept:
+        for with_group in (True, False):
+            used = [name for name in names if with_group or name not in group]
+            left = one.e - sum(values[name] * one.columns[name] for name in used)
+            cost[with_group] += robust_cost((left - np.mean(left)) / one.sigma)
+    return cost[True] < cost[False]
+
+
+def _deviations(rows: Sequence[Rows], names: Sequence[str], residual: Floats) -> dict[str, float]:
+    """Sandwich deviations over blocks."""
+    a, _ = _design(rows, names)
+    block = np.concatenate([one.block + 1000 * k for k, one in enumerate(rows)])
+    inverse = np.linalg.pinv(a.T @ a)
+    middle = np.zeros_like(inverse)
+    for number in np.unique(block):
+        inside = block == number
+        score = a[inside].T @ residual[inside]
+        middle += np.outer(score, score)
+    spread = np.sqrt(np.maximum(np.diag(inverse @ middle @ inverse), 0.0))
+    return dict(zip(names, (float(s) for s in spread[len(rows) :]), strict=True))

@@ -1,0 +1,136 @@
+"""The torsion bar's twist, u = ψ_wheel − i_pi · x, against the torque that its sensor reports.
+
+The twist is the bar's torque without the sensor, so play inside the sensor shows as a loop between
+the two. Inverting the play from the reported torque would leave several times the error.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.prepare import Prepared, low_pass, with_play
+from eps_hil.diagnosis.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
+from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
+
+LEAST_PLAY_NM = 0.03
+_LEAST_TWIST = 0.9
+"""Least correlation of twist and torque for the twist to be the torsion bar's."""
+_RATE_HZ = 40.0
+_PLAY_HZ = 15.0
+_CLEAR = 4.0
+"""Play is seen where it is this many deviations of the twist's noise."""
+_PLAYS_NM = (0.05, 0.1, 0.2, 0.4, 0.8)
+
+
+def has_twist(one: Prepared) -> bool:
+    """Whether wheel angle, rack position and torsion-bar torque are all there."""
+    needed = ("steering_wheel_angle_rad", "rack_position_m", "torque_sensor_nm")
+    return all(name in one.raw for name in needed)
+
+
+def twist_rad(one: Prepared, model: Model) -> Floats:
+    """The bar's twist (rad at the column, 1 kHz), with an unknown zero."""
+    return np.asarray(
+        one.raw["steering_wheel_angle_rad"]
+        - model.pinion_ratio_rad_per_m * one.raw["rack_position_m"]
+    )
+
+
+def twist_noise(one: Prepared, model: Model) -> float:
+    """Deviation (rad) of what noise the two angles put into a sample of the twist."""
+    return float(
+        np.hypot(
+            one.noise["steering_wheel_angle_rad"],
+            model.pinion_ratio_rad_per_m * one.noise["rack_position_m"],
+        )
+    )
+
+
+def torque_of_twist(one: Prepared, model: Model, law: tuple[float, float, float]) -> Floats:
+    """Torsion-bar torque (Nm at the column, 1 kHz) by its gain, damping and offset, ``law``."""
+    gain, damping, offset = law
+    twist = twist_rad(one, model)
+    return gain * twist + damping * np.gradient(low_pass(twist, _RATE_HZ), 1e-3) + offset
+
+
+class _Twisted:
+    """Twist, its rate and the reported torque of one recording; 1 kHz, low-passed."""
+
+    def __init__(self, one: Prepared, model: Model) -> None:
+        late = model.delays_s.of("torque_sensor_nm")
+        self.twist = low_pass(twist_rad(one, model), _PLAY_HZ)
+        self.rate = np.gradient(self.twist, 1e-3)
+        reported = low_pass(one.raw["torque_sensor_nm"], _PLAY_HZ)
+        self.torque = np.interp(one.time_s + late, one.time_s, reported)
+        self.sigma = max(one.noise["torque_sensor_nm"], 1e-4)
+        self.noise = twist_noise(one, model)
+
+    def left(self, gain: float, damping: float, offset: float, play: float) -> Floats:
+        """Reported torque less what a sensor with this play would report; thinned."""
+        true = gain * self.twist + damping * self.rate + offset
+        seen = with_play(true, play) if play > 0 else true
+        edge = 250
+        return np.asarray((self.torque - seen)[edge:-edge:8])
+
+
+def sensor_play(
+    fitted: Sequence[Prepared], judged: Sequence[Prepared], model: Model
+) -> tuple[Seen, tuple[float, float, float]] | None:
+    """Play in the torque sensor, with gain, damping and offset of twist to torque; None if none.
+
+    It must be clear of the noise, and lower what is left of the ``judged`` recordings too.
+    """
+    from scipy.optimize import least_squares
+
+    rows = [_Twisted(one, model) for one in fitted if has_twist(one)]
+    kept = [_Twisted(one, model) for one in judged if has_twist(one)]
+    if not rows:
+        return None
+    twist = np.concatenate([one.twist for one in rows])
+    torque = np.concatenate([one.torque for one in rows])
+    if np.std(twist) < 1e-9 or np.std(torque) < 1e-9:
+        return None
+    if abs(float(np.corrcoef(twist, torque)[0, 1])) < _LEAST_TWIST:
+        return None
+    slope = float(np.std(torque) / np.std(twist))
+    passed = np.sqrt(2e-3 * _PLAY_HZ)
+    sigma = float(passed * np.hypot(rows[0].sigma, slope * rows[0].noise))
+
+    def residual(p: Floats) -> Floats:
+        return np.concatenate([one.left(slope * p[0], slope * p[1], p[2], p[3]) for one in rows])
+
+    def cost(p: Floats, records: Sequence[_Twisted]) -> float:
+        return sum(
+            robust_cost(one.left(slope * p[0], slope * p[1], p[2], p[3]) / sigma) for one in records
+        )
+
+    plain = least_squares(lambda p: residual(np.append(p, 0.0)), [1.0, 0.0, 0.0])
+    start = np.append(plain.x, 0.0)
+    best = min((np.append(plain.x, w) for w in _PLAYS_NM), key=lambda p: cost(p, rows))
+    done = least_squares(
+        residual, best, loss="soft_l1", f_scale=3 * sigma, x_scale=[0.1, 0.01, 0.1, 0.1],
+        bounds=([0.2, -1.0, -5.0, 0.0], [5.0, 1.0, 5.0, 2.0]), diff_step=1e-3,
+    )  # fmt: skip
+    found = np.asarray(done.x)
+    gain = cost(start, rows) - cost(found, rows)
+    excess = cost(start, rows) - len(residual(start))
+    play = float(found[3])
+    if play < max(LEAST_PLAY_NM, _CLEAR * sigma) or gain < max(
+        LEAST_GAIN, 3 * LEAST_SHARE * excess
+    ):
+        return None
+    if kept and cost(found, kept) >= cost(start, kept):
+        return None
+    spread = np.linalg.pinv(done.jac.T @ done.jac)[3, 3] * sigma**2 * 12.0
+    low, high = (float(v) for v in np.percentile(torque, [2, 98]))
+    seen = Seen(
+        {"effect": "torque_sensor_hysteresis", "play_nm": play},
+        {"play_nm": float(np.sqrt(max(spread, 0.0)))},
+        gain,
+        min(1.0, gain / max(excess, 1.0)),
+        (("torque_sensor_nm", low, high, 1.0),),
+    )
+    return seen, (slope * float(found[0]), slope * float(found[1]), float(found[2]))
