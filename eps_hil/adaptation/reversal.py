@@ -3,11 +3,12 @@
 Each stretch of driving gives information on k0+ and k0− (reversal_fit.py); a recursive estimator
 adds it up, forgets at the rate at which friction drifts, and knows what it does not know: without a
 load cell only the sum of both levels is seen, and their difference stays as uncertain as it was. No
-I/O, no clock; nothing is ever applied by this class. A stretch costs some milliseconds, so on line
-it belongs beside the 1 kHz loop, not into it.
+I/O, no clock; nothing is ever applied by this class. A stretch costs some milliseconds of
+computing; for a loop that has no such time to spare it is done in slices (``sliced``).
 """
 
 import math
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -16,7 +17,15 @@ from pydantic import ConfigDict, Field, with_config
 
 from eps_hil.adaptation.aligned import Aligned
 from eps_hil.adaptation.gates import InjectionInputs, NotNegative, Positive
-from eps_hil.adaptation.reversal_fit import Blocks, Evidence, Floats, Stretch, blocks_of, evidence
+from eps_hil.adaptation.reversal_fit import (
+    Blocks,
+    Evidence,
+    Floats,
+    Stretch,
+    blocks_in_slices,
+    evidence_in_slices,
+    finished,
+)
 from eps_hil.estimation.levels import FrictionLevels
 from eps_hil.physics.model import Model
 
@@ -140,15 +149,20 @@ class LevelFilter:
 
 
 class ReversalAdaptation:
-    """:meth:`step` per sample at 1 kHz of sample time; :attr:`state` is what is known so far."""
+    """:meth:`step` per sample at 1 kHz of sample time; :attr:`state` is what is known so far.
 
-    def __init__(self, settings: ReversalSettings, model: Model) -> None:
-        self.settings, self._model = settings, model
+    ``sliced``: a complete stretch is not evaluated at once but by :meth:`work`, slice by slice.
+    """
+
+    def __init__(self, settings: ReversalSettings, model: Model, *, sliced: bool = False) -> None:
+        self.settings, self._model, self._sliced = settings, model, sliced
         self._filter = LevelFilter(model, settings)
         self._aligned = Aligned(model)
         rows = round((settings.stretch_s + settings.lead_s) * 1e3)
         self._lead = round(settings.lead_s * 1e3)
         self._columns = np.zeros((5, rows))  # torque, speed, angle, integrated speed, force
+        self._stretch = self._columns.copy()  # the one that is being evaluated
+        self._work: Generator[None, None, ReversalState] | None = None
         self._used = self._left_out = 0
         self._updated_ns: int | None = None
         self._t_ns: int | None = None
@@ -187,20 +201,37 @@ class ReversalAdaptation:
         self._n += 1
         if self._n < self._columns.shape[1]:
             return None
-        state = self._add(t_ns)
+        if self._work is not None:  # a loop that never came to it: the older stretch goes first
+            finished(self._work)
+        self._stretch[:] = self._columns
         self._columns[:, : self._lead] = self._columns[:, -self._lead :]
         self._n = self._lead
+        self._work = self._evaluation(t_ns)
+        if self._sliced:
+            return None
+        state, self._work = finished(self._work), None
         return state
+
+    def work(self) -> ReversalState | None:
+        """One slice of what there is to evaluate; the new state when it is complete."""
+        if self._work is None:
+            return None
+        try:
+            next(self._work)
+        except StopIteration as end:
+            self._work = None
+            return end.value
+        return None
 
     def _restart(self) -> None:
         self._n, self._way = 0, 0.0
 
-    def _add(self, t_ns: int) -> ReversalState:
-        """Evidence of the stretch that is complete now."""
+    def _evaluation(self, t_ns: int) -> Generator[None, None, ReversalState]:
+        """Evidence of the stretch that is complete now, added to what is known."""
         if self._updated_ns is not None:
             self._filter.drift(max(t_ns - self._updated_ns, 0) * 1e-9)
         self._updated_ns = t_ns
-        torque, speed, angle, way, force = self._columns
+        torque, speed, angle, way, force = self._stretch
         cell = self.settings.load_cell and bool(np.isfinite(force).all())
         measured = bool(np.isfinite(angle).all())
         stretch = Stretch(
@@ -208,8 +239,9 @@ class ReversalAdaptation:
         )
         before = self._filter.copy()
         for _ in range(_ROUNDS):  # the bristle's state depends on the levels
-            blocks = blocks_of(stretch, self._model, self._filter.levels_nm)
-            found = evidence(blocks, self.settings.noise_nm)
+            levels = self._filter.levels_nm
+            blocks = yield from blocks_in_slices(stretch, self._model, levels)
+            found = yield from evidence_in_slices(blocks, self.settings.noise_nm)
             self._filter.restore(before)
             if blocks.reversals == 0 or not self._driven(blocks, found):
                 self._left_out += 1

@@ -13,7 +13,8 @@ a smooth load could be, tells the sum of the levels. With a load cell there is n
 of, and both levels are seen. docs/theory-adaptation.md derives it.
 """
 
-from typing import NamedTuple
+from collections.abc import Generator
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +30,7 @@ from eps_hil.physics.friction import (
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
+T = TypeVar("T")
 
 STEP_S = 1e-3
 BLOCK = 8
@@ -132,18 +134,36 @@ def _travel(angle: Floats, speed: Floats, gap: float) -> Floats:
     return out
 
 
+def finished(work: Generator[None, None, T]) -> T:
+    """What a piece of work that is cut into slices comes to, done in one go."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
+
+
 def blocks_of(stretch: Stretch, model: Model, levels_nm: Floats) -> Blocks:
     """The stretch in blocks, linearised at ``levels_nm`` (k0+, k0−) in Nm."""
+    return finished(blocks_in_slices(stretch, model, levels_nm))
+
+
+def blocks_in_slices(
+    stretch: Stretch, model: Model, levels_nm: Floats
+) -> Generator[None, None, Blocks]:
+    """:func:`blocks_of` in slices of a fraction of a millisecond, for a loop that has no more."""
     law, ratio = friction_law(model.friction), model.rack_to_rotor_ratio_rad_per_m
     speed, angle = _mean(stretch.speed_rad_s), _mean(stretch.angle_rad)
     noise = float(np.sqrt(np.mean(np.diff(stretch.angle_rad, 2) ** 2) / 6.0 / SMOOTH))
     travel = _travel(angle, speed, _GAP_SIGMA * noise)
+    yield
     own = np.array([law.offset_pos_nm, law.offset_neg_nm])
     known = stretch.force_n is not None
     force = stretch.force_n if stretch.force_n is not None else np.zeros_like(speed)
     drive = _blocks(stretch.torque_nm) - model.inertia_kg_m2 * _rise(stretch.speed_rad_s)
     if known:
         drive = drive - _blocks(force) / ratio
+    yield
 
     def friction(levels: Floats) -> tuple[Floats, int]:
         forth, back = levels - own
@@ -151,13 +171,15 @@ def blocks_of(stretch: Stretch, model: Model, levels_nm: Floats) -> Blocks:
 
     for _ in range(1 if known else _ROUNDS):
         base, turns = friction(levels_nm)
+        yield
         left = drive - _blocks(base)
         if not known:
             force = _stretched(_low_pass(left, _LOAD_HZ) * ratio, len(speed))
-    slopes = [
-        _blocks(friction(levels_nm + probe)[0] - base) / _PROBE_NM
-        for probe in _PROBE_NM * np.eye(2)
-    ]
+        yield
+    slopes = []
+    for probe in _PROBE_NM * np.eye(2):
+        slopes.append(_blocks(friction(levels_nm + probe)[0] - base) / _PROBE_NM)
+        yield
     keep = slice(stretch.lead // BLOCK, None)
     rate = _blocks(speed)[keep]
     return Blocks(
@@ -184,6 +206,11 @@ def evidence(blocks: Blocks, noise_nm: float) -> Evidence:
 
     ``noise_nm``: least residual that is believed.
     """
+    return finished(evidence_in_slices(blocks, noise_nm))
+
+
+def evidence_in_slices(blocks: Blocks, noise_nm: float) -> Generator[None, None, Evidence]:
+    """:func:`evidence` in slices."""
     if blocks.known:
         # only where the bristle is at its level, so that its form does not matter
         sliding = np.abs(blocks.slopes).sum(axis=0) > _FULL_SHARE
@@ -191,6 +218,7 @@ def evidence(blocks: Blocks, noise_nm: float) -> Evidence:
         instruments, left, slopes = blocks.slopes * sliding, blocks.left, blocks.slopes
     else:
         instruments, left, slopes = _freed(blocks)
+    yield
     moment = instruments @ slopes.T
     if not blocks.known:  # the difference of the levels looks like a constant load
         moment = np.full_like(moment, float(np.mean(moment)))

@@ -85,7 +85,7 @@ def torque_injection(
     for line in _plan(parts, settings, dry_run):
         typer.echo(line)
     parts.estimator.warm_up()
-    _inject(parts, source, journal, duration, dry_run=dry_run, alone=yes_i_stand_clear)
+    _inject(parts, source, settings, journal, duration, dry_run=dry_run, alone=yes_i_stand_clear)
     if dry_run:
         typer.echo("dry run    nothing was sent")
         return
@@ -108,18 +108,23 @@ def error_injection(
     from eps_hil.service.calibration import ErrorInjectionSource, calibration_settings
     from eps_hil.service.config import load_config
     from eps_hil.service.listening import Listener
+    from eps_hil.service.online_methods import warm_up_error_injection
 
     setup = load_config(config)
     if reset:
         _reset(setup, write_model)
         return
     settings = calibration_settings(setup, config)
-    source = ErrorInjectionSource(settings, load_model(setup.model))
+    model = load_model(setup.model)
+    source = ErrorInjectionSource(settings, model)
+    warm_up_error_injection(settings.error_injection, model)
     listener = Listener(setup, source)
     show = _Display(lambda: source.gates, lambda: _sliding(source.state, settings))
     typer.echo(f"bus        {setup.bus}\nsend       nothing (error injection listens)\nREADY")
-    asyncio.run(listener.run(lambda: source.over, show, duration))
-    show.end()
+    try:
+        asyncio.run(listener.run(lambda: source.over, show, duration, settings.silence_s))
+    finally:
+        show.end()
     state = source.state
     if state is None:
         raise EpsHilError("no sync frame was received: is the rig on this bus?")
@@ -140,6 +145,7 @@ def error_injection(
 def _inject(
     parts: Any,
     source: "TorqueInjectionSource",
+    settings: "CalibrationSettings",
     journal_file: Path,
     duration: float | None,
     *,
@@ -161,7 +167,7 @@ def _inject(
     journal = Journal(None if dry_run else journal_file)
     session = OverrideSession(
         parts, source, operator, typer.echo, over=lambda: source.over,
-        show=lambda _: show(), journal=journal,
+        show=lambda _: show(), journal=journal, silence_s=settings.silence_s,
     )  # fmt: skip
     if dry_run and duration is None:
         duration = _DRY_RUN_S
@@ -174,6 +180,8 @@ def _inject(
         raise SafetyStop(f"the torque guard ended the run: {session.fault.why}")
     if source.aborted:
         raise SafetyStop(f"the injection was given up: {source.aborted}")
+    if not session.core.syncs:
+        raise EpsHilError("no sync frame was received: is the rig on this bus?")
 
 
 def _check_plan(guard_nm: float, settings: "CalibrationSettings", file: Path) -> None:

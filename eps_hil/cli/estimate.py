@@ -18,6 +18,7 @@ from eps_hil.cli._inputs import (
 )
 
 if TYPE_CHECKING:
+    from eps_hil.estimation.levels import LevelChange
     from eps_hil.estimation.score import Score
     from eps_hil.estimation.settings import EstimatorSettings
     from eps_hil.estimation.stream import Trace
@@ -70,6 +71,10 @@ def estimate(
         bool,
         typer.Option("--friction", help="Rack force known: give the friction torque instead."),
     ] = False,
+    friction_journal: Annotated[
+        Path | None,
+        typer.Option("--friction-journal", help="Take over friction levels as the service did."),
+    ] = None,
     *,
     reading: Reading,
 ) -> None:
@@ -84,11 +89,12 @@ def estimate(
     chosen = _settings(settings, without or [], friction, kind)
     if reading.signals:
         chosen = _with_window(chosen, reading.signals)
+    changes = _changes(friction_journal)
     if out:
         _check_out(out, recordings)
     results = []
     for path, recording in read_each(recordings, reading):
-        trace, result = _one(path, recording, rig, chosen)
+        trace, result = _one(path, recording, rig, chosen, changes)
         results.append(result)
         if out:
             target = output_for(out, path, len(recordings) > 1)
@@ -99,6 +105,12 @@ def estimate(
             json,
             {"schema": "eps-hil/estimate/1", "model": str(model), "recordings": results},
         )
+
+
+def _changes(journal: Path | None) -> "list[LevelChange]":
+    from eps_hil.service.journal import level_changes
+
+    return [] if journal is None else level_changes(journal)
 
 
 def _settings(
@@ -139,7 +151,11 @@ def _check_out(out: Path, recordings: list[Path]) -> None:
 
 
 def _one(
-    path: Path, recording: "Recording", rig: "Model", settings: "EstimatorSettings"
+    path: Path,
+    recording: "Recording",
+    rig: "Model",
+    settings: "EstimatorSettings",
+    changes: "list[LevelChange]",
 ) -> "tuple[Trace, dict[str, Any]]":
     from eps_hil.errors import InputError
     from eps_hil.estimation import batch
@@ -149,7 +165,8 @@ def _one(
     if wrong := problem(settings, live=False):
         raise InputError("settings", "kind", wrong)
     with told_what_it_holds(path, recording):
-        trace = batch.estimate(recording.series, rig, settings)
+        within = [c for c in changes if batch.spans(recording.series, c.t_ns)]
+        trace = batch.estimate(recording.series, rig, settings, changes=within)
         latency = batch.latency_s(rig, settings, batch.sample_periods_s(recording.series))
     if not len(trace.t_ns):
         raise InputError(

@@ -29,6 +29,9 @@ def run(
     log_estimates: Annotated[
         Path | None, typer.Option("--log-estimates", help="Write every estimate to this CSV file.")
     ] = None,
+    journal: Annotated[
+        Path, typer.Option("--journal", help="Changes of friction levels are appended here.")
+    ] = Path("friction-journal.jsonl"),
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON schema of the configuration and end.")
     ] = False,
@@ -36,7 +39,7 @@ def run(
     """Estimate the rack force live on a CAN bus and publish it there.
 
     Says at start what it listens to and what it will send; ends on Ctrl-C or SIGTERM with a
-    last frame of status "off" and a summary.
+    last frame of status "off" and a summary. SIGUSR1: friction levels anew from the model file.
     """
     if schema:
         import json
@@ -47,29 +50,37 @@ def run(
         return
     if config is None:
         raise typer.BadParameter("a configuration file is needed", param_hint="'--config'")
-    _run(config, duration, _live_line(status_line), log_estimates)
+    _run(config, duration, _live_line(status_line), log_estimates, journal)
 
 
 def _run(
-    config: Path, duration: float | None, show: Callable[[str], None] | None, log_path: Path | None
+    config: Path,
+    duration: float | None,
+    show: Callable[[str], None] | None,
+    log_path: Path | None,
+    journal: Path,
 ) -> None:
     import asyncio
 
     from eps_hil.service.config import load_config
     from eps_hil.service.estimate_log import EstimateLog
+    from eps_hil.service.level_desk import LevelDesk
     from eps_hil.service.loop import Service
     from eps_hil.service.setup import describe, prepare
 
     parts = prepare(load_config(config), config)
     for line in describe(parts):
         _say(line)
+    levels = LevelDesk(parts, _say, journal)
+    _say(levels.hint())
     log = EstimateLog(log_path) if log_path else None
-    parts.estimator.warm_up()
+    parts.warm_up()
     service = Service(
         parts,
         _say,
         show=None if show is None else lambda snapshot: show(snapshot.line()),
         log=log,
+        levels=levels,
     )
     try:
         asyncio.run(service.run(duration))

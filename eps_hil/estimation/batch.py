@@ -65,6 +65,12 @@ def _smoothed(
     return Trace(found.t_ns, found.rack_force_n, found.friction_torque_nm, found.reason)
 
 
+def spans(series: Mapping[str, Series], t_ns: int) -> bool:
+    """Whether an instant lies within a recording."""
+    name = sync_signal(series)
+    return name in series and series[name].t_ns[0] <= t_ns <= series[name].t_ns[-1]
+
+
 def estimate(
     series: Mapping[str, Series],
     model: Model,

@@ -7,7 +7,7 @@ replayed as fast as possible give bit for bit what the live loop published.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -218,9 +218,9 @@ class StreamEstimator:
         self.physics = setup.physics_of(model)
         if settings.kind == "bristle_filter":
             self.physics = physics_inside(model, settings, self.physics, angle_seen)
-        self.timing = _timing(model, settings, periods_s)
+        self.timing = timing_of(model, settings, periods_s)
         self._places = {name: i for i, name in enumerate(SIGNALS) if name in periods_s}
-        self.memory = _new_memory()
+        self.memory = new_memory()
         self._latest = 0
 
     @property
@@ -277,7 +277,7 @@ class StreamEstimator:
         if isinstance(twin.physics, PhysicsInside):
             twin.physics = twin.physics._replace(belief=new_belief())
         twin.settings, twin._places, twin._latest = self.settings, self._places, 0
-        twin.memory = _new_memory()
+        twin.memory = new_memory()
         for name in self._places:
             twin.push(name, 0, 0.0)
         twin.advance(0)
@@ -321,7 +321,8 @@ class StreamEstimator:
         )
 
 
-def _new_memory() -> Memory:
+def new_memory() -> Memory:
+    """Nothing seen yet."""
     n = len(SIGNALS)
     return Memory(
         np.zeros((n, alignment.RING), np.int64),
@@ -336,7 +337,16 @@ def _new_memory() -> Memory:
     )
 
 
-def _timing(model: Model, settings: EstimatorSettings, periods_s: Mapping[str, float]) -> Timing:
+def timing_of(
+    model: Model,
+    settings: EstimatorSettings,
+    periods_s: Mapping[str, float],
+    also: Collection[str] = (),
+) -> Timing:
+    """Which signals are read, how late each is, and how far back everything has arrived.
+
+    ``also``: signals beside the estimator's own, where they come. ``ValueError`` for what it lacks.
+    """
     derive = "motor_speed_rad_s" not in periods_s
     needed = {"motor_torque_nm", "motor_angle_rad" if derive else "motor_speed_rad_s"}
     if settings.quantity == "friction":
@@ -348,7 +358,7 @@ def _timing(model: Model, settings: EstimatorSettings, periods_s: Mapping[str, f
         if derive and "motor_angle_rad" in missing:
             missing[missing.index("motor_angle_rad")] = "motor_speed_rad_s or motor_angle_rad"
         raise ValueError(f"the estimator needs {', '.join(missing)}")
-    used = np.array([name in needed or name == "torque_sensor_nm" for name in SIGNALS])
+    used = np.array([name in {*needed, *also, "torque_sensor_nm"} for name in SIGNALS])
     used &= np.array([name in periods_s for name in SIGNALS])
     used[_SPEED] = True
     used[_ANGLE] = "motor_angle_rad" in periods_s

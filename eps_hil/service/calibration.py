@@ -1,6 +1,5 @@
 """Calibrations of the friction levels as sources of an override session, and their settings."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,11 +13,13 @@ from eps_hil.adaptation.error_injection import (
     ErrorInjectionSettings,
     ErrorInjectionState,
 )
-from eps_hil.adaptation.gates import Gates, GateState, InjectionInputs
+from eps_hil.adaptation.gates import Gates, GateState
 from eps_hil.adaptation.injection_settings import InjectionSettings
 from eps_hil.adaptation.torque_injection import InjectionCommand, Phase, TorqueInjection
 from eps_hil.physics.model import Model
+from eps_hil.service.adaptation_config import SANITY_BAND
 from eps_hil.service.config import ServiceConfig
+from eps_hil.service.online_methods import newest
 
 _STRICT = ConfigDict(extra="forbid")
 
@@ -30,13 +31,15 @@ class CalibrationSettings:
 
     ``sanity_band``: new levels further than this share from the last accepted ones are refused
     unless the operator insists. ``error_sliding_s``: how long each of the error injection's
-    integrators must have run before its level is believed.
+    integrators must have run before its level is believed. ``silence_s``: a bus without sync
+    frames for so long ends a calibration.
     """
 
     torque_injection: InjectionSettings = field(default_factory=InjectionSettings)
     error_injection: ErrorInjectionSettings = field(default_factory=ErrorInjectionSettings)
-    sanity_band: Annotated[float, Field(gt=0, le=1)] = 0.5
+    sanity_band: Annotated[float, Field(gt=0, le=1)] = SANITY_BAND
     error_sliding_s: Annotated[float, Field(gt=0, le=600)] = 5.0
+    silence_s: Annotated[float, Field(gt=0, le=600)] = 10.0
 
 
 @with_config(ConfigDict(extra="ignore"))
@@ -49,11 +52,6 @@ def calibration_settings(config: ServiceConfig, file: str | Path) -> Calibration
     """The block of a configuration; :class:`InputError` names line and field of a mistake."""
     given = {} if config.calibration is None else {"calibration": dict(config.calibration)}
     return yaml_file.validate(file, given, _Whole).calibration
-
-
-def injection_inputs(values: Mapping[str, float]) -> InjectionInputs:
-    """The newest values in the order of the adaptation; NaN for what is not there."""
-    return InjectionInputs(*(values.get(name, math.nan) for name in InjectionInputs._fields))
 
 
 class TorqueInjectionSource:
@@ -82,7 +80,7 @@ class TorqueInjectionSource:
 
     def step(self, t_ns: int, values: Mapping[str, float], *, engaged: bool) -> float | None:
         """See :class:`~eps_hil.service.override_core.Source`."""
-        inputs = injection_inputs(values)
+        inputs = newest(values)
         if not engaged and self.command is None:
             since_s = (t_ns - self._t_ns) * 1e-9 if self._t_ns else 0.0
             self._gates.update(min(max(since_s, 0.0), 1.0), inputs)
@@ -115,4 +113,4 @@ class ErrorInjectionSource:
 
     def step(self, t_ns: int, values: Mapping[str, float], *, engaged: bool = False) -> None:
         """Take the newest values."""
-        self.state = self.injection.step(t_ns, injection_inputs(values))
+        self.state = self.injection.step(t_ns, newest(values))

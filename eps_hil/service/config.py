@@ -11,6 +11,7 @@ from eps_hil.bus.config import NAME, BusSetup, load_as
 from eps_hil.bus.e2e import E2eProfile
 from eps_hil.errors import InputError
 from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.service.adaptation_config import AdaptationConfig
 from eps_hil.service.limits import Limits
 
 Seconds = Annotated[float, Field(gt=0, le=60, allow_inf_nan=False)]
@@ -95,6 +96,7 @@ class ServiceConfig(BusSetup):
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     publish: PublishConfig = field(default_factory=PublishConfig)
     service: RuntimeConfig = field(default_factory=RuntimeConfig)
+    adaptation: AdaptationConfig | None = None
     override: OverrideConfig | None = None
     calibration: Mapping[str, Any] | None = None
     rig: Mapping[str, Any] | None = None

@@ -14,6 +14,7 @@ from eps_hil.bus.codec import Sample
 from eps_hil.bus.frame import Frame
 from eps_hil.estimation.stream import Estimate
 from eps_hil.estimation.validity import Reason
+from eps_hil.service.friction_levels import FrictionLevelKeeper
 
 _FOREIGN_HOLD_NS = 1_000_000_000
 """How long after a frame of another transmitter the estimate stays invalid."""
@@ -95,6 +96,7 @@ class ServiceCore:
 
     ``encoder`` None: nothing is ever returned (listen only). ``send_ids``: (id, extended) of
     everything the service sends; such a frame seen from the bus is another transmitter's.
+    ``levels``: who looks after the friction levels of ``estimator``, where they may change.
     """
 
     def __init__(
@@ -103,8 +105,11 @@ class ServiceCore:
         estimator: Estimator,
         encoder: Encoder | None = None,
         send_ids: frozenset[tuple[int, bool]] = frozenset(),
+        levels: FrictionLevelKeeper | None = None,
     ) -> None:
         self.decoder, self.estimator = decoder, estimator
+        self.levels = levels
+        self._method = None if levels is None else levels.method
         self.steps = self.valid_steps = self.skipped = self.foreign = 0
         self.latest: Estimate | None = None
         self.sync_t_ns = 0
@@ -135,6 +140,8 @@ class ServiceCore:
             samples = decoder.decode(frame)
             for signal, t_ns, value in samples:
                 estimator.push(signal, t_ns, value)
+                if self._method is not None:
+                    self._method.take(signal, t_ns, value)
                 if signal == _LOAD_CELL:
                     self.load_cell.append((t_ns, value))
             if samples and decoder.sync(frame):
@@ -146,6 +153,8 @@ class ServiceCore:
     def _step(self, receive_ns: int, sample_ns: int) -> Frame | None:
         self.estimator.advance(sample_ns)
         estimate = self.estimator.latest
+        if self.levels is not None:
+            self.levels.advance(sample_ns)
         if self._foreign_t_ns is not None:
             if abs(receive_ns - self._foreign_t_ns) < _FOREIGN_HOLD_NS:
                 reason = estimate.reason | Reason.OTHER_TRANSMITTER

@@ -1,4 +1,4 @@
-"""Every transition of an override session as a line of JSON, handed to the system at once.
+"""Transitions and friction levels as lines of JSON, each handed to the system at once.
 
 Appended, so that one file holds the story of a rig. What was written survives the process, however
 it ends; it is not forced onto the disk, for the loop must not wait for one.
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from eps_hil.errors import InputError
+from eps_hil.estimation.levels import LevelChange
 from eps_hil.service.guard import Trip
 from eps_hil.service.override import Transition
 
@@ -29,6 +30,29 @@ def as_json(transition: Transition, wall_ns: int) -> dict[str, Any]:
     }
 
 
+def level_changes(path: Path) -> list[LevelChange]:
+    """The friction levels that a journal says were taken, by their instants.
+
+    :class:`InputError` names the line of what is no journal.
+    """
+    found = []
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, "", f"cannot be read: {error}", "name a journal of run") from None
+    for number, line in enumerate(lines, start=1):
+        try:
+            event = json.loads(line)
+            if event.get("levels") == "taken":
+                levels = float(event["offset_pos_nm"]), float(event["offset_neg_nm"])
+                found.append(LevelChange(int(event["t_ns"]), *levels))
+        except (ValueError, KeyError, TypeError, AttributeError):
+            raise InputError(
+                path, f"line {number}", "is no event of a journal", "name a journal of run"
+            ) from None
+    return sorted(found)
+
+
 class Journal:
     """An open journal; ``path`` None: nothing is kept. :class:`InputError` if not writable."""
 
@@ -38,6 +62,11 @@ class Journal:
             self._file = None if path is None else path.open("a", encoding="utf-8")
         except OSError as error:
             raise InputError(path, "", f"cannot be written: {error.strerror}") from None
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing is kept."""
+        return self._file is None
 
     def note(self, event: dict[str, Any]) -> None:
         """One line."""

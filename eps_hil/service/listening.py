@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import signal
 from collections.abc import Callable, Mapping
 from typing import Protocol
@@ -15,10 +16,14 @@ from eps_hil.errors import BusError
 from eps_hil.estimation.stream import SIGNALS
 from eps_hil.service.config import ServiceConfig
 from eps_hil.service.latest import LatestValues
-from eps_hil.service.override_setup import GATING
-from eps_hil.service.setup import service_mapping
+from eps_hil.service.setup import GATING, service_mapping
 
 _LOOK_S = 0.1
+
+
+def silent(config: ServiceConfig, message: str | None, silence_s: float) -> str:
+    """What is said where nothing comes."""
+    return f"{config.bus}: no frame {message} for {silence_s:g} s; is the rig on this bus?"
 
 
 class Listens(Protocol):
@@ -41,11 +46,19 @@ class Listener:
         self._config, self._target = config, target
         self._latest = LatestValues(self._decoder.period_s)
         self._failure: BaseException | None = None
+        self._sync_name, self._syncs = mapping.sync_message, 0
 
     async def run(
-        self, over: Callable[[], bool], show: Callable[[], None], duration_s: float | None = None
+        self,
+        over: Callable[[], bool],
+        show: Callable[[], None],
+        duration_s: float | None = None,
+        silence_s: float = math.inf,
     ) -> None:
-        """Until ``over``, ``duration_s``, SIGINT or SIGTERM; :class:`BusError` on a lost bus."""
+        """Until ``over``, ``duration_s``, SIGINT or SIGTERM.
+
+        :class:`BusError` on a lost bus, and where no sync frame came for ``silence_s``.
+        """
         loop, bus = asyncio.get_running_loop(), self._config.bus
         self._done = asyncio.Event()
         with contextlib.suppress(RuntimeError, ValueError):  # not in the main thread
@@ -56,12 +69,17 @@ class Listener:
             send_ids=(), options=bus.options,
         )  # fmt: skip
         port.start(loop, self._deliver, self._lost)
+        syncs, heard_s = self._syncs, loop.time()
         end_s = None if duration_s is None else loop.time() + duration_s
         try:
             while not (self._done.is_set() or over() or (end_s and loop.time() >= end_s)):
                 with contextlib.suppress(TimeoutError):
                     await asyncio.wait_for(self._done.wait(), _LOOK_S)
                 show()
+                if self._syncs > syncs:
+                    syncs, heard_s = self._syncs, loop.time()
+                if loop.time() - heard_s > silence_s and not self._done.is_set():
+                    raise BusError(silent(self._config, self._sync_name, silence_s))
         finally:
             port.close()
         if self._failure is not None:
@@ -75,6 +93,7 @@ class Listener:
             for name, t_ns, value in samples:
                 self._latest.take(name, t_ns, value)
             if samples and self._decoder.sync(frame):
+                self._syncs += 1
                 t_ns = samples[0].t_ns
                 self._target.step(t_ns, self._latest.at(t_ns))
 

@@ -7,6 +7,7 @@ one, never by a cyclic job of the kernel, so a service that hangs or dies goes s
 
 import asyncio
 import contextlib
+import math
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +23,7 @@ from eps_hil.service import realtime
 from eps_hil.service.core import Status, silent_values
 from eps_hil.service.estimate_log import EstimateLog
 from eps_hil.service.health import Lateness, Loss, StepRate, Summary, health_values
+from eps_hil.service.level_desk import LevelDesk
 from eps_hil.service.setup import Parts
 from eps_hil.service.status_line import Snapshot
 
@@ -49,7 +51,8 @@ class Service:
     """One run of the service on one bus.
 
     ``say`` gets lines for a person; ``show`` a snapshot ten times a second; ``log`` every
-    estimate. None of them is called between a frame's arrival and its answer.
+    estimate; ``levels`` looks after friction levels. None of them is called between a frame's
+    arrival and its answer.
     """
 
     def __init__(
@@ -59,9 +62,11 @@ class Service:
         *,
         show: Show | None = None,
         log: EstimateLog | None = None,
+        levels: LevelDesk | None = None,
         opener: OpenPort = open_for,
     ) -> None:
         self._parts, self._core = parts, parts.core
+        self._levels = levels or LevelDesk(parts, say)
         self._say, self._show, self._log, self._opener = say, show, log, opener
         self.ready = False
         self._done = asyncio.Event()
@@ -101,6 +106,11 @@ class Service:
         """End the run cleanly; to be called in the loop's thread."""
         self._done.set()
 
+    def take_levels(self) -> None:
+        """Friction levels anew from the model file; to be called in the loop's thread."""
+        self._rereading = self._loop.create_task(self._levels.reread())
+        self._rereading.add_done_callback(self._on_task_done)
+
     def summary(self) -> Summary:
         """What the run came to so far."""
         loss = Loss.of(self._parts.decoder.faults, self._counts())
@@ -115,7 +125,8 @@ class Service:
         self._say(f"run        {realtime.hurry(runtime.realtime, runtime.priority)}{locked}")
         self._publishing = bool(self._parts.send_ids)
         self._last_sync_s = self._loop.time()
-        jobs = [self._watch(), self._tell_health()]
+        jobs = [self._watch(), self._tell_health(), self._levels.keep()]
+        jobs += [self._tell_levels()] if self._levels.period_s < math.inf else []
         jobs += [] if self._show is None else [self._show_status(self._show)]
         jobs += [] if self._log is None else [self._log.keep(self._core)]
         tasks = [self._loop.create_task(job) for job in jobs]
@@ -179,6 +190,12 @@ class Service:
                 state = BusState.LOST if self._port is None else self._port.state
                 values = health_values(loss, self._lateness, self._rate_hz, state)
                 self._send(self._parts.health.frame(values))
+
+    async def _tell_levels(self) -> None:
+        while True:
+            await asyncio.sleep(self._levels.period_s)
+            for frame in self._levels.frames():
+                self._send(frame)
 
     async def _show_status(self, show: Show) -> None:
         while True:
@@ -257,7 +274,10 @@ class Service:
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
-        """SIGINT, SIGTERM and SIGHUP end the run; a second SIGINT ends the process at once."""
+        """SIGINT, SIGTERM and SIGHUP end the run; a second SIGINT ends the process at once.
+
+        SIGUSR1 takes friction levels anew from the model file.
+        """
         caught = [signal.SIGINT, signal.SIGTERM]
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # started with nohup
             caught.append(signal.SIGHUP)
@@ -270,6 +290,8 @@ class Service:
         try:
             for number in caught:
                 self._loop.add_signal_handler(number, stop)
+            self._loop.add_signal_handler(signal.SIGUSR1, self.take_levels)
+            caught.append(signal.SIGUSR1)
         except (RuntimeError, ValueError):  # not in the main thread: its owner has the signals
             caught = []
         try:

@@ -95,6 +95,11 @@ class OverrideCore:
         return Reason.NOT_STARTED if latest is None else latest.reason
 
     @property
+    def syncs(self) -> int:
+        """Sync frames heard."""
+        return self._syncs
+
+    @property
     def foreign(self) -> int:
         """Frames of our ids that somebody else sent."""
         return self._service.foreign

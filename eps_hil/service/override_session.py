@@ -8,6 +8,7 @@ bus is never opened again within a session: after a loss the operator starts ane
 
 import asyncio
 import contextlib
+import math
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -19,6 +20,7 @@ from eps_hil.errors import BusError
 from eps_hil.service import realtime
 from eps_hil.service.guard import Trip
 from eps_hil.service.journal import Journal
+from eps_hil.service.listening import silent
 from eps_hil.service.operator import Operator
 from eps_hil.service.override import State, Transition
 from eps_hil.service.override_core import OverrideCore, Source
@@ -63,8 +65,13 @@ class OverrideSession:
         show: Callable[[OverrideCore], None] | None = None,
         journal: Journal | None = None,
         opener: OpenPort = open_for,
+        silence_s: float = math.inf,
     ) -> None:
-        """``operator`` None: a dry run, which sends nothing at all."""
+        """``operator`` None: a dry run, which sends nothing at all.
+
+        ``silence_s``: so long without a sync frame, while no torque is on, ends it (the guard
+        sees to it while one is).
+        """
         self._parts, self._operator, self._say = parts, operator, say
         self._over, self._show = over, show
         self._journal = journal or Journal(None)
@@ -77,6 +84,7 @@ class OverrideSession:
         self._lost_frames = 0
         self._failure: BaseException | None = None
         self._why, self._abnormal = "done", False
+        self._silence_s = silence_s
 
     async def run(self, duration_s: float | None = None) -> None:
         """Until the source is over, a fault, a signal, ``duration_s`` or a lost bus.
@@ -174,8 +182,16 @@ class OverrideSession:
             self._record()
 
     async def _look(self) -> None:
+        syncs, heard_s = self.core.syncs, self._loop.time()
         while True:
             await asyncio.sleep(_SHOW_S)
+            if self.core.syncs > syncs or self.core.state is State.INJECTING:
+                syncs, heard_s = self.core.syncs, self._loop.time()
+            elif self._loop.time() - heard_s > self._silence_s:
+                parts = self._parts
+                self._fail(
+                    BusError(silent(parts.config, parts.mapping.sync_message, self._silence_s))
+                )
             if self._show is not None:
                 self._show(self.core)
             if self.fault is not None or self._over():

@@ -18,17 +18,7 @@ from eps_hil.estimation.stream import SIGNALS, StreamEstimator
 from eps_hil.physics.model import Model, load_model
 from eps_hil.service.config import OverrideConfig, ServiceConfig
 from eps_hil.service.guard import Command
-from eps_hil.service.setup import make_estimator, service_mapping
-
-GATING = (
-    "rack_position_m",
-    "steering_wheel_angle_rad",
-    "steering_wheel_speed_rad_s",
-    "vehicle_speed_m_s",
-    "lateral_acceleration_m_s2",
-    "yaw_rate_rad_s",
-)
-"""Signals beside the estimator's that a calibration looks at, where they are mapped."""
+from eps_hil.service.setup import GATING, make_estimator, service_mapping
 
 _NEEDED = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s")
 

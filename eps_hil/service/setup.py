@@ -14,12 +14,28 @@ from eps_hil.bus.mapping import SignalMapping, load_mapping
 from eps_hil.errors import InputError
 from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator
+from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import load_model
+from eps_hil.service.adaptation_config import AdaptationConfig
 from eps_hil.service.config import ServiceConfig
 from eps_hil.service.core import ServiceCore
+from eps_hil.service.friction_levels import FrictionLevelKeeper
+from eps_hil.service.online_methods import OnlineErrorInjection, OnlineMethod, OnlineReversals
 
 _PUBLISHED = ("RackForceEstimate", "EstimateStatus")
 """What a message must have at least to carry an estimate."""
+_LEVELS = ("LevelPositive", "LevelNegative")
+_SUGGESTED = ("SuggestedPositive", "SuggestedNegative", "SuggestionKnown")
+
+GATING = (
+    "rack_position_m",
+    "steering_wheel_angle_rad",
+    "steering_wheel_speed_rad_s",
+    "vehicle_speed_m_s",
+    "lateral_acceleration_m_s2",
+    "yaw_rate_rad_s",
+)
+"""Signals beside the estimator's that a calibration looks at, where they are mapped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,17 +52,27 @@ class Parts:
     """Encodes the same message where nothing is estimated, with a counter of its own: the
     counter of the estimates must not depend on how often a timer of ours fired."""
     health: FrameEncoder | None
+    levels: FrictionLevelKeeper
+    level_frames: FrameEncoder | None
+    suggestion_frames: FrameEncoder | None
     sync_period_s: float
 
     @property
     def send_ids(self) -> tuple[int, ...]:
         """The only ids that the port will be allowed to send."""
-        return tuple(e.can_id for e in (self.silent, self.health) if e is not None)
+        encoders = (self.silent, self.health, self.level_frames, self.suggestion_frames)
+        return tuple(e.can_id for e in encoders if e is not None)
+
+    def warm_up(self) -> None:
+        """Compile (or load) all machine code now, so that no frame waits for it."""
+        self.estimator.warm_up()
+        if self.levels.method is not None:
+            self.levels.method.warm_up()
 
 
 def prepare(config: ServiceConfig, file: str | Path) -> Parts:
     """Load, connect and check; ``file`` is the configuration's path, named in errors."""
-    mapping = service_mapping(load_mapping(config.signals))
+    mapping = service_mapping(load_mapping(config.signals), _wanted(config))
     database = load_database(config.dbc, strict=mapping.strict)
     dbc_file = " + ".join(path.name for path in config.dbc)
     decoder = FrameDecoder(database, mapping, mapping_file=config.signals, dbc_file=dbc_file)
@@ -59,7 +85,8 @@ def prepare(config: ServiceConfig, file: str | Path) -> Parts:
                 f"publish under another message, or set publish.enabled: false in {file}",
             )  # fmt: skip
     estimator = make_estimator(config, mapping, decoder, file)
-    core = ServiceCore(decoder, estimator, encoders[0], send_ids)
+    levels = _level_keeper(config, decoder, estimator, file)
+    core = ServiceCore(decoder, estimator, encoders[0], send_ids, levels)
     sync_period_s = _sync_period_s(mapping, decoder)
     if config.service.no_input_after_s <= sync_period_s:
         raise InputError(
@@ -76,8 +103,34 @@ def prepare(config: ServiceConfig, file: str | Path) -> Parts:
         core=core,
         silent=encoders[1],
         health=encoders[2],
+        levels=levels,
+        level_frames=encoders[3],
+        suggestion_frames=encoders[4],
         sync_period_s=sync_period_s,
     )
+
+
+def _wanted(config: ServiceConfig) -> tuple[str, ...]:
+    """Signals to decode: the gates of error injection look at more than the estimator does."""
+    gated = config.adaptation is not None and config.adaptation.method == "error_injection"
+    return (*SIGNALS, *GATING) if gated else SIGNALS
+
+
+def _level_keeper(
+    config: ServiceConfig, decoder: FrameDecoder, estimator: StreamEstimator, file: str | Path
+) -> FrictionLevelKeeper:
+    adaptation = config.adaptation or AdaptationConfig()
+    model = with_model_effects(load_model(config.model))
+    method: OnlineMethod | None = None
+    try:
+        if adaptation.method == "reversals":
+            settings = estimator.settings
+            method = OnlineReversals(adaptation, model, settings, decoder.period_s)
+        elif adaptation.method == "error_injection":
+            method = OnlineErrorInjection(adaptation, model, decoder.period_s)
+    except ValueError as error:
+        raise InputError(file, "adaptation.method", str(error), "map the signal") from None
+    return FrictionLevelKeeper(estimator, adaptation, method)
 
 
 def service_mapping(mapping: SignalMapping, wanted: Collection[str] = SIGNALS) -> SignalMapping:
@@ -93,14 +146,18 @@ def service_mapping(mapping: SignalMapping, wanted: Collection[str] = SIGNALS) -
     return replace(mapping, signals=signals, messages=messages)
 
 
-def _encoders(
-    config: ServiceConfig, database: Any, file: str | Path, dbc_file: str
-) -> tuple[FrameEncoder | None, FrameEncoder | None, FrameEncoder | None]:
-    publish = config.publish
-    if not publish.enabled:
-        return None, None, None
+Encoders = tuple[FrameEncoder | None, ...]
 
-    def encoder(name: str, place: str, needed: tuple[str, ...]) -> FrameEncoder:
+
+def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: str) -> Encoders:
+    """Of estimates, silence, health, levels, suggestions; None for what is not sent."""
+    publish, adaptation = config.publish, config.adaptation
+    if not publish.enabled:
+        return (None,) * 5
+
+    def encoder(name: str | None, place: str, needed: tuple[str, ...]) -> FrameEncoder | None:
+        if name is None:
+            return None
         message = find_message(database, name)
         if message is None:
             raise InputError(
@@ -117,11 +174,16 @@ def _encoders(
             raise InputError(file, place, f"{name} is a CAN FD message", "set bus.fd: true")
         return FrameEncoder(database, name, dbc_file=dbc_file)
 
-    estimate = encoder(publish.message, "publish.message", _PUBLISHED)
-    silent = encoder(publish.message, "publish.message", _PUBLISHED)
-    if publish.health_message is None:
-        return estimate, silent, None
-    return estimate, silent, encoder(publish.health_message, "publish.health_message", ())
+    told = (None, None) if adaptation is None else (
+        encoder(adaptation.message, "adaptation.message", _LEVELS),
+        encoder(adaptation.suggestion_message, "adaptation.suggestion_message", _SUGGESTED),
+    )  # fmt: skip
+    return (
+        encoder(publish.message, "publish.message", _PUBLISHED),
+        encoder(publish.message, "publish.message", _PUBLISHED),
+        encoder(publish.health_message, "publish.health_message", ()),
+        *told,
+    )
 
 
 def make_estimator(
@@ -175,17 +237,40 @@ def describe(parts: Parts) -> Iterator[str]:
     for name, source in mapping.signals.items():
         if source.derived:
             yield f"derive     {name} from {source.derive_from}"
-    sends = (
+    sends = [
         (parts.silent, config.publish.message, "with every sync frame"),
-        (parts.health, config.publish.health_message, f"every {config.publish.health_period_s} s"),
-    )
+        (
+            parts.health,
+            config.publish.health_message or "",
+            f"every {config.publish.health_period_s} s",
+        ),
+    ]
+    adaptation = config.adaptation
+    if adaptation is not None:
+        when = f"every {adaptation.period_s} s"
+        sends += [
+            (parts.level_frames, adaptation.message or "", when),
+            (parts.suggestion_frames, adaptation.suggestion_message or "", when),
+        ]
     for encoder, message_name, when in sends:
         if encoder is not None:
             yield f"send       0x{encoder.can_id:X} {message_name} {when}"
     if not parts.send_ids:
         yield "send       nothing (publish.enabled: false)"
+    if adaptation is not None:
+        yield f"adapt      {_words(adaptation)}"
     latency_ms = parts.estimator.latency_s * 1e3
     yield f"look-back  {latency_ms:.1f} ms from the sync frame back to the instant estimated"
+
+
+def _words(adaptation: AdaptationConfig) -> str:
+    method = adaptation.method.replace("_", " ")
+    if adaptation.method == "none":
+        return "levels only on the operator's word"
+    if adaptation.apply == "never":
+        return f"{method}: told and recorded, not applied"
+    known = {"both_known": "both levels are", "sum_known": "their sum is"}[adaptation.apply]
+    return f"{method}: applied where {known} known, within {adaptation.sanity_band:.0%}"
 
 
 def _messages(parts: Parts) -> list[Any]:

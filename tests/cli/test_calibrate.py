@@ -76,10 +76,15 @@ def ear(tmp_path: Path) -> Iterator[Ear]:
 
 
 @pytest.fixture
-def rig(config: Path, ear: Ear) -> Iterator[None]:
+def manoeuvre() -> str:
+    return "parked"
+
+
+@pytest.fixture
+def rig(config: Path, ear: Ear, manoeuvre: str) -> Iterator[None]:
+    words = ["rig", "--config", str(config), "--manoeuvre", manoeuvre]
     process = subprocess.Popen(
-        [sys.executable, "-m", "eps_hil.cli", "rig", "--config", str(config)],
-        stdout=subprocess.DEVNULL,
+        [sys.executable, "-m", "eps_hil.cli", *words], stdout=subprocess.DEVNULL
     )
     end = time.monotonic() + 200
     while not ear.frames and time.monotonic() < end:
@@ -123,6 +128,55 @@ def test_dry_run_then_a_run_that_finds_the_levels(config: Path, ear: Ear, tmp_pa
     assert journal.read_text().splitlines()[-1].count('"to": "off"') == 1
     assert {frame.can_id for frame in ear.ours()} == OURS
     assert re.search(r"k0\+ +0\.05\d\d Nm  \(95 %", told.stdout)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("manoeuvre", ["near_centre"])
+@pytest.mark.usefixtures("rig")
+def test_error_injection_finds_the_levels_of_a_rig(config: Path, ear: Ear, tmp_path: Path) -> None:
+    """The model believes in levels that are 40 % off; the rig obeys its own."""
+    true = load_model(ROOT / "configs" / "reference_rig.yaml").friction
+    wrong = (ROOT / "configs" / "reference_rig.yaml").read_text()
+    wrong = wrong.replace("5.600e-2", "3.9e-2").replace("1.258e-1", "1.7e-1")
+    (tmp_path / "wrong.yaml").write_text(wrong)
+    text = config.read_text().replace(f"{ROOT}/configs/reference_rig.yaml", "wrong.yaml")
+    config.write_text(text + "calibration: {error_sliding_s: 2.0}\n")
+    out = tmp_path / "m.yaml"
+    told = calibrate("error-injection", "--config", str(config), "--write-model", str(out))
+    assert told.returncode == 0, told.stdout + told.stderr
+    assert "gate       vehicle_speed_m_s met" in told.stdout
+    found = load_model(out).friction
+    assert found.offset_pos_nm == pytest.approx(true.offset_pos_nm, rel=0.03)
+    assert found.offset_neg_nm == pytest.approx(true.offset_neg_nm, rel=0.03)
+    (entry,) = yaml.safe_load(out.read_text())["calibrations"]
+    assert entry["method"] == "error_injection"
+    assert min(entry["sliding_s"]) >= 2.0
+    assert ear.ours() == [], "it only listens"
+
+
+@pytest.mark.parametrize("verb", ["error-injection", "torque-injection"])
+def test_a_silent_bus_ends_it_with_one_line(
+    config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
+    blocks = "calibration: {silence_s: 0.3}\nservice: {realtime: off}\n"
+    config.write_text(config.read_text() + blocks)
+    words = ["calibrate", verb, "--config", str(config)]
+    if verb == "torque-injection":
+        words += ["--yes-i-stand-clear", "--journal", str(tmp_path / "j.jsonl")]
+    assert main(words) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "no frame EPS_MotorState for 0.3 s; is the rig on this bus?" in said
+
+
+def test_a_dry_run_on_a_silent_bus_says_so(
+    config: Path, ear: Ear, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config.write_text(config.read_text() + "service: {realtime: off}\n")
+    words = ["calibrate", "torque-injection", "--config", str(config), "--dry-run"]
+    assert main([*words, "--duration", "0.3"]) == 1
+    assert "no sync frame was received" in capsys.readouterr().err
+    assert ear.ours() == []
 
 
 @pytest.mark.slow

@@ -152,6 +152,69 @@ def test_duration_log_and_a_live_line_on_request(config: Path, tmp_path: Path) -
     assert len(log.read_text().splitlines()) > 400
 
 
+@pytest.mark.slow
+def test_the_operator_gives_friction_levels_to_the_running_service(
+    config: Path, tmp_path: Path
+) -> None:
+    model, journal = tmp_path / "model.yaml", tmp_path / "journal.jsonl"
+    good = (ROOT / "configs" / "reference_rig.yaml").read_text()
+    model.write_text(good)
+    text = config.read_text().replace(f"{ROOT}/configs/reference_rig.yaml", str(model))
+    config.write_text(text + "adaptation: {}\n")
+    files = (good.replace("5.600e-2", "6.5e-2"), "model: [", good.replace("1.258e-1", "1.258"))
+    with feeding() as feed:
+        process = start(config, "--journal", str(journal))
+        said = wait_ready(process)
+        time.sleep(0.4)
+        for content in files:
+            model.write_text(content)
+            process.send_signal(signal.SIGUSR1)
+            time.sleep(0.6)
+        process.terminate()
+        out, err = process.communicate(timeout=10)
+    assert process.returncode == 0, err
+    assert f"kill -USR1 {process.pid}" in said
+    assert "adapt      levels only on the operator's word" in said
+    assert "levels     operator k0+ 0.0650, k0- 0.1258 Nm taken\n" in out
+    assert "levels     not taken: " in out
+    assert "not valid YAML" in out
+    assert "Nm refused: more than 50% from the accepted 0.0650, 0.1258 Nm" in out
+    lines = [json.loads(line) for line in journal.read_text().splitlines()]
+    assert [line["levels"] for line in lines] == ["taken", "refused"]
+    told = [DATABASE.decode_message(0x150, f.data) for f in feed.seen if f.can_id == 0x150]
+    assert str(told[0]["LevelSource"]) == "model"
+    assert str(told[-1]["LevelSource"]) == "operator"
+    # on its way at 5 mNm/s
+    assert 0.056 < float(told[-1]["LevelPositive"]) <= 0.065
+
+
+def test_a_journal_that_cannot_be_written_is_status_2(
+    config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config.write_text(config.read_text() + "adaptation: {}\n")
+    assert main(["run", "--config", str(config), "--journal", "/no/such/j.jsonl"]) == 2
+    assert "/no/such/j.jsonl: cannot be written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("block", "said"),
+    [
+        ("{method: magic}", "adaptation.method"),
+        ("{sanity_band: 3}", "adaptation.sanity_band"),
+        ("{apply: always}", "adaptation.apply"),
+        ("{reversals: {strech_s: 3}}", "adaptation.reversals.strech_s: is not a known field"),
+    ],
+)
+def test_a_mistake_in_the_adaptation_block(
+    config: Path, capsys: pytest.CaptureFixture[str], block: str, said: str
+) -> None:
+    config.write_text(config.read_text() + f"adaptation: {block}\n")
+    assert main(["run", "--config", str(config)]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+
+
 def test_the_second_service_on_a_bus_is_refused(config: Path) -> None:
     with feeding():
         first = start(config)

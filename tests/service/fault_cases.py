@@ -96,8 +96,12 @@ def _judge(bench: Lockstep, name: str, seed: int, fault: Fault, begun_ms: int) -
 
 
 def _commands_beyond(sent: Sequence[tuple[int, Command]], limits: Limits) -> list[str]:
-    """The limits of the commands themselves, checked frame by frame (quantum 1 uNm)."""
-    wrong, last_nm, quantum = [], 0.0, 1.1e-6
+    """The limits of the commands themselves, checked frame by frame (quantum 1 uNm).
+
+    Where frames were lost on the way, their number (the counter tells) is the number of steps that
+    lie between what was heard; a forged frame's counter tells nothing, and it gets one.
+    """
+    wrong, last_nm, last_counter, quantum = [], 0.0, 0, 1.1e-6
     window: list[tuple[int, float]] = []
     for ms, command in sent:
         enable = command.enable
@@ -105,14 +109,16 @@ def _commands_beyond(sent: Sequence[tuple[int, Command]], limits: Limits) -> lis
         window = [(at, nm) for at, nm in window if ms - at <= 250]
         if abs(torque_nm) > limits.max_torque_nm:
             wrong.append(f"{torque_nm} Nm commanded")
-        if torque_nm and abs(torque_nm - last_nm) > limits.max_step_nm + quantum:
+        steps = max((command.counter - last_counter) % 256, 1) if last_nm else 1
+        steps = steps if steps <= AFTER_MS else 1
+        if torque_nm and abs(torque_nm - last_nm) > steps * limits.max_step_nm + quantum:
             wrong.append(f"a step of {torque_nm - last_nm} Nm")
         if torque_nm and any(
             abs(torque_nm - nm) > limits.max_change_250ms_nm + quantum for _, nm in window
         ):
             wrong.append("too much in 250 ms")
         window.append((ms, torque_nm))
-        last_nm = torque_nm
+        last_nm, last_counter = torque_nm, command.counter
     return wrong
 
 
