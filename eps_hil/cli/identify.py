@@ -75,9 +75,15 @@ def _say(found: "Identification") -> None:
     for name, one in shown.items():
         typer.echo(f"  {name:{width}} {_line(one)}")
     typer.echo("differences of delays, which are what recordings show:")
-    for name, one in found.skews_s.items():
-        typer.echo(f"  {name:{width}} {_line(one)}")
+    for name, skew in found.skews_s.items():
+        typer.echo(f"  {name:{width}} {_line(skew)}")
+    if found.motor_lag is not None:
+        typer.echo(f"  {'motor_lag':{width}} {_line(found.motor_lag)}")
     typer.echo(_coverage(found))
+    typer.echo("these recordings cannot tell apart, or not at all:")
+    for unknown in found.cannot_tell:
+        remedy = unknown.remedy.removeprefix("record ")
+        typer.echo(f"  {unknown.what}: {unknown.why}" + (f"; record {remedy}" if remedy else ""))
     for finding in found.findings:
         where = ", ".join(part for part in (finding.recording, finding.signal) if part)
         typer.echo(f"note: {where + ': ' if where else ''}{finding.summary}")

@@ -28,6 +28,7 @@ CLEAR_SIGMA = 6.0
 SETTLED = 6.0
 """Path since a reversal, in units of T_fs/σ0, after which the bristle's history is forgotten."""
 LOAD_HZ = 40.0
+PLACE_HZ = 0.3
 
 
 @dataclass
@@ -41,6 +42,7 @@ class Case:
     good: Masks = field(init=False)
     resting: Masks = field(init=False)
     _shifted: dict[tuple[str, float], Floats] = field(default_factory=dict)
+    _place: tuple[float, Floats] | None = None
 
     def __post_init__(self) -> None:
         self.time_s = filters.thinned(self.recording.time_s)
@@ -70,10 +72,18 @@ class Case:
         return low_pass(self.recording.raw["rack_force_n"], LOAD_HZ)
 
     def position_m(self, model: Model) -> Floats:
-        """Rack position, measured or from the angle, at the speed's stamps."""
-        if self.recording.has("rack_position_m"):
-            return self.signal("rack_position_m", -model.delays_s.motor_speed)
-        return self.motion.angle / model.rack_to_rotor_ratio_rad_per_m
+        """Rack position at the speed's stamps: the rotor's angle, about the rack's own centre.
+
+        How late the rack position itself is reported nobody knows, and with a spring as the load
+        every millisecond of it would be damping; so it says where the rack is, and no more.
+        """
+        by_rotor = self.motion.angle / model.rack_to_rotor_ratio_rad_per_m
+        if not self.recording.has("rack_position_m"):
+            return by_rotor
+        if self._place is None or self._place[0] != model.rack_to_rotor_ratio_rad_per_m:
+            apart = low_pass(self.recording.raw["rack_position_m"] - by_rotor, PLACE_HZ, 2)
+            self._place = (model.rack_to_rotor_ratio_rad_per_m, by_rotor + apart)
+        return self._place[1]
 
     def rack_force_n(self, state: State) -> Floats:
         """Measured, or of the spring that stands in for it."""

@@ -13,8 +13,11 @@ from eps_hil.physics.model import Delays
 
 HOLD_BELOW_S = 2.5e-4
 """A reference whose skew is less sure than this would blur all other delays."""
+LOOSEST_S = 3.6e-4
+"""A delay less sure than this (deviation) is not called identified."""
 _NAME = "delays_s."
 _AS_GOOD_S = 2e-5
+_TOGETHER = "shows only together with another delay that is kept; moved along with it"
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ def timing(
             before.motor_speed - getattr(before, key),
         )
         for key in found
+        if spread[key] < LOOSEST_S
     }
     if reference:
         speed = float(getattr(before, reference)) - get(fit.state, _NAME + reference)
@@ -77,13 +81,19 @@ def timing(
         if reference and key != reference:
             value[key] = _not_negative(value[key], quantile * between(key, reference))
     moved = max(0.0, -min(value.values()))
-    halves = {key: quantile * between(key, reference) for key in found if reference}
+    halves = {
+        key: quantile * between(key, reference)
+        for key in found
+        if reference and spread[key] < LOOSEST_S
+    }
     if reference:
         halves["motor_speed"] = quantile * between("motor_speed", reference)
     if angle is not None and reference:
         halves["motor_angle"] = float(np.hypot(halves["motor_speed"], quantile * angle.sigma_s))
     estimates = {
-        key: _delay(key, late + moved, before, reference, halves, kept)
+        key: _delay(
+            key, late + moved, before, reference, halves, _TOGETHER if key in found else kept
+        )
         for key, late in value.items()
     }
     delays = Delays(**{key: late + moved for key, late in value.items()})

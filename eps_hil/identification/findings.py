@@ -6,10 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.errors import InputError
-from eps_hil.identification import filters
 from eps_hil.identification.balance import Case
-from eps_hil.identification.least_squares import Rows
-from eps_hil.identification.prepare import Finding
+from eps_hil.identification.finding import Finding
+from eps_hil.identification.gains import gain_findings
 from eps_hil.identification.stages import SETTLED_SHARE, Found, Sliding
 from eps_hil.identification.state import State, get
 
@@ -17,7 +16,6 @@ Floats = npt.NDArray[np.float64]
 
 LEFT_OVER = 2.0
 MOST_ROUGH = 0.08
-_GAIN = 0.02
 _NO_SPRING = 0.35
 _FARTHEST = 2.0
 
@@ -128,50 +126,4 @@ def of_fit(
         if not case.recording.has("torque_sensor_nm"):
             words = "no torsion bar torque: taken as hands off"
             told.append(Finding("no_torque_sensor", case.recording.name, "torque_sensor_nm", words))
-    return told + _gains(cases, state, found)
-
-
-def _gains(cases: Sequence[Case], state: State, found: Found) -> list[Finding]:
-    """Torques whose scale disagrees with the load cell's, from one step with gains set free."""
-    rows = found.sliding.rows
-    if not any(case.measured_load for case in cases) or not found.sliding.parameters:
-        return []
-    signals = ("motor_torque_nm", "torque_sensor_nm")
-    told = []
-    for signal in signals:
-        gain, sigma = _gain(cases, state, rows, signal)
-        if abs(gain) > max(_GAIN, 5 * sigma) and sigma < 0.1:
-            words = (
-                f"{signal} would fit the load cell better times {1 + gain:.3f}: check its scale, "
-                "the load cell and the ratios"
-            )
-            told.append(Finding("scale", "", signal, words))
-    return told
-
-
-def _gain(
-    cases: Sequence[Case], state: State, rows: Sequence[Rows], signal: str
-) -> tuple[float, float]:
-    """(relative change of the signal's gain, deviation) with all other parameters free."""
-    key = "delays_s.motor_torque" if signal.startswith("motor") else "delays_s.torque_sensor"
-    factor = 1.0 if signal.startswith("motor") else state.model.sensor_to_rotor
-    size = rows[0].columns.shape[1] + 1
-    normal, slope = np.zeros((size, size)), np.zeros(size)
-    scores = []
-    for case, one in zip(cases, rows, strict=True):
-        column = factor * filters.smooth(case.signal(signal, get(state, key)))
-        columns = np.column_stack([one.columns, column])
-        weighted = columns * one.weight[:, None]
-        normal += weighted.T @ columns
-        residual = case.residual(state)
-        slope -= weighted.T @ residual
-        for number in np.unique(one.block):
-            mine = one.block == number
-            scores.append(-weighted[mine].T @ residual[mine])
-    if normal[-1, -1] <= 0:
-        return 0.0, np.inf
-    inverse = np.linalg.pinv(normal)
-    step = inverse @ slope
-    matrix = np.array(scores)
-    covariance = inverse @ (matrix.T @ matrix) @ inverse
-    return float(step[-1]), float(np.sqrt(max(covariance[-1, -1], 0.0)))
+    return told + gain_findings(cases, state, found.sliding)

@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
+from eps_hil.identification import filters
 from eps_hil.identification.balance import Case
 from eps_hil.identification.least_squares import Fit, expected, fit, linearised
 from eps_hil.identification.stages import Sliding
@@ -12,6 +14,10 @@ from eps_hil.identification.state import Parameter, State, get, put
 
 LOOSEST = {"inertia_kg_m2": 0.15, "delays_s": 0.06, "friction": 0.3, "spring": 0.2}
 """Largest deviation of what counts as identified, in units of the parameter's prior."""
+FELT = 0.005
+"""How far friction's load may be off the spring's force that stands in for a load cell (rms)."""
+
+Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -39,11 +45,24 @@ def choose(cases: Sequence[Case], start: State, parameters: Sequence[Parameter])
             found = replace(found, state=state, parameters=(), covariance=np.zeros((0, 0)))
             break
         found = fit(cases, state, fitted, start, weights, rounds=6)
+    found = _settled(cases, found, start, fitted, kept, weights)
+    return Choice(tuple(fitted), tuple(kept), found)
+
+
+def _settled(
+    cases: Sequence[Case],
+    found: Fit,
+    start: State,
+    fitted: Sequence[Parameter],
+    kept: Sequence[Parameter],
+    weights: Sliding,
+) -> Fit:
+    """The fit again with kept delays at their values, now that the speed's own is known."""
     for _ in range(2):
         held = _held(found, start, kept)
         if fitted and held != found.state:
             found = fit(cases, held, fitted, start, weights, rounds=6)
-    return Choice(tuple(fitted), tuple(kept), found)
+    return found
 
 
 def _held(found: Fit, start: State, kept: Sequence[Parameter]) -> State:
@@ -87,22 +106,51 @@ def _informed(
 
 
 def widened(fit: Fit, cases: Sequence[Case], kept: Sequence[Parameter], weights: Sliding) -> Fit:
-    """The fit with covariance for what the kept values, off by their priors, would change.
+    """The fit with covariance for what it takes on trust, were that wrong.
 
-    The model file's value of a kept parameter may be wrong by its prior's half.
+    The model file's value of a kept parameter may be wrong by its prior's half; where the load is
+    not measured, what friction feels of it by :data:`FELT` of its size.
     """
-    if not kept or not fit.parameters:
+    springs = [case.index for case in cases if not case.measured_load]
+    if not fit.parameters or not (kept or springs):
         return fit
-    everything = [*fit.parameters, *kept]
-    rows = linearised(cases, fit.state, everything, weights)
-    normal = np.zeros((len(everything),) * 2)
-    for one in rows:
-        normal += one.columns.T @ (one.columns * one.weight[:, None])
     n = len(fit.parameters)
-    mine = normal[:n, :n] + np.diag([p.prior**-2.0 for p in fit.parameters])
-    change = -np.linalg.solve(mine, normal[:n, n:])
-    wrong = np.diag([(0.5 * p.prior) ** 2 for p in kept])
+    rows = linearised(cases, fit.state, [*fit.parameters, *kept], weights)
+    trusted = [_felt(case, fit.state, springs) for case in cases]
+    mine = np.diag([p.prior**-2.0 for p in fit.parameters])
+    others = np.zeros((n, len(kept) + 2 * len(springs)))
+    for one, felt in zip(rows, trusted, strict=True):
+        weighted = one.columns[:, :n] * one.weight[:, None]
+        mine += weighted.T @ one.columns[:, :n]
+        others += weighted.T @ np.column_stack([one.columns[:, n:], felt])
+    change = -np.linalg.solve(mine, others)
+    wrong = np.diag([*((0.5 * p.prior) ** 2 for p in kept), *np.ones(2 * len(springs))])
     return replace(fit, covariance=fit.covariance + change @ wrong @ change.T)
+
+
+def _felt(case: Case, state: State, springs: Sequence[int]) -> Floats:
+    """Residual (Nm) if friction felt an unmeasured load FELT of its size higher, or later.
+
+    (m, 2 a spring). A spring's zero and its damping act on the rotor just as the difference of
+    the friction offsets and the viscous friction do; only the friction that the load makes tells
+    them apart, so how well that is known is how well they are.
+    """
+    columns = np.zeros((len(case.time_s), 2 * len(springs)))
+    if case.measured_load:
+        return columns
+    ratio = state.model.rack_to_rotor_ratio_rad_per_m
+    size = FELT * float(np.std(case.rack_force_n(state)))
+    rate = case.motion.speed / ratio
+    rates = float(np.std(rate))
+    k, name = 2 * springs.index(case.index), f"spring{case.index}."
+    for place, key, direct, step in (
+        (k, "force_n", np.ones(len(rate)), size),
+        (k + 1, "damping_n_s_per_m", rate, size / rates if rates > 0 else 0.0),
+    ):
+        moved = put(state, name + key, get(state, name + key) + step)
+        whole = case.residual(moved) - case.residual(state)
+        columns[:, place] = whole + step * filters.smooth(direct) / ratio
+    return columns
 
 
 def _doubt(found: Fit, parameter: Parameter) -> float:

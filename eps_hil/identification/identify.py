@@ -9,12 +9,15 @@ import numpy as np
 from eps_hil.errors import InputError
 from eps_hil.identification import delays, filters, findings, kinematics, plausibility
 from eps_hil.identification.balance import Case, cases
+from eps_hil.identification.cannot_tell import cannot_tell
+from eps_hil.identification.finding import Finding
 from eps_hil.identification.friction_map import friction_map
 from eps_hil.identification.identifiable import choose, widened
 from eps_hil.identification.least_squares import Fit
+from eps_hil.identification.motor_lag import motor_lag
 from eps_hil.identification.noise_bias import corrected
 from eps_hil.identification.offsets import Offset, offset
-from eps_hil.identification.prepare import Finding, Prepared, prepare
+from eps_hil.identification.prepare import Prepared, prepare
 from eps_hil.identification.result import Estimate, Identification
 from eps_hil.identification.stages import SETTLED_SHARE, Found, estimate
 from eps_hil.identification.state import (
@@ -29,9 +32,9 @@ from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
-METHOD_INERTIA, METHOD_BRISTLE = 2e-4, 0.01
+METHOD_INERTIA, METHOD_BRISTLE = 3.3e-4, 6.5e-3
 METHOD_SAMPLES = 0.03
-"""Own error of the method (relative; of a 1 ms step), on plants whose truth is known."""
+"""Own error of the method (relative; of a 1 ms step): docs/theory-identification.md, section 5."""
 LOOSEST_BRISTLE = 0.5
 LEAST_OFFSET_NM = {"torque_sensor_nm": 0.005, "motor_torque_nm": 0.001}
 
@@ -124,16 +127,21 @@ def _result(
     told = [one for recording in ready for one in recording.findings]
     told += kinematics.ratio_findings(ready, angle)
     told += findings.of_fit(rows, state, found, residual, floor, timing.moved_s)
+    quiet = _offset_estimates(offsets)
+    lag = motor_lag(rows, fit.state, fit)
+    unknown = cannot_tell(parameters, quiet, rows, timing.reference, lag)
     names, seconds = tuple(one.name for one in ready), sum(len(one.time_s) for one in ready)
     return Identification(
         model=_model(before, state, timing.delays, offsets),
         parameters=parameters,
         skews_s=timing.skews,
         delay_reference=timing.reference,
-        offsets=_offset_estimates(offsets),
+        offsets=quiet,
         loads=_loads(ready, state, fit, quantile),
         map=friction_map(rows, state, found.weights),
         findings=tuple(told),
+        cannot_tell=unknown,
+        motor_lag=lag.estimate(quantile),
         recordings=names,
         seconds=seconds * filters.STEP_S,
         residual_nm=residual,

@@ -15,7 +15,8 @@ import numpy.typing as npt
 from eps_hil.errors import InputError
 from eps_hil.identification import filters
 from eps_hil.identification.filters import STEP_S, low_pass
-from eps_hil.identification.prepare import Finding, Prepared
+from eps_hil.identification.finding import Finding
+from eps_hil.identification.prepare import Prepared
 
 Floats = npt.NDArray[np.float64]
 Masks = npt.NDArray[np.bool_]

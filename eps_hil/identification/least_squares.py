@@ -113,12 +113,12 @@ def _normal(
         weighted = one.columns * one.weight[:, None]
         normal = normal + weighted.T @ one.columns
         slope = slope - weighted.T @ one.residual
-        excess, pull = _noise_share(case, one, state, parameters)
+        excess, pull = noise_share(case, one, state, parameters)
         normal, slope = normal - excess, slope + pull
     return normal, slope
 
 
-def _noise_share(
+def noise_share(
     case: Case, one: Rows, state: State, parameters: Sequence[Parameter]
 ) -> tuple[Floats, Floats]:
     """What noise in columns adds to the normal matrix, and how it pulls at the inertia.
@@ -165,7 +165,7 @@ def _doubted(
     motor that is a spring of the same motion), that much of it would look like knowledge.
     """
     for case, one in zip(cases, rows, strict=True):
-        normal = normal - _DOUBT * _noise_share(case, one, state, parameters)[0]
+        normal = normal - _DOUBT * noise_share(case, one, state, parameters)[0]
     prior = np.array([p.prior for p in parameters])
     value, vector = np.linalg.eigh(normal * np.outer(prior, prior))
     safe = (vector * np.maximum(value, 1.0)) @ vector.T
@@ -182,7 +182,7 @@ def jackknife(
     """Covariance from the fits without one block each (one Newton step), and how many blocks."""
     changes = []
     for case, one in zip(cases, rows, strict=True):
-        excess, pull = _noise_share(case, one, state, parameters)
+        excess, pull = noise_share(case, one, state, parameters)
         total = max(float(one.weight.sum()), 1e-300)
         for number in np.unique(one.block[one.weight > 0]):
             mine = one.block == number

@@ -10,14 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.errors import InputError
+from eps_hil.identification import gaps
 from eps_hil.identification.filters import STEP_S
+from eps_hil.identification.finding import Finding
 from eps_hil.series import Series
 
 Floats = npt.NDArray[np.float64]
 Masks = npt.NDArray[np.bool_]
 
 SHORTEST_S = 3.0
-LONGEST_GAP_S = 0.05
 _SPIKE_SIGMA = 12.0
 _SLOW_S = 1.5e-3
 _USED = (
@@ -28,25 +29,6 @@ _USED = (
     "rack_force_n",
     "rack_position_m",
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """Something about the recordings that a person should know; ``kind`` is for programs."""
-
-    kind: str
-    recording: str
-    signal: str
-    summary: str
-
-    def content(self) -> dict[str, str]:
-        """JSON-ready."""
-        return {
-            "kind": self.kind,
-            "recording": self.recording,
-            "signal": self.signal,
-            "summary": self.summary,
-        }
 
 
 @dataclass(frozen=True)
@@ -102,12 +84,9 @@ def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
         raw[key] = _on_grid(t_ns - origin, mended, grid, step)
         density[key] = max(2.0 * sigma**2 * step, 1e-18)
         findings += _shape(name, key, mended, sigma)
-        holes = np.flatnonzero(np.diff(t_ns) > 1e9 * max(LONGEST_GAP_S, 5 * step))
-        for hole in holes:
-            good &= ~((grid >= t_ns[hole] - origin) & (grid <= t_ns[hole + 1] - origin))
-        if len(holes):
-            summary = f"{len(holes)} gaps longer than {max(LONGEST_GAP_S, 5 * step):.3g} s left out"
-            findings.append(Finding("gaps", name, key, summary))
+        for before, after in gaps.holes(t_ns):
+            good &= ~((grid >= before - origin) & (grid <= after - origin))
+    findings += gaps.findings(name, clean)
     time_s = np.asarray((grid + (origin - start)) * 1e-9, dtype=np.float64)
     return Prepared(name, time_s, raw, density, good, tuple(findings))
 

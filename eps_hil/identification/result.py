@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from eps_hil.identification.finding import Finding, Unknown
 from eps_hil.identification.friction_map import FrictionMap
-from eps_hil.identification.prepare import Finding
 from eps_hil.physics.model import Model
 
 SCHEMA = "eps-hil/identification/1"
@@ -44,7 +44,8 @@ class Identification:
 
     ``skews_s`` are differences of delays (motor speed less the signal), which is what recordings
     show; ``residual_nm`` and ``floor_nm`` are rms of the balance while sliding, and of the part
-    of it that sensor noise explains.
+    of it that sensor noise explains. ``motor_lag`` is the part of the motor torque's delay that is
+    a first-order lag, where the recordings show one.
     """
 
     model: Model
@@ -55,6 +56,8 @@ class Identification:
     loads: Mapping[str, Mapping[str, Any]]
     map: FrictionMap
     findings: tuple[Finding, ...]
+    cannot_tell: tuple[Unknown, ...]
+    motor_lag: Estimate | None
     recordings: tuple[str, ...]
     seconds: float
     residual_nm: float
@@ -90,6 +93,8 @@ class Identification:
             "not_identified": [
                 {"parameter": name, "why": why} for name, why in self.not_identified().items()
             ],
+            "cannot_tell": [one.content() for one in self.cannot_tell],
+            "motor_lag_s": None if self.motor_lag is None else self.motor_lag.content(),
             "findings": [one.content() for one in self.findings],
             "fit": {
                 "residual_rms_nm": self.residual_nm,

@@ -36,7 +36,9 @@ def render(found: Identification, model_name: str) -> str:
         verdict=_verdict(found),
         parameters=_rows(found.parameters),
         offsets=_rows(found.offsets),
-        skews=_rows(found.skews_s),
+        skews=_rows(
+            {**found.skews_s, **({"motor_lag": found.motor_lag} if found.motor_lag else {})}
+        ),
         coverage=_coverage(found),
         enough_s=ENOUGH_S,
         figure=identification_figure.svg(found),

@@ -114,7 +114,17 @@ def test_without_a_load_cell_against_a_spring(
     assert p["friction.offset_pos_nm"].value == pytest.approx(true.k0_pos, rel=0.05)
     assert p["friction.load_neg_nm_per_n"].value == pytest.approx(true.kr_neg, rel=0.08)
     assert found.loads["multisine"]["stiffness_n_per_m"] == pytest.approx(1.2e5, rel=0.02)
+    # the speed is 1.2 ms later than the model file says: no damping must come of that
+    assert found.loads["multisine"]["damping_n_s_per_m"] == pytest.approx(4.0e3, rel=0.02)
+    truth = {"offset_pos_nm": true.k0_pos, "offset_neg_nm": true.k0_neg}
+    truth |= {"viscous_pos_nm_s_per_rad": true.kw_pos, "viscous_neg_nm_s_per_rad": true.kw_neg}
+    for name, value in truth.items():
+        interval = p[f"friction.{name}"].ci95
+        assert interval is not None
+        assert interval[0] < value < interval[1]
     assert {one.kind for one in found.findings} >= {"no_load_cell"}
+    alike = [unknown.what for unknown in found.cannot_tell]
+    assert "viscous friction and the damping of the load" in alike
 
 
 def test_an_unmeasured_load_that_is_no_spring_is_refused(
