@@ -12,6 +12,7 @@ from eps_hil.diagnosis.first_look import first_look
 from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.leftover import Leftover, leftover
 from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
+from eps_hil.diagnosis.placebo import placebos
 from eps_hil.diagnosis.prepare import prepare
 from eps_hil.diagnosis.problem import Problem, clipped, knee
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
@@ -87,8 +88,10 @@ def diagnose(
     hidden = load is not None and load.form == "arbitrary"  # what is left may be the load
     left = None if hidden else leftover(problem, selection.found.residual)
     content = look.added_to(_content(problem, selection, findings, left, judged))
-    if model is not given:
-        content["fit"]["holdout"]["baseline"] = measures(judged, given, given)
+    content["fit"]["placebo"] = placebos(problem, selection, findings, judged)
+    if model is not given or look.put_right:
+        as_read = [Holdout(one, series) for one, series in spare]
+        content["fit"]["holdout"]["baseline"] = measures(as_read, given, given)
     content["limits"] = [] if load is None else [load.sentence]
     augmented = look.in_model(_augmented(problem, selection.found, findings))
     return Diagnosis(content, augmented, problem, selection, judged, findings)

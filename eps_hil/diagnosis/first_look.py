@@ -18,6 +18,9 @@ from eps_hil.series import Series
 
 Signals = Mapping[str, Series]
 
+_PUT_RIGHT = ("clock_drift", "torque_sensor_hysteresis")
+"""Effects that are taken out of the recordings, not put into the model."""
+
 
 @dataclass(frozen=True)
 class FirstLook:
@@ -34,6 +37,11 @@ class FirstLook:
     entries: tuple[dict[str, Any], ...]
     quality: tuple[dict[str, Any], ...]
     kinematics: Mapping[str, Any]
+
+    @property
+    def put_right(self) -> bool:
+        """Whether the recordings hold something else now than what was read."""
+        return any(one["effect"] in _PUT_RIGHT for one in self.findings)
 
     def added_to(self, content: Mapping[str, Any]) -> dict[str, Any]:
         """The JSON with this look's findings and keys; names found twice stand once."""

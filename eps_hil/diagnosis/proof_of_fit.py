@@ -43,7 +43,7 @@ def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[s
         mask = sliding(one.prepared, common)
         residual.append(one.prepared.left_over(model)[mask])
         torque.append(one.prepared.residual(common)[1][mask])
-        simulated, measured = _free_runs(one.prepared, model)
+        _, simulated, measured = free_runs(one.prepared, model)
         error.append(simulated - measured)
         speed.append(measured - np.mean(measured) if len(measured) else measured)
         found = score(batch.estimate(dict(one.series), model), one.series, common)
@@ -65,12 +65,15 @@ def noise_floor(holdouts: Sequence[Holdout], model: Model) -> dict[str, float]:
     return {"torque_nrmse": float(np.sqrt(np.mean(np.square(floors)))) / max(_rms(torque), 1e-12)}
 
 
-def _free_runs(prepared: Prepared, model: Model) -> tuple[Floats, Floats]:
-    """(simulated, measured) speed of stretches that start while sliding; the rest left out."""
+def free_runs(prepared: Prepared, model: Model) -> tuple[Floats, Floats, Floats]:
+    """(time, simulated, measured speed) of half seconds that start while sliding; s, rad/s.
+
+    Each is simulated freely from the measured state at its start; the rest is left out.
+    """
     model = with_model_effects(model)
     motion = prepared.motion(model)
     law = friction_law(model.friction)
-    simulated, measured = [], []
+    time, simulated, measured = [], [], []
     n = round(WINDOW_S / STEP_S)
     starts = [
         first
@@ -91,11 +94,12 @@ def _free_runs(prepared: Prepared, model: Model) -> tuple[Floats, Floats]:
             angle_rad=float(motion.angle_rad[first]),
             bristle_rad=float(np.sign(speed) * level / law.sigma0_nm_per_rad),
         )
+        time.append(motion.time_s[part])
         simulated.append(run.speed_rad_s)
         measured.append(motion.speed_rad_s[part])
     if not simulated:
-        return np.zeros(0), np.zeros(0)
-    return np.concatenate(simulated), np.concatenate(measured)
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    return np.concatenate(time), np.concatenate(simulated), np.concatenate(measured)
 
 
 def _rms(parts: Sequence[Floats]) -> float:

@@ -176,7 +176,7 @@ def rotor_against_rack(
     """
     accepted = _accepted(rows)
     names = [*_ALWAYS, *(column for effect in accepted for column in _GROUPS[effect])]
-    base = _fit(rows, _ALWAYS)[1]
+    start, base = _fit(rows, _ALWAYS)
     values, left = _fit(rows, names)
     found = []
     for effect in accepted:
@@ -195,6 +195,9 @@ def rotor_against_rack(
         "ratio_error": values["ratio"],
         "angle_delay_beyond_model_s": values["delay"],
     }
+    if kept:
+        content["holdout_rms_rad"] = _rms_rad(kept, start)
+        content["holdout_left_rad"] = _rms_rad(kept, values)
     return found, content
 
 
@@ -263,17 +266,24 @@ def _own(effect: str, values: Mapping[str, float], sigma: Mapping[str, float]) -
     return {"stiffness_nm_per_rad": sigma["compliance"] / values["compliance"] ** 2}
 
 
+def _left(one: Rows, values: Mapping[str, float]) -> Floats:
+    """What fitted numbers leave of the residual, rad; its constant is the recording's own."""
+    left = one.e - sum(value * one.columns[name] for name, value in values.items())
+    return np.asarray(left - np.mean(left))
+
+
+def _rms_rad(rows: Sequence[Rows], values: Mapping[str, float]) -> float:
+    left = np.concatenate([_left(one, values) for one in rows])
+    return float(np.sqrt(np.mean(left**2)))
+
+
 def _helps(
     kept: Sequence[Rows], names: Sequence[str], values: Mapping[str, float], group: Sequence[str]
 ) -> bool:
     """Whether the fitted numbers of ``group`` lower the hold-outs' residual."""
-    cost = {True: 0.0, False: 0.0}
-    for one in kept:
-        for with_group in (True, False):
-            used = [name for name in names if with_group or name not in group]
-            left = one.e - sum(values[name] * one.columns[name] for name in used)
-            cost[with_group] += robust_cost((left - np.mean(left)) / one.sigma)
-    return cost[True] < cost[False]
+    others = {name: values[name] for name in names if name not in group}
+    cost = [sum(robust_cost(_left(r, v) / r.sigma) for r in kept) for v in (values, others)]
+    return cost[0] < cost[1]
 
 
 def _deviations(rows: Sequence[Rows], names: Sequence[str], residual: Floats) -> dict[str, float]:

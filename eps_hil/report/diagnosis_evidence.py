@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.diagnose import Diagnosis
-from eps_hil.diagnosis.locate import coordinates
 from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.regions import operating_region
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 
@@ -55,7 +55,7 @@ class Evidence:
     @cached_property
     def signals(self) -> Mapping[str, Floats]:
         """Canonical signals (n,) at physical instants, and ``motor_angle_rad``."""
-        found = dict(coordinates(self.problem))
+        found = dict(operating_region(self.problem))
         angle = [one.motion(self.problem.model).angle_rad for one in self.problem.recordings]
         times = self.problem.recordings
         found["motor_angle_rad"] = np.concatenate(
@@ -161,6 +161,10 @@ LABELS: Mapping[str, str] = {
     "rack_force_n": "rack force in N",
     "motor_torque_nm": "motor torque in Nm",
     "torque_sensor_nm": "torsion-bar torque in Nm",
+    "abs_motor_speed_rad_s": "rotor speed either way in rad/s",
+    "since_reversal_s": "time since the last reversal in s",
+    "dwell_s": "length of the last rest in s",
+    "motor_temperature_degc": "motor temperature in °C",
     "time_s": "time in s",
 }
 _DIRECTIONS = {"right": ", turning positive", "left": ", turning negative"}

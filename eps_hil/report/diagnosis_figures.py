@@ -7,6 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.prepare import STEP_S, Prepared
+from eps_hil.diagnosis.proof_of_fit import free_runs
 from eps_hil.estimation import batch
 from eps_hil.estimation.stream import Trace
 from eps_hil.physics.model import Model
@@ -165,8 +167,30 @@ def holdouts(diagnosis: Diagnosis, evidence: Evidence) -> list[dict[str, Any]]:
             220,
         )
         force = _force(diagnosis, one, evidence, part, sync, most // 2)
-        result.append({"name": one.prepared.name, "plots": [left, force]})
+        speed = _speed(evidence, one.prepared, sync, most // 2)
+        result.append({"name": one.prepared.name, "plots": [left, *speed, force]})
     return result
+
+
+def _speed(evidence: Evidence, one: Prepared, sync: str, most: int) -> list[Plot]:
+    """Error of the freely simulated speed; empty where the rotor does not slide long enough."""
+    time, before, measured = free_runs(one, evidence.problem.model)
+    if len(time) == 0:
+        return []
+    errors = [("model as it was", "before", before - measured)]
+    if evidence.entries:
+        after = free_runs(one, evidence.augmented)[1]
+        errors.append(("with the findings", "after", after - measured))
+    keep = thinned(errors[0][2], most)
+    # between two stretches nothing was simulated: no line there
+    starts = np.flatnonzero(np.diff(time) > 2 * STEP_S) + 1
+    rows = np.unique(np.concatenate([keep, starts]))
+    lines = []
+    for name, style, values in errors:
+        shown = values[rows].copy()
+        shown[np.isin(rows, starts)] = np.nan
+        lines.append(Line(name, style, shown))
+    return [Plot(f"{sync}-speed", "", "speed error, rad/s", time[rows], lines, sync, 180)]
 
 
 def _force(

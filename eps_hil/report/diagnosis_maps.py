@@ -1,16 +1,19 @@
 """Where a mismatch sits: a map over the operating region, profiles, and strips over time."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from eps_hil.report.diagnosis_evidence import LABELS, Evidence
-from eps_hil.report.plots import Line, Plot
+from eps_hil.report.plots import Line, Plot, ticks
 
 Floats = npt.NDArray[np.float64]
 
 CELLS = 20
+MOST_MAPS = 3
+_NO_PROFILE = ("motor_angle_rad", "time_s", "abs_motor_speed_rad_s")
 LEAST_SAMPLES = 5
 MOST_STRIPS = 12
 MOST_WINDOWS = 200
@@ -32,10 +35,26 @@ def scale() -> list[str]:
     return [colour(k / 15) for k in range(16)]
 
 
-def region(evidence: Evidence) -> dict[str, Any]:
-    """Rms of what is left (N at the rack) in cells of speed and the signal that tells most."""
-    second = _telling(evidence)
-    x, y = evidence.signals["motor_speed_rad_s"], evidence.signals[second]
+def regions(evidence: Evidence, cells: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Maps of what is left (rms, N at the rack), over one pair of signals each.
+
+    The pairs are those of the most telling ``cells`` (the JSON's location); where there is none,
+    speed and the signal that tells most beside it. Cells that a map can show are framed in it.
+    """
+    pairs: list[tuple[str, str]] = []
+    for cell in cells:
+        names = [name for name in cell["signals"] if name in evidence.signals]
+        if len(names) == 2 and (names[0], names[1]) not in pairs:
+            pairs.append((names[0], names[1]))
+    if not pairs:
+        pairs = [("motor_speed_rad_s", _telling(evidence))]
+    return [_map(evidence, pair, cells) for pair in pairs[:MOST_MAPS]]
+
+
+def _map(
+    evidence: Evidence, pair: tuple[str, str], cells: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    x, y = (evidence.signals[name] for name in pair)
     use = evidence.sliding
     x_edges, y_edges = _edges(x[use]), _edges(y[use])
     column, row = np.digitize(x, x_edges) - 1, np.digitize(y, y_edges) - 1
@@ -56,14 +75,39 @@ def region(evidence: Evidence) -> dict[str, Any]:
         for title, size in zip(("model as it was", "with the findings"), sizes, strict=False)
     ]
     return {
-        "x_label": LABELS["motor_speed_rad_s"],
-        "y_label": LABELS[second],
-        "x_range": [float(x_edges[0]), float(x_edges[-1])],
-        "y_range": [float(y_edges[0]), float(y_edges[-1])],
+        "axes": [_axis(pair[0], x_edges), _axis(pair[1], y_edges)],
+        "frames": [one for cell in cells if (one := _frame(cell, pair, x_edges, y_edges))],
         "top_n": top,
         "maps": maps,
         "cells": CELLS,
     }
+
+
+def _axis(name: str, edges: Floats) -> dict[str, Any]:
+    """Label, and ticks as (part of the axis, value)."""
+    low, high = float(edges[0]), float(edges[-1])
+    return {
+        "label": LABELS[name],
+        "ticks": [((value - low) / (high - low), value) for value in ticks(low, high)],
+    }
+
+
+def _frame(
+    cell: Mapping[str, Any], pair: tuple[str, str], x_edges: Floats, y_edges: Floats
+) -> dict[str, float] | None:
+    """Sides of a located cell as parts of the map; None for one over other signals."""
+    if not set(cell["signals"]) <= set(pair):
+        return None
+    sides = []
+    for name, edges in zip(pair, (x_edges, y_edges), strict=True):
+        span = (0.0, 1.0)
+        if name in cell["signals"]:
+            k = cell["signals"].index(name)
+            low, high = float(edges[0]), float(edges[-1])
+            span = ((cell["from"][k] - low) / (high - low), (cell["to"][k] - low) / (high - low))
+        sides.append([min(max(side, 0.0), 1.0) for side in span])
+    (left, right), (bottom, top) = sides
+    return {"x": left, "y": 1.0 - top, "width": right - left, "height": top - bottom}
 
 
 def _cell(k: int, size: Floats, top: float, count: npt.NDArray[np.int64]) -> dict[str, Any]:
@@ -105,8 +149,8 @@ def profiles(evidence: Evidence) -> list[Plot]:
     use = evidence.sliding
     plots = []
     for name in LABELS:
-        x = evidence.signals[name][use]
-        if name in ("motor_angle_rad", "time_s") or len(x) < 100 or np.ptp(x) < 1e-9:
+        x = evidence.signals.get(name, np.zeros(len(use)))[use]
+        if name in _NO_PROFILE or len(x) < 100 or np.ptp(x) < 1e-9:
             continue
         edges = _edges(x)
         index = np.clip(np.digitize(x, edges) - 1, 0, CELLS - 1)
@@ -124,8 +168,12 @@ def profiles(evidence: Evidence) -> list[Plot]:
         ]
         if evidence.entries:
             lines.append(Line("with the findings", "after", along(evidence.after_nm)))
+        if np.sum(count >= LEAST_SAMPLES) < CELLS // 3:
+            continue
         centre = 0.5 * (edges[1:] + edges[:-1])
-        plots.append(Plot(f"profile-{name}", LABELS[name], "left over, N", centre, lines))
+        plots.append(
+            Plot(f"profile-{name}", LABELS[name], "left over, N", centre, lines, height=170)
+        )
     return plots
 
 
@@ -163,4 +211,10 @@ def strips(evidence: Evidence) -> dict[str, Any]:
                 block["fill"] = colour(block["value"] / top)
     rows.sort(key=lambda row: -row["worst"])
     left_out = len(rows) - MOST_STRIPS
-    return {"rows": rows[:MOST_STRIPS], "longest_s": longest, "top_n": top, "left_out": left_out}
+    return {
+        "rows": rows[:MOST_STRIPS],
+        "longest_s": longest,
+        "ticks": ticks(0.0, longest, 8),
+        "top_n": top,
+        "left_out": left_out,
+    }

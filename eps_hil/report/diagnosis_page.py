@@ -4,6 +4,8 @@ The page loads nothing: style, script (uPlot, MIT licence, in ``assets/uplot``) 
 and its content security policy forbids the rest. What comes from files is escaped by the template.
 """
 
+import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,13 @@ from typing import Any
 from eps_hil.diagnosis.diagnose import Diagnosis
 from eps_hil.diagnosis.select import FORWARD_SHARE, score, threshold
 from eps_hil.physics.effects.catalogue import catalogue
-from eps_hil.report import diagnosis_evidence, diagnosis_figures, diagnosis_maps, page
+from eps_hil.report import (
+    diagnosis_evidence,
+    diagnosis_figures,
+    diagnosis_kinematics,
+    diagnosis_maps,
+    page,
+)
 from eps_hil.report.diagnosis_evidence import Evidence
 from eps_hil.report.page import number
 from eps_hil.report.plots import Plot
@@ -37,6 +45,7 @@ def render(diagnosis: Diagnosis, model_name: str) -> str:
     values = _values(diagnosis, plots)
     return page.fill(
         "diagnosis.html.jinja",
+        filters={"plain": plain},
         model_name=model_name,
         **values,
         plots=[plot.content() for plot in plots],
@@ -45,6 +54,15 @@ def render(diagnosis: Diagnosis, model_name: str) -> str:
         page_js=page.asset("diagnosis.js"),
         page_css=page.asset("diagnosis.css"),
     )
+
+
+def plain(text: str) -> str:
+    """A sentence with the signals and effects in it by name, not by their names in files."""
+    for signal, said in diagnosis_evidence.LABELS.items():
+        text = re.sub(rf"\b{signal}\b", said.partition(" in ")[0], text)
+    for effect in catalogue():
+        text = text.replace(effect, effect.replace("_", " "))
+    return text
 
 
 def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
@@ -59,20 +77,27 @@ def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
     return {
         "content": content,
         "verdict": _verdict(content),
+        "headlines": _headlines(cards),
         "located": _located(content),
+        "cells": _cells(content),
         "cards": cards,
-        "measures": _measures(content["fit"]["holdout"]),
+        "measures": _measures(content),
+        "placebos": content["fit"].get("placebo", []),
         "ratio": ratio,
+        "short": _short(diagnosis),
         "fitted_names": [one.name for one in diagnosis.problem.recordings],
         "holdout_names": [one.prepared.name for one in diagnosis.judged],
+        "flags": _flags(content),
         "sliding_s": 8e-3 * int(fitted.sliding.sum()),
-        "region": diagnosis_maps.region(fitted),
+        "regions": diagnosis_maps.regions(fitted, content.get("location", {}).get("cells", [])),
         "strips": diagnosis_maps.strips(fitted),
         "scale": diagnosis_maps.scale(),
         "profiles": profiles,
         "spots": spots,
         "holdouts": kept,
         "ablation": _ablation(fitted, held_out, ratio),
+        "ablation_terms": len(fitted.entries),
+        "named": any(card["effect"] != "unknown" for card in cards),
         "others": _others(diagnosis),
         "span": _span,
     }
@@ -98,8 +123,28 @@ def _and(names: Sequence[str]) -> str:
     return "".join(plain) if len(plain) < 2 else f"{', '.join(plain[:-1])} and {plain[-1]}"
 
 
+def _headlines(cards: Sequence[Mapping[str, Any]]) -> list[str]:
+    """One sentence a finding, with its size at the rack."""
+    told = []
+    for card in cards:
+        size = card["size"]
+        if card["sizes"] and "rms_n" in card["sizes"]:
+            size = f"{number(card['sizes']['rms_n'])} N rms"
+        if card["sizes"]:
+            size += f"{', ' if size else ''}up to {number(card['sizes']['peak_n'])} N"
+        told.append(card["summary"].rstrip(".") + (f"; at the rack: {size}." if size else "."))
+    return told
+
+
 def _located(content: Mapping[str, Any]) -> str:
-    """Where, in one sentence; empty where nothing is missing."""
+    """Where, in one sentence; empty where nothing stands out."""
+    cells = content.get("location", {}).get("cells", [])
+    if cells:
+        cell = cells[0]
+        return (
+            f"{100 * cell['share_of_excess']:.0f} % of the mismatch sits in "
+            f"{100 * cell['share_of_time']:.0f} % of the sliding time: {_sides(cell)}"
+        )
     parts = []
     for finding in content["findings"]:
         region = next((one for one in finding["where"] if one["signal"] != "time_s"), None)
@@ -108,6 +153,35 @@ def _located(content: Mapping[str, Any]) -> str:
             much = f"{100 * share:.0f} % of it at " if share else ""
             parts.append(f"{finding['effect'].replace('_', ' ')}: {much}{_span(region)}")
     return "; ".join(parts)
+
+
+def _cells(content: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What stands out of the operating region, one and two signals at a time."""
+    cells = content.get("location", {}).get("cells", [])
+    return [{**cell, "sides": _sides(cell)} for cell in cells]
+
+
+def _sides(cell: Mapping[str, Any]) -> str:
+    sides = zip(cell["signals"], cell["from"], cell["to"], strict=True)
+    return " and ".join(_span({"signal": s, "from": low, "to": high}) for s, low, high in sides)
+
+
+def _short(diagnosis: Diagnosis) -> dict[str, str]:
+    """Names of recordings without the folder that they share."""
+    names = [one.name for one in diagnosis.problem.recordings]
+    names += [one.prepared.name for one in diagnosis.judged]
+    folders = {os.path.dirname(name) for name in names}
+    return {name: os.path.basename(name) if len(folders) == 1 else name for name in names}
+
+
+def _flags(content: Mapping[str, Any]) -> list[str]:
+    """What is wrong with the data, a line for each recording and signal."""
+    return [
+        f"{look['recording']}, {channel['signal']}: {', '.join(channel['flags'])}".replace("_", " ")
+        for look in content.get("data_quality", [])
+        for channel in look["channels"]
+        if channel["flags"]
+    ]
 
 
 def _span(region: Mapping[str, Any]) -> str:
@@ -122,7 +196,9 @@ def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[di
     cards = []
     places = {entry["effect"]: k for k, entry in enumerate(fitted.entries)}
     for one in diagnosis.content["findings"]:
-        card: dict[str, Any] = {**one, "plot": None, "sizes": None, "rivals": [], "meanings": {}}
+        card: dict[str, Any] = {**one, "plot": None, "sizes": None, "size": "", "rivals": []}
+        known = catalogue()[one["effect"]].parameters if one["effect"] in catalogue() else ()
+        card["meanings"] = {parameter.name: parameter.meaning for parameter in known}
         if one["effect"] == "unknown":
             card["plot"] = diagnosis_figures.unknown(one["curve"], one["where"][0]["signal"])
             peak = max((abs(point[1]) for point in one["curve"]), default=0.0)
@@ -132,16 +208,17 @@ def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[di
             k = places[one["effect"]]
             card["plot"], card["sizes"] = diagnosis_figures.finding(fitted, k, one["where"])
             card["rivals"] = diagnosis.selection.rivals.get(one["effect"], [])[:4]
-            known = catalogue()[one["effect"]].parameters
-            card["meanings"] = {parameter.name: parameter.meaning for parameter in known}
+        elif "seen_in" in one:
+            card["plot"] = diagnosis_kinematics.figure(diagnosis, one)
+            card["size"] = diagnosis_kinematics.size(one, diagnosis.problem.model)
         if card["plot"] is not None:
             plots.append(card["plot"])
         cards.append(card)
     return cards
 
 
-def _measures(holdout: Mapping[str, Any]) -> list[dict[str, Any]]:
-    rows = []
+def _measures(content: Mapping[str, Any]) -> list[dict[str, Any]]:
+    holdout, rows = content["fit"]["holdout"], []
     for name, (title, unit, more) in MEASURES.items():
         if name in holdout["baseline"]:
             rows.append(
@@ -155,6 +232,21 @@ def _measures(holdout: Mapping[str, Any]) -> list[dict[str, Any]]:
                     "floor": holdout["noise_floor"].get(name),
                 }
             )
+    seen = content.get("kinematics", {})
+    there = diagnosis_kinematics.IN_ROTOR_AND_RACK
+    shown = any("seen_in" in one and one["effect"] in there for one in content["findings"])
+    if shown and "holdout_rms_rad" in seen:
+        rows.append(
+            {
+                "name": "kinematics",
+                "title": "rotor angle against rack position, rms",
+                "unit": "mrad",
+                "more_is_better": False,
+                "before": 1e3 * seen["holdout_rms_rad"],
+                "after": 1e3 * seen["holdout_left_rad"],
+                "floor": 1e3 * seen["noise_rad"],
+            }
+        )
     return rows
 
 
@@ -184,7 +276,8 @@ def _others(diagnosis: Diagnosis) -> dict[str, Any]:
     for one in score(problem, selection.found, selection.pool):
         best.setdefault(one.candidate.effect.id, one.gain)
     named = {one["effect"] for one in diagnosis.content["findings"]}
-    rows = [(name, gain) for name, gain in best.items() if name not in named]
+    small = {name for name in best if (p := catalogue()[name].probe) is not None and p.least > 0}
+    rows = [(name, gain, name in small) for name, gain in best.items() if name not in named]
     return {
         "rows": rows[:MOST_OTHERS],
         "looked_for": len(best) + len(named & set(catalogue())),

@@ -7,6 +7,7 @@ escaped by the template engine.
 import base64
 import importlib.util
 import math
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,16 @@ def check(asked: str = "--report", *libraries: str) -> None:
         )
 
 
-def fill(template: str, package: str = "eps_hil.report", **values: Any) -> str:
-    """The page's HTML from a template of ``package``; a name it lacks is an error."""
+def fill(
+    template: str,
+    package: str = "eps_hil.report",
+    filters: Mapping[str, Callable[..., str]] | None = None,
+    **values: Any,
+) -> str:
+    """The page's HTML from a template of ``package``; a name it lacks is an error.
+
+    ``filters`` of the template stand beside ``number``.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -37,7 +46,7 @@ def fill(template: str, package: str = "eps_hil.report", **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["number"] = number
+    environment.filters.update({"number": number, **(filters or {})})
     return environment.get_template(template).render(**values)
 
 
@@ -64,6 +73,6 @@ def number(value: Any, digits: int = 3) -> str:
     if value == 0:
         return "0"
     text = f"{value:.{digits}g}"
-    if "e" in text and 1e-6 < abs(value) < 1e6:
-        text = f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
+    if "e" in text and 1.0 <= abs(value) < 1e6:
+        text = f"{value:.0f}"
     return text.replace("e-0", "e-").replace("e+0", "e").replace("-", "−")

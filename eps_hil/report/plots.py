@@ -1,5 +1,6 @@
 """Zoomable line plots of a self-contained page: what the script of the page is given to draw."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -73,3 +74,14 @@ def thinned(values: Floats, most: int) -> npt.NDArray[np.int64]:
         if len(part):
             kept += [first + int(np.argmin(part)), first + int(np.argmax(part))]
     return np.unique(np.array(kept, dtype=np.int64))
+
+
+def ticks(low: float, high: float, most: int = 6) -> list[float]:
+    """Round values within an axis, at most ``most``."""
+    if not high > low:
+        return [low]
+    rough = (high - low) / most
+    unit = 10.0 ** math.floor(math.log10(rough))
+    step = next(unit * one for one in (1, 2, 2.5, 5, 10) if unit * one >= rough)
+    first = math.ceil(low / step - 1e-9)
+    return [round(k * step, 12) for k in range(first, math.floor(high / step + 1e-9) + 1)]

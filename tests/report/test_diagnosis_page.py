@@ -12,9 +12,10 @@ import pytest
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
 from eps_hil.physics.model import load_model
 from eps_hil.report import diagnosis_page
+from eps_hil.report.diagnosis_evidence import LABELS
 from eps_hil.report.diagnosis_maps import colour
 from eps_hil.report.page import number
-from eps_hil.report.plots import numbers, thinned
+from eps_hil.report.plots import numbers, thinned, ticks
 from eps_hil.series import Series
 
 ROOT = Path(__file__).parents[2]
@@ -220,3 +221,34 @@ def test_colours_rise_in_lightness() -> None:
         red, green, blue = (int(colour(float(part))[k : k + 2], 16) for k in (1, 3, 5))
         light.append(0.2126 * red + 0.7152 * green + 0.0722 * blue)
     assert light == sorted(light)
+
+
+def test_where_is_told_in_one_and_two_signals(explained: Diagnosis, page: str) -> None:
+    cells = explained.content["location"]["cells"]
+    assert cells
+    checked = _Checked(page)
+    assert "% of the mismatch sits in" in checked.text
+    assert "where it stands out" in checked.text
+    two = [cell for cell in cells if len(cell["signals"]) == 2]
+    for signal in two[0]["signals"]:
+        assert LABELS[signal] in checked.text
+    assert 'class="frame"' in page
+
+
+def test_placebos_stand_beside_the_gain(explained: Diagnosis, page: str) -> None:
+    text = _Checked(page).text
+    (term,) = explained.content["fit"]["placebo"]
+    for value in (term["gain"], term["placebo_gain_most"]):
+        assert number(value) in text
+    assert term["placebo_gain_most"] < 0.5 * term["gain"]
+
+
+def test_sentences_name_signals_as_people_do() -> None:
+    said = diagnosis_page.plain("against motor_torque_offset: follows abs_motor_speed_rad_s")
+    assert said == "against motor torque offset: follows rotor speed either way"
+
+
+def test_ticks_are_round_and_inside() -> None:
+    assert ticks(-0.0209, 0.0197) == [-0.02, -0.01, 0.0, 0.01]
+    assert ticks(0.0, 45.0, 8) == [0.0, 10.0, 20.0, 30.0, 40.0]
+    assert ticks(3.0, 3.0) == [3.0]

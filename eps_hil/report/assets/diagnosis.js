@@ -7,19 +7,20 @@
     recorded: { stroke: "#1b1f24", width: 1 },
     noise: { stroke: "#57606a", width: 1, dash: [4, 3] },
     edge: { stroke: "rgba(120,120,120,.6)", width: 0.5 },
+    dots2: { stroke: "#009e73", width: 0, points: { show: true, size: 6, fill: "#009e73" } },
     dots: { stroke: "#d55e00", width: 0, points: { show: true, size: 6, fill: "#d55e00" } },
   };
-  const short = (v) => (v == null ? "–" : String(Number(v.toPrecision(4))));
-  const axis = (label, size) => ({
+  const short = (v) => (v == null ? "" : String(Number(v.toPrecision(4))));
+  const axis = (label, size, space) => ({
     label: label, stroke: "#1b1f24", grid: { stroke: "#e6e8eb", width: 1 },
     ticks: { stroke: "#d0d7de" }, size: size, labelSize: label ? 20 : 0,
     font: "12px system-ui, 'DejaVu Sans', sans-serif",
     labelFont: "12px system-ui, 'DejaVu Sans', sans-serif",
-    values: (_u, ticks) => ticks.map(short),
+    values: (_u, ticks) => ticks.map(short), space: space,
   });
   const fromZero = (_u, _low, high) => [0, 1.1 * (high || 1)];
   function draw(holder, plot) {
-    const series = [{ label: plot.x_label || "time in s", value: (_u, v) => short(v) }];
+    const series = [{ label: "\u00a0", value: (_u, v) => (v == null ? "" : `${plot.x_label || "time in s"}: ${short(v)}`) }];
     const bands = [];
     plot.lines.forEach((line, k) => {
       series.push(Object.assign({ points: { show: false }, spanGaps: false }, styles[line.style],
@@ -27,11 +28,11 @@
       if (line.band) bands.push({ series: [k + 1, k], fill: "rgba(120,120,120,.22)" });
     });
     const options = {
-      width: holder.clientWidth, height: plot.height, series: series, bands: bands,
-      scales: { x: { time: false }, y: { range: plot.name.startsWith("profile-") ? fromZero : undefined } }, axes: [axis(plot.x_label, 34), axis(plot.y_label, 58)],
+      width: holder.clientWidth || 1100, height: plot.height, series: series, bands: bands,
+      scales: { x: { time: false }, y: { range: plot.name.startsWith("profile-") ? fromZero : undefined } }, axes: [axis(plot.x_label, 34, 60), axis(plot.y_label, 58, 22)],
       cursor: { drag: { x: true, y: false } },
     };
-    if (plot.lines.length === 1) options.legend = { show: false };
+    if (plot.lines.length === 1 || plot.name.startsWith("profile-")) options.legend = { show: false };
     if (plot.sync) options.cursor.sync = { key: plot.sync };
     const drawn = new uPlot(options, plot.data, holder);
     // the upper edge of a band has no name of its own
@@ -40,7 +41,7 @@
     });
     new ResizeObserver(() => {
       if (holder.clientWidth && holder.clientWidth !== drawn.width) {
-        drawn.setSize({ width: holder.clientWidth, height: plot.height });
+        drawn.setSize({ width: holder.clientWidth || 1100, height: plot.height });
       }
     }).observe(holder);
   }
