@@ -51,6 +51,9 @@ def budget(
     figure: Annotated[
         Path | None, typer.Option("--figure", help="The budget as bars (.png, .svg, .pdf).")
     ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="The budget as one HTML page, for people.")
+    ] = None,
 ) -> None:
     """Tell how much of the rack force's error comes from which calibration or sensor.
 
@@ -68,9 +71,12 @@ def budget(
     from eps_hil.estimation.settings import EstimatorSettings, problem
     from eps_hil.physics.chain_parameters import load_chain
     from eps_hil.physics.model import load_model
+    from eps_hil.report import page
     from eps_hil.rig.config import REFERENCE_CHAIN
     from eps_hil.rig.manoeuvre import load_manoeuvre
 
+    if report:
+        page.check("--report", "matplotlib")
     rig = load_model(model)
     chosen = yaml_file.load(settings, EstimatorSettings) if settings else EstimatorSettings()
     if kind is not None:
@@ -104,6 +110,11 @@ def budget(
 
         title = f"{Path(model).stem}, {manoeuvre}: what one standard deviation of each source costs"
         typer.echo(f"figure: {draw(found, figure, title)}")
+    if report:
+        from eps_hil.budget.page import About, write
+
+        write(found, report, About(str(model), manoeuvre, chosen.kind, order, angle))
+        typer.echo(f"page: {report}")
 
 
 def _say(found: "Budget", manoeuvre: str) -> None:

@@ -30,7 +30,9 @@ def test_table_json_figure_and_advice(
     sizes, result, figure = tmp_path / "u.yaml", tmp_path / "b.json", tmp_path / "b.png"
     sizes.write_text("uncertainty: {percent: {offset_pos_nm: 40}}\n", encoding="utf-8")
     words = ["budget", "--model", MODEL, "--uncertainty", str(sizes), "--manoeuvre", str(short)]
-    assert main([*words, "--draws", "4", "--json", str(result), "--figure", str(figure)]) == 0
+    page = tmp_path / "b.html"
+    words += ["--json", str(result), "--figure", str(figure), "--report", str(page)]
+    assert main([*words, "--draws", "4"]) == 0
     said = capsys.readouterr().out
     assert "moving: friction levels first" in said
     found = json.loads(result.read_text(encoding="utf-8"))
@@ -39,6 +41,12 @@ def test_table_json_figure_and_advice(
     assert found["sources"][0]["standard_deviation"] == pytest.approx(0.4 * 0.056)
     assert found["phases"]["moving"]["total_n"] > found["phases"]["moving"]["method_n"]
     assert figure.stat().st_size > 10_000
+    html = page.read_text(encoding="utf-8")
+    assert html.index("friction levels first") < html.index("offset_pos_nm")
+    assert "data:image/png;base64," in html
+    assert "http://" not in html
+    assert "https://" not in html
+    assert f"{found['phases']['moving']['total_n']:.3g} N" in html
 
 
 @pytest.mark.parametrize(
@@ -48,6 +56,7 @@ def test_table_json_figure_and_advice(
         (["--model", MODEL, "--manoeuvre", "none"], "no such manoeuvre"),
         (["--model", MODEL, "--uncertainty", "none.yaml"], "no such file"),
         (["--model", MODEL, "--order", "7"], "--order"),
+        (["--model", MODEL, "--report", "no/such/folder/b.html"], "no/such/folder"),
     ],
 )
 def test_bad_words(capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
