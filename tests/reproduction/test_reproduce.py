@@ -72,6 +72,11 @@ class TestQuickRun:
         ]  # fmt: skip
         away = {row["parameter"]: abs(row["off by %"]) for row in parameters}
         assert max(value for name, value in away.items() if "ω" not in name) < 2.0
+        bristle = content["figures"]["table2"]["tables"][1]["rows"]
+        assert [row["parameter"] for row in bristle] == ["σ0", "σ1,0", "ω_σ1"]
+        stiffness = bristle[0]
+        assert abs(stiffness["off by %"]) < 10.0
+        assert 0.0 < stiffness["95 % half width"] < 0.2 * stiffness["found here"]
 
     def test_compensation_and_extensions_do_what_the_paper_says(
         self, content: dict[str, Any]
