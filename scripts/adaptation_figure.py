@@ -16,7 +16,6 @@ COLOURS = {
 def draw(
     path: Path,
     found: list[Any],
-    minutes: np.ndarray,
     levels: dict[str, np.ndarray],
     tracks: dict[str, np.ndarray],
 ) -> None:
@@ -29,7 +28,7 @@ def draw(
     figure, axes = plt.subplots(2, 2, figsize=(11, 7.5), constrained_layout=True)
     _convergence(axes[0, 0], tracks)
     _units(axes[0, 1], found)
-    _drift(axes[1, 0], minutes, levels)
+    _drift(axes[1, 0], levels)
     _violated(axes[1, 1], found)
     figure.savefig(path, dpi=90)
 
@@ -72,10 +71,13 @@ def _units(ax: Any, found: list[Any]) -> None:
     ax.legend(fontsize=8, loc="upper left")
 
 
-def _drift(ax: Any, minutes: np.ndarray, levels: dict[str, np.ndarray]) -> None:
-    ax.plot(minutes, 1e3 * levels["truth"].sum(axis=1), "k-", lw=2, label="truth")
-    for name, marker in (("torque injection", "o"), ("error injection", "s"), ("reversal", "^")):
-        ax.plot(minutes, 1e3 * levels[name].sum(axis=1), marker, color=COLOURS[name], label=name)
+def _drift(ax: Any, levels: dict[str, np.ndarray]) -> None:
+    def total(name: str) -> np.ndarray:
+        return np.asarray(1e3 * levels[name][:, 1:].sum(axis=1))
+
+    ax.plot(levels["truth"][:, 0], total("truth"), "k-", lw=2, label="truth")
+    for name, marker in (("torque injection", "o"), ("error injection", "-"), ("reversal", "--")):
+        ax.plot(levels[name][:, 0], total(name), marker, color=COLOURS[name], label=name)
     ax.set(xlabel="time, min", ylabel="k0+ + k0−, mNm", ylim=(0, None),
            title="Friction that loses 35 % in an hour")  # fmt: skip
     ax.legend(fontsize=8)

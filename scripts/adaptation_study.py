@@ -189,36 +189,54 @@ def outcomes(todo: Iterator[tuple[str, Model, Course, int]], total: int, few: in
     return found
 
 
-def hour(step_min: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Friction that loses 35 % over an hour: (minutes (n,), truth and methods (n, 2) in Nm).
+def hour(rounds: int) -> dict[str, np.ndarray]:
+    """Friction that loses 35 % over an hour: rows (minute, k0+, k0−) of truth and methods (n, 3).
 
-    One stretch of each course at every point of time; between them the reversal adaptation's
-    clock goes on, error injection's integrators stay.
+    Each round is 44.5 s of driving and 14.5 s near the centre, with half a second of rest after
+    each, and both listeners hear all of it; with 60 rounds that is the hour without a gap. The
+    friction changes from round to round. A torque injection needs the car parked: one in every
+    five minutes, beside the hour.
     """
-    minutes = np.arange(0, 61, step_min)
-    error, reversal = (
-        ErrorInjection(ErrorInjectionSettings(), NOMINAL),
-        ReversalAdaptation(ReversalSettings(load_cell=False), NOMINAL),
-    )
+    error = ErrorInjection(ErrorInjectionSettings(), NOMINAL)
+    reversal = ReversalAdaptation(ReversalSettings(load_cell=False), NOMINAL)
     rig = next(iter(RIGS))
-    levels: dict[str, list[tuple[float, float]]] = {"truth": [], TI: [], EI: [], RA: []}
-    for minute in minutes:
+    found: dict[str, list[tuple[float, float, float]]] = {"truth": [], TI: [], EI: [], RA: []}
+    for number in range(rounds):
+        minute = 60.0 * (number + 1) / rounds
         share = 1.0 - 0.35 * -np.expm1(-minute / 20.0)
-        true, start = scaled(NOMINAL, share, share), int(minute) * 60_000
-        f = true.friction
-        levels["truth"].append((f.offset_pos_nm, f.offset_neg_nm))
-        injection = TorqueInjection(InjectionSettings(repetitions=3), NOMINAL)
-        inject(rig, true, parked("", 60.0, hands=False), injection, int(minute))
-        assert injection.result is not None
-        found = injection.result
-        levels[TI].append((found.positive.offset_nm, found.negative.offset_nm))
-        for k, row in enumerate(record(rig, true, steered("", 15.0, int(minute)), int(minute))):
-            error.step((start + k) * 1_000_000, row._replace(rack_force_n=np.nan))
-        levels[EI].append(error.levels)
-        for k, row in enumerate(record(rig, true, driven("", 33.0, int(minute)), int(minute))):
-            reversal.step((start + k) * 1_000_000, row)
-        levels[RA].append(reversal.state.levels)
-    return minutes, {name: np.array(value) for name, value in levels.items()}
+        true, ms = scaled(NOMINAL, share, share), round(60_000 * (minute - 1.0))
+        found["truth"].append((minute, *_own(true)))
+        for course in (driven("", 44.5, number), steered("", 14.5, number)):
+            for k, row in enumerate(record(rig, true, course, number)):
+                error.step((ms + k) * 1_000_000, row._replace(rack_force_n=np.nan))
+                reversal.step((ms + k) * 1_000_000, row)
+            ms += course.rows + 500
+        found[EI].append((minute, *error.levels))
+        found[RA].append((minute, *reversal.state.levels))
+        if minute % 5.0 == 0.0:
+            injection = TorqueInjection(InjectionSettings(repetitions=3), NOMINAL)
+            inject(rig, true, parked("", 60.0, hands=False), injection, number)
+            assert injection.result is not None
+            result = injection.result
+            levels = result.positive.offset_nm, result.negative.offset_nm
+            found[TI].append((minute, *levels))
+    return {name: np.array(value) for name, value in found.items()}
+
+
+def _own(true: Model) -> tuple[float, float]:
+    return true.friction.offset_pos_nm, true.friction.offset_neg_nm
+
+
+def drift_errors(levels: dict[str, np.ndarray]) -> Iterator[str]:
+    """Of the sum of both levels, from minute 5 on."""
+    minutes, total = levels["truth"][:, 0], levels["truth"][:, 1:].sum(axis=1)
+    for name in (TI, EI, RA):
+        late = levels[name][levels[name][:, 0] >= 5.0]
+        off = late[:, 1:].sum(axis=1) / np.interp(late[:, 0], minutes, total) - 1.0
+        yield (
+            f"  {name}: {len(late)} points, mean {100 * off.mean():+.1f},"
+            f" largest {100 * np.abs(off).max():.1f}"
+        )
 
 
 def table(found: list[Outcome]) -> Iterator[str]:
@@ -282,17 +300,14 @@ def main() -> None:
     print("\nwhat torque injection said where it did not stand by its result, among others:")
     for note in notes[:6]:
         print(f"  {note}")
-    minutes, levels = hour(20 if choice.quick else 5)
-    print("\nfriction losing 35 % over an hour, error of the sum in % (minute 5 on):")
-    for name in (TI, EI, RA):
-        off = levels[name].sum(axis=1) / levels["truth"].sum(axis=1) - 1.0
-        print(
-            f"  {name}: mean {100 * off[1:].mean():+.1f}, largest {100 * np.abs(off[1:]).max():.1f}"
-        )
+    levels = hour(6 if choice.quick else 60)
+    print("\nfriction losing 35 % over an hour, error of the sum in % (from minute 5 on):")
+    for line in drift_errors(levels):
+        print(line)
     from adaptation_figure import draw
 
     choice.figure.parent.mkdir(parents=True, exist_ok=True)
-    draw(choice.figure, found, minutes, levels, example())
+    draw(choice.figure, found, levels, example())
     print(f"\n{choice.figure}")
 
 

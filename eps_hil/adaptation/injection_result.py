@@ -7,6 +7,10 @@ from typing import Literal
 
 import numpy as np
 
+from eps_hil.adaptation.unknown_force import NOT_SEEN, Shift, shift_of
+from eps_hil.estimation.levels import FrictionLevels
+from eps_hil.physics.model import Model
+
 Seen = Literal["speed", "driver_torque"]
 
 _NORMAL_MAD = 1.4826
@@ -24,7 +28,9 @@ class Repetition:
 
     ``offset_nm`` is k0 of this slide; ``detection_nm`` the uncorrected torque |T_1m| at detection,
     what the paper takes; ``seen``: how break-away showed; ``lengths``: ``travel_rad`` in
-    presliding lengths; ``drift_nm_per_rad``: how the level rose along the way, with its error.
+    presliding lengths; ``drift_nm_per_rad``: how the level rose along the way, with its error;
+    ``form_nm``: how far k0 depends on the form of presliding friction; ``bent_rad``: the presliding
+    length that the ramp showed (NaN: none).
     """
 
     number: int
@@ -37,6 +43,8 @@ class Repetition:
     travel_rad: float
     drift_nm_per_rad: float
     drift_error_nm_per_rad: float
+    form_nm: float = 0.0
+    bent_rad: float = math.nan
     outlier: bool = False
 
 
@@ -57,13 +65,15 @@ class InjectionResult:
     """Both levels, every repetition, and what speaks against believing them.
 
     ``sum_nm`` holds at (nearly) any rack force; ``asymmetry_nm`` (k0+ − k0−) only if the rack force
-    was zero: a force F changes it by 2 F/i_APA. Nothing is ever applied by this class.
+    was zero: a force F changes it by 2 F/i_APA (``shift``). Nothing is ever applied by this class.
     """
 
     positive: Level
     negative: Level
     repetitions: tuple[Repetition, ...]
     problems: tuple[str, ...]
+    shift: Shift = NOT_SEEN
+    """What presliding says of a force that was there all the same."""
 
     @property
     def accepted(self) -> bool:
@@ -107,7 +117,9 @@ def level_of(repetitions: Sequence[Repetition]) -> Level:
     """Mean and interval of the repetitions of one direction, outliers left out.
 
     The scatter between repetitions gives the interval (Student's t); it is never taken narrower
-    than the repetitions' own errors allow. With one repetition there is only its own error.
+    than the repetitions' own errors allow. With one repetition there is only its own error. What
+    the form of friction may do is common to all repetitions, so it does not average out; the truth
+    lies anywhere within ± ``form_nm`` (95 % of a uniform distribution).
     """
     kept = [one for one in repetitions if not one.outlier]
     values = np.array([one.offset_nm for one in kept])
@@ -116,6 +128,7 @@ def level_of(repetitions: Sequence[Repetition]) -> Level:
     half = 1.96 * own
     if n > 1:
         half = max(half, student_t95(n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n))
+    half = math.hypot(half, 0.95 * float(np.mean([one.form_nm for one in kept])))
     mean = float(np.mean(values))
     return Level(
         mean,
@@ -126,7 +139,9 @@ def level_of(repetitions: Sequence[Repetition]) -> Level:
     )
 
 
-def result_of(repetitions: Sequence[Repetition], outlier_share: float) -> InjectionResult:
+def result_of(
+    repetitions: Sequence[Repetition], outlier_share: float, model: Model
+) -> InjectionResult:
     """The result of a complete run: at least one repetition of each direction."""
     both = [
         mark_outliers([one for one in repetitions if one.direction == sign], outlier_share)
@@ -136,7 +151,23 @@ def result_of(repetitions: Sequence[Repetition], outlier_share: float) -> Inject
     positive, negative = (level_of(part) for part in both)
     problems = [*_doubts("positive", both[0]), *_doubts("negative", both[1])]
     problems += _spring(marked)
-    return InjectionResult(positive, negative, marked, tuple(problems))
+    forth, back = ([one.bent_rad for one in part if not one.outlier] for part in both)
+    found = FrictionLevels(positive.offset_nm, negative.offset_nm)
+    shift = shift_of(found, forth, back, model.friction.sigma0_nm_per_rad)
+    problems += _unknown_force(shift, positive, negative, model)
+    return InjectionResult(positive, negative, marked, tuple(problems), shift)
+
+
+def _unknown_force(shift: Shift, positive: Level, negative: Level, model: Model) -> list[str]:
+    if not shift.matters(0.5 * (positive.offset_nm + negative.offset_nm)):
+        return []
+    force, error = (model.rack_to_rotor_ratio_rad_per_m * x for x in shift)
+    return [
+        f"the way before sliding says that a rack force of about {force:.0f} N"
+        f" (95 %: +- {1.96 * error:.0f} N) was there: without it k0+ would be"
+        f" {positive.offset_nm - shift.torque_nm:.4f} and k0-"
+        f" {negative.offset_nm + shift.torque_nm:.4f} Nm"
+    ]
 
 
 def _doubts(name: str, part: Sequence[Repetition]) -> list[str]:

@@ -253,7 +253,10 @@ class ReversalAdaptation:
         return self.state
 
     def _driven(self, blocks: Blocks, found: Evidence) -> bool:
-        """Whether motor and driver fed the friction; if the road did, it looks like less of it."""
+        """Whether motor and driver fed the friction; if the road did, it looks like less of it.
+
+        With the force known that does not matter.
+        """
         if not blocks.known and blocks.fed < _LEAST_FED:
             return False
         ones = np.ones(2)

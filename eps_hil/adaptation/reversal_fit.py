@@ -14,6 +14,7 @@ of, and both levels are seen. docs/theory-adaptation.md derives it.
 """
 
 from collections.abc import Generator
+from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -47,6 +48,8 @@ _SLOW_HZ = 2.0
 _SLIDING_RAD_S = 4.0
 """Faster than this a rotor is well away from its turn: neither bristle nor noise matter."""
 _FULL_SHARE = 0.98
+_LEAST_RUN = 13
+"""Blocks (0.1 s) for which the rotor must slide one way, where the rack force is measured."""
 _MEMORY = 25
 """Blocks (0.2 s) over which what is left may be correlated."""
 _LOAD_HZ = 8.0
@@ -213,9 +216,7 @@ def evidence_in_slices(blocks: Blocks, noise_nm: float) -> Generator[None, None,
     """:func:`evidence` in slices."""
     if blocks.known:
         # only where the bristle is at its level, so that its form does not matter
-        sliding = np.abs(blocks.slopes).sum(axis=0) > _FULL_SHARE
-        sliding &= np.abs(blocks.speed_rad_s) > _SLIDING_RAD_S
-        instruments, left, slopes = blocks.slopes * sliding, blocks.left, blocks.slopes
+        instruments, left, slopes = blocks.slopes * sliding(blocks), blocks.left, blocks.slopes
     else:
         instruments, left, slopes = _freed(blocks)
     yield
@@ -230,6 +231,21 @@ def evidence_in_slices(blocks: Blocks, noise_nm: float) -> Generator[None, None,
     spread += 1e-12 * np.trace(spread) * np.eye(len(spread)) + 1e-30 * np.eye(len(spread))
     gain = np.linalg.solve(spread, moment).T
     return Evidence(gain @ moment, gain @ (instruments @ left), blocks.at_nm, residual)
+
+
+def sliding(blocks: Blocks) -> npt.NDArray[np.bool_]:
+    """Where (n,) the rotor is fast and the bristle at its level, and was and stays so for a while.
+
+    Bursts of some hundredths of a second, which is all that a road alone makes, are break-away from
+    end to end: the masses behind the rotor have not followed yet, and would pass for friction.
+    """
+    full = np.abs(blocks.slopes).sum(axis=0) > _FULL_SHARE
+    full &= np.abs(blocks.speed_rad_s) > _SLIDING_RAD_S
+    way = np.where(full, np.sign(blocks.speed_rad_s), 0.0)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(way)) + 1, [len(way)]])
+    for begin, end in pairwise(edges.tolist()):
+        full[begin:end] &= end - begin >= _LEAST_RUN
+    return full
 
 
 def _freed(blocks: Blocks) -> tuple[Floats, Floats, Floats]:

@@ -21,10 +21,17 @@ from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
 
-FULL_SHARE = 0.95
-"""Share of the level from which on a bristle counts as sliding."""
+FULL_SHARES = (0.995, 0.95)
+"""Shares of the level from which on a bristle counts as sliding, the best first: the later, the
+less the form of presliding matters."""
+_LEAST_PART = 1.0 / 3.0
+"""Of the way that must lie beyond, or the next share is taken."""
 _ROUNDS = 6
 _LEAST_ROWS = 20
+_SMOOTHED = 41
+"""Samples of the moving mean over the torque of a ramp."""
+_BENT = 0.85
+"""Share of the break-away torque up to which a ramp is read for its presliding length."""
 _LEAST_NM, _MOST_NM = 1e-4, 10.0
 
 
@@ -49,6 +56,9 @@ class SlideLevel(NamedTuple):
     ``standard_error_nm`` is the line's own; ``lengths`` is ``travel_rad`` in presliding
     lengths T_fs/σ0; ``rows`` is how many samples of full sliding were used; ``drift_nm_per_rad``
     is how the level rose along the way (a spring at the rack does that), with its error.
+    ``form_nm``: how much larger or smaller k0 would be if the rotor slid fully from the first
+    sample used: by eq. 2a the bristle never quite gets there, other friction does. ``bent_rad``:
+    the presliding length λ that the ramp itself shows (NaN: it does not).
     """
 
     offset_nm: float
@@ -58,6 +68,8 @@ class SlideLevel(NamedTuple):
     rows: int
     drift_nm_per_rad: float
     drift_error_nm_per_rad: float
+    form_nm: float
+    bent_rad: float
 
 
 def slide_level(
@@ -66,8 +78,8 @@ def slide_level(
     """k0 of this direction; None where the rotor never really slid.
 
     ``guess_nm`` starts the rounds (the torque at break-away). Where the travel does not bring the
-    bristle to :data:`FULL_SHARE`, the second half of the way is used, and the result leans on the
-    bristle's form (few ``lengths`` say so).
+    bristle to one of :data:`FULL_SHARES`, the second half of the way is used, and the result leans
+    on the bristle's form (few ``lengths``, and ``form_nm``, say so).
     """
     f = model.friction
     viscous = f.viscous_pos_nm_s_per_rad if positive else f.viscous_neg_nm_s_per_rad
@@ -84,9 +96,7 @@ def slide_level(
         level = offset + float(np.mean(beside))
         start = min(max(slide.preload_nm / level, -1.0), 1.0)
         share = 1.0 - (1.0 - start) * np.exp(-way * f.sigma0_nm_per_rad / level)
-        begin = int(np.searchsorted(share, FULL_SHARE))
-        if share[-1] < FULL_SHARE:
-            begin = int(np.searchsorted(way, 0.5 * way[-1]))
+        begin = _begin(share, way)
         if len(way) - begin < _LEAST_ROWS:
             return None
         taken = drive - share * beside - damping * (1.0 - share)
@@ -94,6 +104,10 @@ def slide_level(
         part = slice(begin, None)
         noise = _noise(slide.torque_nm[part])
         found = _fit(line[part], share[part], way[part], slide.step_s, noise)
+        at_once = momentum - _integral(drive - beside, slide.step_s)
+        full = np.ones_like(share[part])
+        other = _fit(at_once[part], full, way[part], slide.step_s, noise)
+        found = found._replace(form_nm=abs(other.offset_nm - found.offset_nm))
         lengths = float(way[-1]) * f.sigma0_nm_per_rad / level
         found = found._replace(lengths=lengths, travel_rad=float(way[-1]))
         if not _LEAST_NM < found.offset_nm < _MOST_NM:
@@ -101,7 +115,40 @@ def slide_level(
         if abs(found.offset_nm - offset) < 1e-7:
             break
         offset = found.offset_nm
+    if found is not None:
+        found = found._replace(bent_rad=_bent_rad(slide, model, found.offset_nm))
     return found
+
+
+def _bent_rad(slide: Slide, model: Model, torque_nm: float) -> float:
+    """λ of T = ``torque_nm`` · (1 − exp(−s/λ)) along the ramp: the slope of s over −ln(1 − T/T_∞).
+
+    What the bristle's damping adds on a ramp of rate r is σ1/σ0 · r, and comes off first.
+    """
+    torque = _moving_mean(slide.torque_nm)
+    stop = int(np.argmax(torque > _BENT * torque_nm))
+    if stop < 4 * _SMOOTHED:
+        return math.nan
+    part, time = slice(_SMOOTHED // 2, stop), slide.step_s * np.arange(stop)
+    rate = float(np.polyfit(time[part], torque[part], 1)[0])
+    f = model.friction
+    bent = torque[part] - f.sigma1_nm_s_per_rad / f.sigma0_nm_per_rad * rate
+    share = np.clip(bent / torque_nm, -1.0, _BENT)
+    return float(np.polyfit(-np.log1p(-share), slide.travel_rad[part], 1)[0])
+
+
+def _moving_mean(values: Floats) -> Floats:
+    padded = np.pad(values, _SMOOTHED // 2, mode="edge")
+    return np.convolve(padded, np.ones(_SMOOTHED) / _SMOOTHED, mode="valid")
+
+
+def _begin(share: Floats, way: Floats) -> int:
+    """From which sample on it counts as sliding."""
+    for full in FULL_SHARES:
+        begin = int(np.searchsorted(share, full))
+        if begin < len(way) and way[begin] <= (1.0 - _LEAST_PART) * way[-1]:
+            return begin
+    return int(np.searchsorted(way, 0.5 * way[-1]))
 
 
 def _integral(values: Floats, step_s: float) -> Floats:
@@ -133,6 +180,8 @@ def _fit(line: Floats, share: Floats, way: Floats, step_s: float, noise_nm: floa
         rows=len(line),
         drift_nm_per_rad=float(drift),
         drift_error_nm_per_rad=math.hypot(float(drift_error[2]), 1.2 * wander / spread),
+        form_nm=0.0,
+        bent_rad=math.nan,
     )
 
 

@@ -275,6 +275,8 @@ class TorqueInjection:
                 travel_rad=level.travel_rad,
                 drift_nm_per_rad=level.drift_nm_per_rad,
                 drift_error_nm_per_rad=level.drift_error_nm_per_rad,
+                form_nm=level.form_nm,
+                bent_rad=level.bent_rad,
             )
         )
 
@@ -291,7 +293,7 @@ class TorqueInjection:
         if phase is Phase.REST and self._complete():
             phase = Phase.DONE
             self.reason = ""
-            self.result = result_of(self._found, self.settings.outlier_share)
+            self.result = result_of(self._found, self.settings.outlier_share, self.model)
         if phase is Phase.ABORTED:
             self._torque_nm = 0.0
         self.phase, self._since_s, self._held_s = phase, 0.0, 0.0

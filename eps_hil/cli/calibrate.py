@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.cli._inputs import reads_recordings
+from eps_hil.cli._levels import accept, reset_levels
 from eps_hil.cli._reversals import reversals
 from eps_hil.errors import EpsHilError, InputError, SafetyStop
 
 if TYPE_CHECKING:
     from eps_hil.adaptation.gates import GateState
+    from eps_hil.adaptation.unknown_force import Shift
     from eps_hil.service.calibrated_model import Levels
     from eps_hil.service.calibration import CalibrationSettings, TorqueInjectionSource
-    from eps_hil.service.config import ServiceConfig
 
 _DRY_RUN_S = 5.0
 
@@ -76,7 +77,7 @@ def torque_injection(
 
     setup = load_config(config)
     if reset:
-        _reset(setup, write_model)
+        reset_levels(setup, write_model)
         return
     settings = calibration_settings(setup, config)
     parts = prepare_override(setup, config)
@@ -89,9 +90,9 @@ def torque_injection(
     if dry_run:
         typer.echo("dry run    nothing was sent")
         return
-    levels = _found(source)
+    levels, shift = _found(source)
     note = {"method": "torque_injection", "repetitions": len(source.injection.repetitions)}
-    _accept(levels, setup, settings, write_model, note, accept_outside_band)
+    accept(levels, setup, settings, write_model, note, accept_outside_band, shift)
 
 
 def error_injection(
@@ -112,7 +113,7 @@ def error_injection(
 
     setup = load_config(config)
     if reset:
-        _reset(setup, write_model)
+        reset_levels(setup, write_model)
         return
     settings = calibration_settings(setup, config)
     model = load_model(setup.model)
@@ -136,7 +137,7 @@ def error_injection(
 
     levels = Levels(state.levels.positive_nm, state.levels.negative_nm)
     note = {"method": "error_injection", "sliding_s": [state.time_pos_s, state.time_neg_s]}
-    _accept(levels, setup, settings, write_model, note, accept_outside_band)
+    accept(levels, setup, settings, write_model, note, accept_outside_band)
 
 
 # The run.
@@ -207,7 +208,7 @@ def _plan(parts: Any, settings: "CalibrationSettings", dry_run: bool) -> Iterabl
     yield "send       nothing (dry run)" if dry_run else f"send       {ids}"
 
 
-def _found(source: "TorqueInjectionSource") -> "Levels":
+def _found(source: "TorqueInjectionSource") -> "tuple[Levels, Shift]":
     """The levels of a complete run; :class:`EpsHilError` where something speaks against them."""
     from eps_hil.service.calibrated_model import Levels
 
@@ -223,48 +224,8 @@ def _found(source: "TorqueInjectionSource") -> "Levels":
     if not result.accepted:
         raise EpsHilError(f"not accepted: {'; '.join(result.problems)}")
     pos, neg = result.positive, result.negative
-    return Levels(pos.offset_nm, neg.offset_nm, pos.ci95_nm, neg.ci95_nm)
-
-
-def _accept(
-    levels: "Levels",
-    setup: "ServiceConfig",
-    settings: "CalibrationSettings",
-    write_model: Path | None,
-    note: dict[str, Any],
-    insist: bool,
-) -> None:
-    from eps_hil.service.calibrated_model import CalibratedModel
-
-    model = CalibratedModel(setup.model)
-    old = model.present
-    for name, new, was, ci in (
-        ("k0+", levels.offset_pos_nm, old.offset_pos_nm, levels.pos_ci95_nm),
-        ("k0-", levels.offset_neg_nm, old.offset_neg_nm, levels.neg_ci95_nm),
-    ):
-        interval = f"  (95 %: {ci[0]:.4f} to {ci[1]:.4f})" if ci else ""
-        typer.echo(f"{name}        {new:.4f} Nm{interval}, in the model {was:.4f} Nm")
-    within = model.check(levels, settings.sanity_band, insist=insist)
-    note["bus"] = str(setup.bus)
-    note["within_band"] = within
-    if write_model is not None:
-        _write(write_model, model.calibrated(levels, note))
-
-
-def _reset(setup: "ServiceConfig", write_model: Path | None) -> None:
-    from eps_hil.service.calibrated_model import CalibratedModel
-
-    if write_model is None:
-        raise InputError("--write-model", "", "is missing", "name the file that --reset writes")
-    _write(write_model, CalibratedModel(setup.model).reset({"method": "reset"}))
-
-
-def _write(path: Path, text: str) -> None:
-    from eps_hil.recordings.files import replacing
-
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    typer.echo(f"model      written to {path}")
+    levels = Levels(pos.offset_nm, neg.offset_nm, pos.ci95_nm, neg.ci95_nm)
+    return levels, result.shift
 
 
 # What is shown.

@@ -5,7 +5,7 @@ Comments and everything else in the file stay as they are; the history is a top-
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,9 @@ from typing import Any
 import yaml
 
 from eps_hil import yaml_file
+from eps_hil.adaptation.unknown_force import NOT_SEEN, Shift, force_that_explains_n
 from eps_hil.errors import EpsHilError, InputError
+from eps_hil.estimation.levels import FrictionLevels
 
 _BLOCK = "calibrations"
 _SIDES = ("offset_pos_nm", "offset_neg_nm")
@@ -27,6 +29,22 @@ class Levels:
     offset_neg_nm: float
     pos_ci95_nm: tuple[float, float] | None = None
     neg_ci95_nm: tuple[float, float] | None = None
+
+
+def widened(levels: Levels, torque_nm: float) -> Levels:
+    """Intervals that also hold the levels as they are if ``torque_nm`` was a rack force's."""
+
+    def wide(
+        level_nm: float, ci95_nm: tuple[float, float] | None, other_nm: float
+    ) -> tuple[float, float]:
+        low, high = ci95_nm or (level_nm, level_nm)
+        return min(low, low + other_nm), max(high, high + other_nm)
+
+    return replace(
+        levels,
+        pos_ci95_nm=wide(levels.offset_pos_nm, levels.pos_ci95_nm, -torque_nm),
+        neg_ci95_nm=wide(levels.offset_neg_nm, levels.neg_ci95_nm, torque_nm),
+    )
 
 
 class CalibratedModel:
@@ -55,6 +73,18 @@ class CalibratedModel:
                 "with --accept-outside-band"
             )
         return within
+
+    def unknown_force_n(self, levels: Levels, ratio: float, shift: Shift = NOT_SEEN) -> float:
+        """Rack force that would explain levels that moved apart since the last calibration; or 0.
+
+        ``ratio``: i_APA; ``shift``: what presliding saw of a force. Where it saw that there was
+        none, the levels moved by themselves.
+        """
+        before = FrictionLevels(self.present.offset_pos_nm, self.present.offset_neg_nm)
+        after = FrictionLevels(levels.offset_pos_nm, levels.offset_neg_nm)
+        force_n = force_that_explains_n(before, after, ratio)
+        none = abs(shift.torque_nm) + 2.0 * shift.std_nm < 0.5 * abs(force_n) / ratio
+        return 0.0 if none else force_n
 
     def calibrated(self, levels: Levels, note: dict[str, Any]) -> str:
         """The file's text with ``levels`` and an entry of the history."""

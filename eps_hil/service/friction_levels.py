@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from eps_hil.adaptation.unknown_force import force_that_explains_n
 from eps_hil.estimation.levels import FrictionLevels, LevelChange
 from eps_hil.estimation.stream import StreamEstimator
 from eps_hil.service.adaptation_config import AdaptationConfig
@@ -139,9 +140,18 @@ class FrictionLevelKeeper:
             why = "adaptation.apply is never"
         elif config.apply == "both_known" and found.known is Known.SUM:
             why = "only the sum of both is known"
+        why = why or self._explained(found)
         if why:
             return self._note("suggested", found.method, levels, found.t_ns, why, found)
         return self._take(found.method, levels, found)
+
+    def _explained(self, found: Suggestion) -> str:
+        """Error injection takes the rack force as zero; whether one explains what it found."""
+        if found.method != "error_injection":
+            return ""
+        ratio = self._estimator.constants.ratio
+        force_n = force_that_explains_n(self._accepted, found.levels, ratio)
+        return f"a rack force of about {force_n:.0f} N would explain it too" if force_n else ""
 
     def _outside(self, levels: FrictionLevels, accepted: FrictionLevels) -> str:
         band = self._config.sanity_band

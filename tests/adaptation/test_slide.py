@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +17,9 @@ from eps_hil.adaptation.injection_result import (
     student_t95,
 )
 from eps_hil.adaptation.slide import Slide, slide_level
-from eps_hil.physics.model import Model
+from eps_hil.physics.model import Model, load_model
 
+MODEL = load_model(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
 STEP = 1e-3
 
 
@@ -115,7 +117,7 @@ def run_of(*offsets: float) -> list[Repetition]:
 
 
 def test_an_outlier_is_named_and_left_out() -> None:
-    result = result_of(run_of(0.05, 0.1, 0.0502, 0.101, 0.08, 0.1005, 0.0498, 0.0995), 0.15)
+    result = result_of(run_of(0.05, 0.1, 0.0502, 0.101, 0.08, 0.1005, 0.0498, 0.0995), 0.15, MODEL)
     assert result.positive.outliers == (5,)
     assert result.positive.offset_nm == pytest.approx(0.05)
     assert result.negative.outliers == ()
@@ -125,16 +127,18 @@ def test_an_outlier_is_named_and_left_out() -> None:
 
 
 def test_too_many_outliers_are_a_problem() -> None:
-    result = result_of(run_of(0.05, 0.1, 0.0501, 0.1, 0.09, 0.1, 0.0502, 0.1, 0.02, 0.1), 0.15)
+    result = result_of(
+        run_of(0.05, 0.1, 0.0501, 0.1, 0.09, 0.1, 0.0502, 0.1, 0.02, 0.1), 0.15, MODEL
+    )
     assert not result.accepted
     assert "2 of 5 repetitions lie apart (5, 9)" in result.problems[0]
 
 
 def test_short_slides_and_springs_are_problems() -> None:
     short = [replace(one, lengths=1.0) for one in run_of(0.05, 0.1, 0.05, 0.1)]
-    assert "too short in repetition 1, 3" in result_of(short, 0.15).problems[0]
+    assert "too short in repetition 1, 3" in result_of(short, 0.15, MODEL).problems[0]
     sprung = [replace(one, drift_nm_per_rad=0.008) for one in run_of(0.05, 0.1, 0.0501, 0.1001)]
-    assert "the rack force was not zero" in result_of(sprung, 0.15).problems[0]
+    assert "the rack force was not zero" in result_of(sprung, 0.15, MODEL).problems[0]
 
 
 def test_the_interval_is_students(reference_model: Model) -> None:
@@ -144,6 +148,8 @@ def test_the_interval_is_students(reference_model: Model) -> None:
     assert level.ci95_nm == pytest.approx((0.05 - half, 0.05 + half))
     alike = level_of([repetition(k, 1, 0.05) for k in range(3)])
     assert alike.ci95_nm[1] - 0.05 == pytest.approx(1.96 * 2e-4 / math.sqrt(3))
+    formed = level_of([repetition(k, 1, 0.05, form_nm=1e-3) for k in range(50)])
+    assert formed.ci95_nm[1] - 0.05 == pytest.approx(0.95e-3, rel=0.01), "common to all of them"
     assert mark_outliers([repetition(1, 1, 0.05)], 0.15)[0].outlier is False
 
 

@@ -11,6 +11,8 @@ from eps_hil.adaptation.injection_settings import InjectionSettings
 from eps_hil.adaptation.slide_record import SlideRecord
 from eps_hil.adaptation.torque_injection import Phase, TorqueInjection
 from eps_hil.physics.model import Model
+from eps_hil.rig.manoeuvre import Segment
+from eps_hil.rig.profile import constant
 
 QUICK = InjectionSettings(repetitions=2)
 
@@ -34,6 +36,7 @@ def test_levels_of_a_rig_that_the_model_does_not_know(
     assert run.injection.phase is Phase.DONE
     assert result is not None
     assert result.problems == ()
+    assert abs(result.shift.torque_nm) < 3e-3, "8 N: no force was there, and presliding says so"
     f = true.friction
     for level, right in ((result.positive, f.offset_pos_nm), (result.negative, f.offset_neg_nm)):
         assert level.offset_nm == pytest.approx(right, rel=0.03)
@@ -41,6 +44,24 @@ def test_levels_of_a_rig_that_the_model_does_not_know(
         assert set(level.seen) == {"speed" if hand == "off" else "driver_torque"}
         assert level.ci95_nm[0] < level.offset_nm < level.ci95_nm[1]
         assert level.ci95_nm[1] - level.ci95_nm[0] < 0.06 * right
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("force_n", [40.0, -40.0])
+def test_a_rack_force_that_nobody_measured_is_noticed(
+    reference_model: Model, bench: Any, scaled_levels: Any, force_n: float
+) -> None:
+    true = scaled_levels(reference_model, 1.3, 0.8)
+    pushed = Segment(rack_force_n=constant(force_n))
+    run = bench(true).run(TorqueInjection(InjectionSettings(), reference_model), pushed)
+    result = run.injection.result
+    assert result is not None
+    assert not result.accepted
+    found = 2513.0 * result.shift.torque_nm
+    assert found == pytest.approx(force_n, abs=5.0)
+    assert f"a rack force of about {found:.0f} N" in result.problems[0]
+    wrong = abs(result.positive.offset_nm / true.friction.offset_pos_nm - 1.0)
+    assert wrong > 0.15, "it would have been believed"
 
 
 def test_the_commands_are_the_ramp_that_was_asked_for(reference_model: Model, bench: Any) -> None:

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,13 @@ import yaml
 
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import Port, open_port
+from eps_hil.cli._levels import accept
 from eps_hil.cli.main import main
+from eps_hil.errors import EpsHilError
 from eps_hil.physics.model import load_model
+from eps_hil.service.calibrated_model import Levels
+from eps_hil.service.calibration import calibration_settings
+from eps_hil.service.config import load_config
 
 ROOT = Path(__file__).parents[2]
 CHANNEL = "239.74.163.82"
@@ -221,6 +227,29 @@ def test_without_the_override_block_it_refuses(
     config.write_text(text[: text.index("override:")])
     assert main(["calibrate", "torque-injection", "--config", str(config)]) == 2
     assert "so no torque may ever be commanded" in capsys.readouterr().err
+
+
+def test_levels_that_moved_apart_since_the_last_calibration_are_refused(
+    config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """40 N at a parked rack; on a first calibration it is a note, and the intervals are wider."""
+    setup, out = load_config(config), tmp_path / "m.yaml"
+    settings = calibration_settings(setup, config)
+    first = Levels(0.058, 0.1239, (0.057, 0.059), (0.123, 0.125))
+    pushed = Levels(0.074, 0.108, (0.073, 0.075), (0.107, 0.109))
+    accept(pushed, setup, settings, out, {"method": "torque_injection"}, insist=False)
+    said = capsys.readouterr().out
+    assert "an unknown rack force of about 45 N would explain this" in said
+    assert "k0+        0.0740 Nm  (95 %: 0.0551 to 0.0750)" in said
+    (entry,) = yaml.safe_load(out.read_text())["calibrations"]
+    assert entry["rack_force_that_would_explain_it_n"] == pytest.approx(45.0, abs=1.0)
+    accept(first, setup, settings, out, {"method": "torque_injection"}, insist=False)
+    assert "unknown rack force" not in capsys.readouterr().out
+    known = replace(setup, model=out)
+    with pytest.raises(EpsHilError, match=r"refused: the levels moved apart .* about 40 N"):
+        accept(pushed, known, settings, out, {"method": "error_injection"}, insist=False)
+    accept(pushed, known, settings, out, {"method": "error_injection"}, insist=True)
+    assert load_model(out).friction.offset_pos_nm == 0.074
 
 
 @pytest.mark.parametrize("verb", ["torque-injection", "error-injection"])

@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from eps_hil.adaptation.unknown_force import Shift
 from eps_hil.errors import EpsHilError, InputError
 from eps_hil.physics.model import load_model
-from eps_hil.service.calibrated_model import CalibratedModel, Levels
+from eps_hil.service.calibrated_model import CalibratedModel, Levels, widened
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "configs" / "reference_rig.yaml"
@@ -78,3 +79,19 @@ def test_a_file_that_cannot_be_changed_line_by_line_is_refused(tmp_path: Path) -
     path.write_text(yaml.safe_dump(content, default_flow_style=True))
     with pytest.raises(InputError, match="not on one line of its own"):
         CalibratedModel(path).calibrated(NEW, {})
+
+
+def test_levels_that_moved_apart_are_told_as_a_force() -> None:
+    model = CalibratedModel(REFERENCE)
+    apart = Levels(0.072, 0.1101)
+    assert model.unknown_force_n(apart, 2513.0) == pytest.approx(40.0, abs=1.0)
+    assert model.unknown_force_n(Levels(0.07, 0.157), 2513.0) == 0.0, "25 % more both ways"
+    seen = model.unknown_force_n(apart, 2513.0, Shift(0.015, 0.001))
+    assert seen == pytest.approx(40.0, abs=1.0), "presliding saw it too"
+    assert model.unknown_force_n(apart, 2513.0, Shift(0.001, 0.001)) == 0.0, "it saw none"
+
+
+def test_an_interval_is_widened_to_what_the_level_would_be_without_the_force() -> None:
+    wide = widened(Levels(0.072, 0.110, (0.071, 0.073), (0.109, 0.111)), 0.016)
+    assert wide.pos_ci95_nm == pytest.approx((0.055, 0.073))
+    assert wide.neg_ci95_nm == pytest.approx((0.109, 0.127))

@@ -1,0 +1,82 @@
+"""What ``eps-hil calibrate`` does with levels that it found: refuse, warn, write, reset."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from eps_hil.errors import EpsHilError, InputError
+
+if TYPE_CHECKING:
+    from eps_hil.adaptation.unknown_force import Shift
+    from eps_hil.service.calibrated_model import Levels
+    from eps_hil.service.calibration import CalibrationSettings
+    from eps_hil.service.config import ServiceConfig
+
+
+def accept(
+    levels: "Levels",
+    setup: "ServiceConfig",
+    settings: "CalibrationSettings",
+    write_model: Path | None,
+    note: dict[str, Any],
+    insist: bool,
+    shift: "Shift | None" = None,
+) -> None:
+    """Refuse, warn, or write; ``shift``: what torque injection saw of a force at the rack."""
+    from eps_hil.adaptation.unknown_force import NOT_SEEN
+    from eps_hil.physics.model import load_model
+    from eps_hil.service.calibrated_model import CalibratedModel, widened
+
+    model = CalibratedModel(setup.model)
+    ratio = load_model(setup.model).rack_to_rotor_ratio_rad_per_m
+    force_n = model.unknown_force_n(levels, ratio, shift or NOT_SEEN)
+    if force_n:
+        levels = widened(levels, force_n / ratio)
+        note["rack_force_that_would_explain_it_n"] = round(force_n, 1)
+    old = model.present
+    for name, new, was, ci in (
+        ("k0+", levels.offset_pos_nm, old.offset_pos_nm, levels.pos_ci95_nm),
+        ("k0-", levels.offset_neg_nm, old.offset_neg_nm, levels.neg_ci95_nm),
+    ):
+        interval = f"  (95 %: {ci[0]:.4f} to {ci[1]:.4f})" if ci else ""
+        typer.echo(f"{name}        {new:.4f} Nm{interval}, in the model {was:.4f} Nm")
+    if force_n:
+        _warn_of_force(force_n, known=bool(model.history) and not insist)
+    within = model.check(levels, settings.sanity_band, insist=insist)
+    note["bus"] = str(setup.bus)
+    note["within_band"] = within
+    if write_model is not None:
+        _write(write_model, model.calibrated(levels, note))
+
+
+def _warn_of_force(force_n: float, *, known: bool) -> None:
+    """``known``: the levels in the model were measured on this gear, so they tell."""
+    said = (
+        "the levels moved apart and their sum stayed: an unknown rack force of about"
+        f" {force_n:.0f} N would explain this"
+    )
+    if known:
+        raise EpsHilError(
+            f"refused: {said}; free the rack, then repeat, or insist with --accept-outside-band"
+        )
+    typer.echo(
+        f"note       {said}; the intervals are widened for it, look whether the rack is free"
+    )
+
+
+def reset_levels(setup: "ServiceConfig", write_model: Path | None) -> None:
+    """The levels from before the first calibration, written."""
+    from eps_hil.service.calibrated_model import CalibratedModel
+
+    if write_model is None:
+        raise InputError("--write-model", "", "is missing", "name the file that --reset writes")
+    _write(write_model, CalibratedModel(setup.model).reset({"method": "reset"}))
+
+
+def _write(path: Path, text: str) -> None:
+    from eps_hil.recordings.files import replacing
+
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    typer.echo(f"model      written to {path}")
