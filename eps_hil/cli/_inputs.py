@@ -158,6 +158,13 @@ def say_notes(path: Path, notes: Sequence[str]) -> None:
 @contextlib.contextmanager
 def progress(what: str) -> Iterator[Callable[[float], None] | None]:
     """A bar on stderr while the block runs; None, and nothing shown, where that is no terminal."""
+    with stages(what) as stage:
+        yield None if stage is None else lambda fraction: stage(what, fraction)
+
+
+@contextlib.contextmanager
+def stages(what: str) -> Iterator[Callable[[str, float], None] | None]:
+    """As :func:`progress` for work in stages: the bar is told which, and how much of it is done."""
     if not sys.stderr.isatty():
         yield None
         return
@@ -166,4 +173,4 @@ def progress(what: str) -> Iterator[Callable[[float], None] | None]:
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=1.0)
-        yield lambda fraction: bar.update(task, completed=fraction)
+        yield lambda stage, part: bar.update(task, description=stage, completed=part)

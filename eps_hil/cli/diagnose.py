@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.cli._files import write_json
-from eps_hil.cli._inputs import ModelPath, Reading, progress, read_all, reads_recordings, say_notes
+from eps_hil.cli._inputs import (
+    ModelPath,
+    Reading,
+    progress,
+    read_all,
+    reads_recordings,
+    say_notes,
+    stages,
+)
 
 if TYPE_CHECKING:
     from eps_hil.diagnosis.diagnose import Diagnosis
@@ -88,9 +96,8 @@ def diagnose(
     without = _known(without_effect or [])
     fitted = read_all(recording, reading)
     judged = read_all(holdout or [], reading)
-    with progress("diagnosing") as bar:
+    with stages("aligning the recordings") as say:
         try:
-            say = (lambda _what, part: bar(part)) if bar else None
             if simulation:
                 traces = _traces(simulation, simulation_signals)
                 result = diagnose_against(traces, rig, fitted, judged, say, without)
@@ -104,7 +111,8 @@ def diagnose(
     if json:
         write_json(json, result.content)
     if report:
-        diagnosis_page.write(result, report, str(model))
+        with progress("drawing the page"):
+            diagnosis_page.write(result, report, str(model))
     if write_model:
         with replacing(write_model) as temporary:
             temporary.write_text(dump_model(result.model), encoding="utf-8")

@@ -41,6 +41,8 @@ for _file in pkgutil.iter_modules(cli.__path__):
         importlib.import_module(f"eps_hil.cli.{_file.name}").register(app)
 
 
+INTERRUPTED = 130
+"""Status after Ctrl-C, as a shell gives it."""
 SEVERAL = ("--recording", "--holdout", "--simulation")
 """Options that several files may follow (CONTRACT 6)."""
 
@@ -66,6 +68,8 @@ def main(arguments: list[str] | None = None) -> int:
     words = spread([word for word in words if word != "--debug"])
     try:
         status = app(args=words, prog_name="eps-hil", standalone_mode=False)
+        if status == INTERRUPTED:  # typer keeps Ctrl-C to itself, and leaves its status
+            return _say("interrupted", INTERRUPTED, debug=False)
         return status if isinstance(status, int) else 0
     except BaseException as error:  # the last line of defence: one line, never a stack
         return _explain(error, debug)
@@ -78,7 +82,7 @@ def _explain(error: BaseException, debug: bool) -> int:
         case BrokenPipeError():
             return 0
         case typer.Abort() | KeyboardInterrupt():
-            message, status = "interrupted", 130
+            message, status = "interrupted", INTERRUPTED
         case EpsHilError():
             message, status = str(error), error.exit_status
         case _ if hasattr(error, "format_message"):  # wrong words, in click's own exception

@@ -47,6 +47,21 @@ def test_every_error_has_its_status(
         assert "Traceback" in capsys.readouterr().err
 
 
+def test_ctrl_c_inside_a_verb_is_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Through typer, which would swallow it."""
+    from eps_hil.physics import model
+
+    def interrupted(_path: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(model, "load_model", interrupted)
+    words = ["simulate", "--model", "m.yaml", "--inputs", "a.csv", "--out", "b.csv"]
+    assert command.main(words) == 130
+    assert capsys.readouterr().err == "eps-hil: interrupted\n"
+
+
 def test_debug_may_stand_after_the_verb(capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["estimate", "none.csv", "--model", "none.yaml", "--debug"]) == 2
     assert "Traceback" in capsys.readouterr().err
