@@ -117,7 +117,7 @@ def _split(
 
 
 def _part(one: Series, start: int, end: int) -> Series:
-    keep = (one.t_ns >= start) & (one.t_ns <= end)
+    keep = slice(*np.searchsorted(one.t_ns, (start, end + 1)).tolist())
     return Series(one.t_ns[keep], one.value[keep])
 
 

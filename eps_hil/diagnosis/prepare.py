@@ -34,7 +34,9 @@ CREEP_HZ = 20.0
 EDGE_S = 0.25
 """Left out at both ends of a recording, where a filter without phase has only one side."""
 
-_MOST_SHIFTED = 40
+_MOST_SHIFTED, _LEAST_SHIFTED = 40, 8
+_MOST_SHIFTED_BYTES = 200_000_000
+"""An hour's signals are 29 MB each: what is remembered of them has to end somewhere."""
 _TAIL = 10.0
 _NEEDED = ("motor_torque_nm",)
 
@@ -143,7 +145,8 @@ class Prepared:
             return values
         key = (id(values), delay_s)
         if key not in self._shifted:
-            if len(self._shifted) > _MOST_SHIFTED:
+            most = _MOST_SHIFTED_BYTES // values.nbytes
+            if len(self._shifted) > min(_MOST_SHIFTED, max(most, _LEAST_SHIFTED)):
                 self._shifted.clear()
             self._shifted[key] = np.interp(self.time_s + delay_s, self.time_s, values)
         return self._shifted[key]

@@ -17,7 +17,8 @@ from eps_hil.series import Series
 
 Floats = npt.NDArray[np.floating[Any]]
 Flags = npt.NDArray[np.bool_]
-Runs = list[tuple[int, int]]
+Runs = npt.NDArray[np.int64]
+"""(first, last + 1) of stretches of equal samples, shape (m, 2)."""
 
 GAP = 5.0
 """A step in time of so many usual ones is a gap…"""
@@ -180,7 +181,7 @@ def _equal_runs(value: Floats) -> Runs:
     """(first, last + 1) of every stretch of equal samples."""
     edges = np.flatnonzero(np.diff(value) != 0) + 1
     edges = np.concatenate([[0], edges, [len(value)]])
-    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+    return np.column_stack([edges[:-1], edges[1:]])
 
 
 def _quantum(value: Floats) -> float:
@@ -200,9 +201,8 @@ def _clipped(
     high, low = float(np.max(value)), float(np.min(value))
     typical = max(float(np.median(np.abs(np.diff(value)))), quantum)
     found = []
-    for first, last in runs:
-        if last - first < CLIPPED_SAMPLES or value[first] not in (high, low):
-            continue
+    long = runs[runs[:, 1] - runs[:, 0] >= CLIPPED_SAMPLES]
+    for first, last in long[np.isin(value[long[:, 0]], (high, low))].tolist():
         before = abs(value[first] - value[max(first - _NEAR, 0)])
         after = abs(value[min(last + _NEAR, len(value)) - 1] - value[first])
         if max(before, after) > _ENTERED * typical:
@@ -219,16 +219,14 @@ def _stuck(
     start: int,
 ) -> tuple[tuple[float, float], ...]:
     """Long runs of equal samples while another signal shows the rotor moving."""
-    lengths = np.array([last - first for first, last in runs])
+    lengths = runs[:, 1] - runs[:, 0]
     if len(runs) < 10:
         return ()
     usual = float(np.median(lengths))
     others = [one for name, one in speeds.items() if name != signal]
     found = []
-    for first, last in runs:
-        long_enough = at[last - 1] - at[first] > STUCK_S
-        if not long_enough or last - first < STUCK_RUNS * usual:
-            continue
+    held = at[runs[:, 1] - 1] - at[runs[:, 0]]
+    for first, last in runs[(held > STUCK_S) & (lengths >= STUCK_RUNS * usual)].tolist():
         for one in others:
             seconds = (one.t_ns - start) * 1e-9
             inside = (seconds > at[first]) & (seconds < at[last - 1])

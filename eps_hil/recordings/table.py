@@ -142,11 +142,13 @@ def to_series(path: Path, table: Table, *, gaps: str) -> tuple[dict[str, Series]
         if not filled[name].any():
             notes.append(f"column {name} has no value: left out")
             continue
-        value = column[kept]
-        value[np.isinf(value)] = np.nan
+        whole = bool(kept.all())  # then stamps are shared: an hour of them is 30 MB a signal
+        value = column if whole else column[kept]
+        if np.isinf(value).any():
+            value = np.where(np.isinf(value), np.nan, value)
         if (marked := int(np.count_nonzero(bad[name]))) > 0:
             notes.append(f"column {name}: {marked} bad samples marked")
-        series[name] = Series(table.t_ns[kept], value)
+        series[name] = Series(table.t_ns if whole else table.t_ns[kept], value)
     return series, tuple(notes)
 
 
