@@ -35,7 +35,7 @@ def cannot_tell(
         ),
         *_lag(parameters, lag),
         *_offsets(offsets),
-        *_one_sided(cases),
+        *_load_cell(cases),
     ]
     if any(not case.measured_load for case in cases):
         why = (
@@ -74,19 +74,25 @@ def _offsets(offsets: Mapping[str, Estimate]) -> list[Unknown]:
     ]
 
 
-def _one_sided(cases: Sequence[Case]) -> list[Unknown]:
-    """Preloads of one sign: a torque's scale is then an asymmetry of the load gains."""
+def _load_cell(cases: Sequence[Case]) -> list[Unknown]:
+    """Of the load cell; with preloads of one sign a scale is an asymmetry of the load gains."""
     loads = [case.recording.raw["rack_force_n"] for case in cases if case.measured_load]
     if not loads:
         return []
+    zero = Unknown(
+        "the zero of the load cell and k0+ minus k0-",
+        "both are a torque of one sign; the load cell is taken at its word",
+        "zero the load cell before the run",
+    )
     lowest = min(float(np.percentile(load, 2)) for load in loads)
     highest = max(float(np.percentile(load, 98)) for load in loads)
     if (lowest < -LEAST_N) == (highest > LEAST_N):
-        return []
+        return [zero]
     return [
+        zero,
         Unknown(
             "the scale of the motor torque and kr+ minus kr-",
             "the rack force has one sign only",
             "preloads of both signs",
-        )
+        ),
     ]

@@ -14,6 +14,7 @@ from eps_hil.identification.finding import Finding
 from eps_hil.identification.friction_map import friction_map
 from eps_hil.identification.identifiable import choose, widened
 from eps_hil.identification.least_squares import Fit
+from eps_hil.identification.motion_check import check_place
 from eps_hil.identification.motor_lag import motor_lag
 from eps_hil.identification.noise_bias import corrected
 from eps_hil.identification.offsets import Offset, offset
@@ -55,7 +56,9 @@ def identify(
     if not recordings:
         raise InputError("recordings", "", "none given", "name one or more")
     ready = [prepare(name, series) for name, series in recordings.items()]
+    ratio = model.rack_to_rotor_ratio_rad_per_m
     angle = kinematics.skew(ready)
+    placed = [told for one in ready for told in check_place(one, ratio)]
     late_s = angle.seconds if angle else 0.0
     start = State(
         with_model_effects(model),
@@ -77,7 +80,7 @@ def identify(
     say(0.9)
     sliding = widened(found.sliding, rows, chosen.kept, found.weights)
     found = replace(found, sliding=sliding)
-    result = _result(model, start, ready, rows, found, angle, offsets)
+    result = _result(model, start, ready, rows, found, angle, offsets, placed)
     say(1.0)
     return result
 
@@ -102,6 +105,7 @@ def _result(
     found: Found,
     angle: kinematics.Skew | None,
     offsets: Mapping[str, Offset | None],
+    placed: Sequence[Finding],
 ) -> Identification:
     fit = found.sliding
     quantile = _quantile(fit.blocks)
@@ -125,7 +129,7 @@ def _result(
     state = replace(state, model=replace(state.model, friction=friction))
     residual, floor = findings.residual(rows, state, found.weights)
     told = [one for recording in ready for one in recording.findings]
-    told += kinematics.ratio_findings(ready, angle)
+    told += [*placed, *kinematics.ratio_findings(ready, angle)]
     told += findings.of_fit(rows, state, found, residual, floor, timing.moved_s)
     quiet = _offset_estimates(offsets)
     lag = motor_lag(rows, fit.state, fit)

@@ -12,10 +12,10 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.errors import InputError
 from eps_hil.identification import filters
 from eps_hil.identification.filters import STEP_S, low_pass
 from eps_hil.identification.finding import Finding
+from eps_hil.identification.motion_check import check_speed
 from eps_hil.identification.prepare import Prepared
 
 Floats = npt.NDArray[np.float64]
@@ -26,7 +26,6 @@ REST_WINDOW_S = 0.03
 MOST_SKEW_S = 0.04
 _WORN = 0.25
 FREQUENCY = np.linspace(0.25, 500.0, 2000)
-_UNITS = ((60.0 / (2 * np.pi), "rpm"), (180.0 / np.pi, "degrees per second"))
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,7 @@ def skew(recordings: Sequence[Prepared], signs: bool = True) -> Skew | None:
         return None
     if signs:
         for one in both:
-            _check_gain(one)
+            _check(one)
     late, gain = 0.0, 1.0
     for _ in range(8):
         rows = [_skew_rows(one, late, gain) for one in both]
@@ -143,41 +142,30 @@ def _skew_rows(one: Prepared, late: float, gain: float) -> tuple[Floats, Floats,
     return columns, (measured - gain * rate)[good], filters.thinned(time)[good]
 
 
-def _check_gain(one: Prepared) -> None:
+def _check(one: Prepared) -> None:
     columns, _, _ = _skew_rows(one, 0.0, 1.0)
-    rate = columns[:, 1]
-    measured = filters.smooth(one.raw["motor_speed_rad_s"])
-    measured = measured[filters.smooth(one.good.astype(np.float64)) > 0.999]
-    power = float(rate @ rate) * float(measured @ measured)
-    if np.sqrt(np.mean(rate**2)) < 0.3 or power <= 0:
-        return
-    together = float(rate @ measured) / np.sqrt(power)
-    gain = float(rate @ measured) / float(rate @ rate)
-    if together < -0.7:
-        raise InputError(
-            one.name,
-            "motor_speed_rad_s",
-            "motor_speed_rad_s and the derivative of motor_angle_rad have opposite signs",
-            "turn the sign of one of them (in a mapping: scale: -1)",
-        )
-    for factor, unit in _UNITS:
-        if together > 0.7 and abs(gain / factor - 1) < 0.05:
-            problem = f"is {gain:.3g} times the derivative of motor_angle_rad: in {unit}?"
-            raise InputError(one.name, "motor_speed_rad_s", problem, "give it in rad/s")
-    if together > 0.7 and not 0.5 < gain < 2.0:
-        problem = f"is {gain:.3g} times the derivative of motor_angle_rad"
-        raise InputError(one.name, "motor_speed_rad_s", problem, "check the units of both")
+    good = filters.smooth(one.good.astype(np.float64)) > 0.999
+    check_speed(one, columns[:, 1], filters.smooth(one.raw["motor_speed_rad_s"])[good])
 
 
 def _block_covariance(rows: Sequence[tuple[Floats, Floats, Floats]], inverse: Floats) -> Floats:
-    middle, blocks = np.zeros_like(inverse), 0
+    """Covariance over blocks of 2 s, nowhere below that of white noise through the filter.
+
+    A handful of blocks may agree by chance.
+    """
+    middle, blocks, left, count = np.zeros_like(inverse), 0, 0.0, 0
     for columns, residual, time in rows:
         block = ((time - time[0]) // 2.0).astype(int) if len(time) else np.zeros(0, int)
         for k in np.unique(block):
             score = columns[block == k].T @ residual[block == k]
             middle += np.outer(score, score)
             blocks += 1
-    return np.asarray(inverse @ middle @ inverse * blocks / max(blocks - 2, 1))
+        left, count = left + float(residual @ residual), count + len(residual)
+    clustered = np.asarray(inverse @ middle @ inverse * blocks / max(blocks - 2, 1))
+    alike = 1.0 / (filters.THIN * float(np.sum(filters.kernel() ** 2)))
+    white = np.diag(inverse) * left / max(count, 1) * alike
+    np.fill_diagonal(clustered, np.maximum(np.diag(clustered), white))
+    return clustered
 
 
 def _mixed(speed: Floats, angle: Floats, density: Mapping[str, float]) -> tuple[Floats, Floats]:

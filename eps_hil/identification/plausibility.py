@@ -1,12 +1,13 @@
-"""Wrong signs, swapped channels and wrong units, before anything is fitted to them.
+"""Wrong signs, swapped channels and wrong units of torques and load, before anything is fitted.
 
-The torque balance while sliding is linear; with every sign and every swap of torques tried, the
-right one leaves far less than the others, if a channel carries anything at all.
+The torque balance while sliding is linear, with an inertia near the model file's and friction not
+below zero. Each thing that can be wrong with the channels is tried; one that makes the balance
+close where it did not is named, the simplest where several do.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 import numpy.typing as npt
@@ -19,118 +20,169 @@ from eps_hil.identification.state import State, get
 Floats = npt.NDArray[np.float64]
 
 _CLEARLY = 0.5
-"""A sign is called wrong when turning it leaves less than this part of the residual."""
+"""Something is called wrong when without it less than this part of the residual is left."""
+_CLOSED = 0.05
+_OPEN = 0.6
+"""Residuals, of the torques' size: below the first nothing is asked, beyond the second no fit."""
+_AS_SIMPLE = 1.25
+_FARTHEST = 5.0
+"""How far an inertia may be from the model file's for the channels to be right."""
+_MATTERS = 0.05
+"""Share of the torques from which on an acceleration torque is looked at."""
+_MOST_NM = 30.0
+"""No steering motor, and no rack force at the rotor, makes more (75 kN at the reference rack)."""
 _TRIED_S = (0.0, -0.008, 0.008, -0.016, 0.016)
 _FEWEST = 200
 _MOST = 2500
 _TORQUES = ("motor_torque_nm", "torque_sensor_nm", "rack_force_n")
+_SMALLER = {"motor_torque_nm": "mNm", "torque_sensor_nm": "mNm", "rack_force_n": "mN"}
+_LARGER = {"motor_torque_nm": "kNm", "torque_sensor_nm": "kNm", "rack_force_n": "kN"}
+_RIGHT = {"motor_torque_nm": "Nm", "torque_sensor_nm": "Nm", "rack_force_n": "N"}
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Filtered signals while sliding: torques at the rotor (3, m) and what motion explains."""
+    """While sliding: torques at the rotor as given (3, m), and what the motion explains (m, 4)."""
 
     torques: Floats
     motion: Floats
+    direction: Floats
+
+
+@dataclass(frozen=True)
+class _Wrong:
+    """One thing that may be wrong: which column each torque comes from, times what."""
+
+    source: tuple[int, int, int]
+    times: tuple[float, float, float]
+    hard: float
+    signal: str = ""
+    problem: str = ""
+    remedy: str = ""
 
 
 def check(cases: Sequence[Case], state: State) -> None:
-    """:class:`InputError` that names the channel, for each recording and for all together."""
+    """:class:`InputError` that names the channel, for each recording on its own."""
+    tried = _everything(state)
     for case in cases:
+        torque = case.recording.raw["motor_torque_nm"]
+        if float(np.ptp(torque)) <= 0:
+            problem = f"is {torque[0]:g} all the time"
+            raise InputError(case.recording.name, "motor_torque_nm", problem, "record it")
         if not case.measured_load:
             continue
         rows = [_rows(case, state, late) for late in _TRIED_S]
-        if rows[0].motion.shape[0] < _FEWEST:
-            continue
-        _unit(case, rows)
-        _swaps(case, state, rows)
-        _signs(case, rows)
+        if rows[0].motion.shape[0] >= _FEWEST:
+            _check(case.recording.name, rows, tried, state.model.inertia_kg_m2)
+
+
+def _check(name: str, rows: Sequence[_Rows], tried: Sequence[_Wrong], inertia: float) -> None:
+    size = float(np.sqrt(np.mean(np.sum(rows[0].torques ** 2, axis=0))))
+    as_is, apart = _left(rows, tried[0], inertia)
+    plausible = _likely(apart)
+    if plausible and as_is < _CLOSED:
+        return
+    found = [(one, *_left(rows, one, inertia)) for one in tried[1:]]
+    found = [one for one in found if _likely(one[2])]
+    least = min((left for _, left, _ in found), default=np.inf)
+    if least < _CLEARLY * as_is:
+        likely = [one for one, left, _ in found if left < _AS_SIMPLE * least]
+        wrong = min(likely, key=lambda one: one.hard)
+        raise InputError(name, wrong.signal, wrong.problem, wrong.remedy)
+    if not plausible and as_is < _CLOSED and apart > 0:
+        problem = (
+            f"the inertia comes out {apart:.2g} times the model file's: is the motion in degrees, "
+            "revolutions or rpm?"
+        )
+        raise InputError(name, "motor_speed_rad_s", problem, "give it in rad/s")
+    if size > 0 and as_is > _OPEN:
+        problem = (
+            f"the torques do not balance: {100 * as_is:.0f} % of them remain, whatever sign, unit "
+            "or swap is tried"
+        )
+        raise InputError(name, "", problem, "check what each column holds")
+
+
+def _everything(state: State) -> list[_Wrong]:
+    """As given first; then signs, units, swaps, in the order of how easily each is wrong."""
+    straight, scale = (0, 1, 2), _scales(state)
+    tried = []
+    for a, b, c in product((1.0, -1.0), repeat=3):
+        signs = (a, b, c)
+        wrong = [name for name, sign in zip(_TORQUES, signs, strict=True) if sign < 0]
+        words = " and ".join(wrong) + (" has" if len(wrong) == 1 else " have") + " the wrong sign"
+        signal = wrong[0] if wrong else ""
+        if len(wrong) == 3:
+            signal = "motor_speed_rad_s"
+            words = "motor_speed_rad_s (and motor_angle_rad) has the wrong sign"
+        remedy = "turn it (in a mapping: scale: -1), or check the sensor's direction"
+        hard = 1.0 if len(wrong) == 3 else float(len(wrong))
+        tried.append(_Wrong(straight, signs, hard, signal, words, remedy))
+    for k, name in enumerate(_TORQUES):
+        for factor, units, word in ((1e-3, _SMALLER, "large"), (1e3, _LARGER, "small")):
+            p, q, r = (factor if i == k else 1.0 for i in range(3))
+            words = f"is about 1000 times too {word}: in {units[name]}?"
+            remedy = f"give it in {_RIGHT[name]}"
+            tried.append(_Wrong(straight, (p, q, r), 1.5, name, words, remedy))
+    for i, j in combinations(range(3), 2):
+        source = [0, 1, 2]
+        source[i], source[j] = j, i
+        swapped = (source[0], source[1], source[2])
+        p, q, r = (scale[n] / scale[source[n]] for n in range(3))
+        words = f"{_TORQUES[j]} looks like {_TORQUES[i]}: the two columns are swapped"
+        tried.append(_Wrong(swapped, (p, q, r), 2.5, _TORQUES[j], words, "swap the columns"))
+    return tried
+
+
+def _scales(state: State) -> tuple[float, float, float]:
+    """Torque at the rotor per unit of each signal."""
+    model = state.model
+    return 1.0, model.sensor_to_rotor, -1.0 / model.rack_to_rotor_ratio_rad_per_m
 
 
 def _rows(case: Case, state: State, late_s: float) -> _Rows:
-    model, motion = state.model, case.motion
+    motion = case.motion
     sliding = np.abs(motion.speed) > 2.0 * case.slowest
     whole = filters.smooth((~sliding).astype(np.float64)) < 1e-9
     mine = np.flatnonzero(whole & case.good)
     mine = mine[:: max(1, len(mine) // _MOST)]
     keys = ("delays_s.motor_torque", "delays_s.torque_sensor", "delays_s.rack_force")
-    scale = (1.0, model.sensor_to_rotor, -1.0 / model.rack_to_rotor_ratio_rad_per_m)
     torques = np.array(
         [
             factor * filters.smooth(case.signal(name, get(state, key) + late_s))[mine]
-            for name, key, factor in zip(_TORQUES, keys, scale, strict=True)
+            for name, key, factor in zip(_TORQUES, keys, _scales(state), strict=True)
         ]
     )
     speed = filters.thinned(motion.speed)[mine]
-    load = np.abs(filters.thinned(case.signal("rack_force_n", 0.0)))[mine]
     forth = (speed > 0).astype(np.float64)
-    terms = [
-        case.motion.acceleration[mine],
-        forth,
-        forth - 1.0,
-        speed,
-        np.sign(speed) * load,
-    ]
-    return _Rows(torques, np.column_stack(terms))
+    terms = [case.motion.acceleration[mine], forth, forth - 1.0, speed]
+    return _Rows(torques, np.column_stack(terms), np.sign(speed))
 
 
-def _left(rows: Sequence[_Rows], weights: Sequence[float]) -> float:
-    """Rms of the balance with torques so weighted, at the best of a few skews; Nm."""
+def _left(rows: Sequence[_Rows], wrong: _Wrong, inertia: float) -> tuple[float, float]:
+    """(rms left at the best of a few skews, of the torques' own; inertia over the model file's).
+
+    The inertia is 1 where it does not matter, 0 where the torques are impossible.
+    """
     from scipy.optimize import nnls
 
-    best = np.inf
+    best, apart = np.inf, 1.0
     for one in rows:
-        size = np.maximum(np.sqrt(np.mean(one.motion**2, axis=0)), 1e-12)
-        _, norm = nnls(one.motion / size, np.asarray(weights) @ one.torques)
-        best = min(best, norm / np.sqrt(one.motion.shape[0]))
-    return float(best)
+        torques = np.array(wrong.times)[:, None] * one.torques[list(wrong.source)]
+        each = np.sqrt(np.mean(torques**2, axis=1))
+        size = float(np.sqrt(np.sum(each**2)))
+        if size <= 0 or each.max() > _MOST_NM:
+            return np.inf, 0.0
+        # friction grows with the load of this hypothesis
+        columns = np.column_stack([one.motion, one.direction * np.abs(torques[2])])
+        scale = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
+        found, norm = nnls(columns / scale, torques.sum(axis=0))
+        left = float(norm / np.sqrt(len(columns)) / size)
+        if left < best:
+            accelerated = max(scale[0] * inertia, float(found[0])) > _MATTERS * size
+            best, apart = left, float(found[0] / scale[0] / inertia) if accelerated else 1.0
+    return best, apart
 
 
-def _signs(case: Case, rows: Sequence[_Rows]) -> None:
-    tried = {signs: _left(rows, signs) for signs in product((1, -1), repeat=3)}
-    as_is, least = tried[1, 1, 1], min(tried.values())
-    size = float(np.sqrt(np.mean(np.sum(rows[0].torques ** 2, axis=0))))
-    if least > _CLEARLY * as_is or as_is < 0.05 * size:
-        return
-    # the fewest wrong channels that explain it; all three torques are one wrong motion
-    likely = [signs for signs, left in tried.items() if left < 1.25 * least]
-    signs = min(likely, key=lambda one: 1 if sum(one) == -3 else one.count(-1))
-    wrong = [name for name, sign in zip(_TORQUES, signs, strict=True) if sign < 0]
-    if len(wrong) == 3:
-        words = "motor_speed_rad_s (and motor_angle_rad) has the wrong sign"
-        raise InputError(case.recording.name, "motor_speed_rad_s", words, _remedy())
-    words = " and ".join(f"{name} has the wrong sign" for name in wrong)
-    raise InputError(case.recording.name, wrong[0], words, _remedy())
-
-
-def _swaps(case: Case, state: State, rows: Sequence[_Rows]) -> None:
-    """Motor torque and torsion-bar torque in each other's column."""
-    if not case.recording.has("torque_sensor_nm"):
-        return
-    ratio = state.model.sensor_to_rotor
-    best = min(_left(rows, signs) for signs in product((1, -1), repeat=3))
-    swapped = _left(rows, (ratio, 1 / ratio, 1))
-    if swapped < _CLEARLY * best:
-        problem = "torque_sensor_nm looks like motor_torque_nm: the two columns are swapped"
-        raise InputError(case.recording.name, "torque_sensor_nm", problem, "swap the columns")
-
-
-def _unit(case: Case, rows: Sequence[_Rows]) -> None:
-    """A load cell in kN, or zeroed far off: its own factor fitted freely."""
-    from scipy.optimize import nnls
-
-    one = rows[0]
-    force = -one.torques[2]
-    if np.std(force) <= 0:
-        return
-    columns = np.column_stack([one.motion[:, :4], np.maximum(force, 0), np.minimum(force, 0)])
-    size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
-    found, _ = nnls(columns / size, one.torques[0] + one.torques[1])
-    factor = float(np.max((found / size)[4:]))
-    if 500 < factor < 2000:
-        problem = f"is about {factor:.0f} times too small: in kN?"
-        raise InputError(case.recording.name, "rack_force_n", problem, "give it in N")
-
-
-def _remedy() -> str:
-    return "turn it (in a mapping: scale: -1), or check the sensor's direction"
+def _likely(apart: float) -> bool:
+    return 1 / _FARTHEST < apart < _FARTHEST

@@ -168,21 +168,75 @@ def test_wrong_signs_are_named(
         identify(turned, reference_model)
 
 
-def test_swapped_columns_and_kilonewtons_are_named(
+def swapped(recordings: Recordings, one: str, other: str) -> Recordings:
+    return {
+        name: {**series, one: series[other], other: series[one]}
+        for name, series in recordings.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "words"),
+    [
+        ("motor_torque_nm", "torque_sensor_nm", "looks like motor_torque_nm.* swapped"),
+        ("motor_torque_nm", "rack_force_n", "rack_force_n looks like motor_torque_nm.* swapped"),
+        ("torque_sensor_nm", "rack_force_n", "rack_force_n looks like torque_sensor_nm.* swapped"),
+        ("motor_speed_rad_s", "motor_angle_rad", "looks like the angle .* swapped"),
+        ("motor_speed_rad_s", "motor_torque_nm", "motor_torque_nm looks like the speed"),
+        ("rack_force_n", "rack_position_m", "do not balance"),
+    ],
+)
+def test_swapped_columns_are_named(
+    programme: Recordings, reference_model: Model, one: str, other: str, words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        identify(swapped(programme, one, other), reference_model)
+
+
+@pytest.mark.parametrize(
+    ("signals", "factor", "words"),
+    [
+        (("rack_force_n",), 1e-3, "rack_force_n: is about 1000 times too small: in kN"),
+        (("rack_force_n",), 1e3, "rack_force_n: is about 1000 times too large: in mN"),
+        (("motor_torque_nm",), 1e3, "motor_torque_nm: is about 1000 times too large: in mNm"),
+        (("torque_sensor_nm",), 1e3, "torque_sensor_nm: is about 1000 times too large: in mNm"),
+        (("motor_speed_rad_s",), 9.5493, "in rpm"),
+        (("motor_speed_rad_s", "motor_angle_rad"), 57.2958, "motor_angle_rad: is in degrees"),
+        (("motor_torque_nm",), 0.0, "motor_torque_nm: is 0 all the time"),
+    ],
+)
+def test_wrong_units_are_named(
+    programme: Recordings,
+    reference_model: Model,
+    signals: tuple[str, ...],
+    factor: float,
+    words: str,
+) -> None:
+    wrong = programme
+    for signal in signals:
+        wrong = with_signal(wrong, signal, lambda values: factor * values)
+    with pytest.raises(InputError, match=words):
+        identify(wrong, reference_model)
+
+
+def test_degrees_are_named_by_the_inertia_where_only_the_speed_is_recorded(
     programme: Recordings, reference_model: Model
 ) -> None:
-    swapped = {
-        name: {
-            **series,
-            "motor_torque_nm": series["torque_sensor_nm"],
-            "torque_sensor_nm": series["motor_torque_nm"],
-        }
+    bare = {
+        name: {k: v for k, v in series.items() if k not in ("motor_angle_rad", "rack_position_m")}
         for name, series in programme.items()
     }
-    with pytest.raises(InputError, match="swapped"):
-        identify(swapped, reference_model)
-    with pytest.raises(InputError, match="in kN"):
-        identify(with_signal(programme, "rack_force_n", lambda f: f / 1000), reference_model)
+    degrees = with_signal(bare, "motor_speed_rad_s", lambda speed: 57.2958 * speed)
+    with pytest.raises(InputError, match=r"the inertia comes out 0\.01.* in degrees"):
+        identify(degrees, reference_model)
+
+
+def test_an_angle_that_starts_anew_every_turn_is_named(
+    programme: Recordings, reference_model: Model
+) -> None:
+    wrapped = with_signal(programme, "motor_angle_rad", lambda a: (a + np.pi) % (2 * np.pi) - np.pi)
+    with pytest.raises(InputError, match=r"jumps by 2π .* unwrap it"):
+        identify(wrapped, reference_model)
 
 
 def test_a_motor_that_is_a_spring_hides_its_delay(
