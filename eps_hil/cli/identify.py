@@ -82,8 +82,8 @@ def _say(found: "Identification") -> None:
     typer.echo(_coverage(found))
     typer.echo("these recordings cannot tell apart, or not at all:")
     for unknown in found.cannot_tell:
-        remedy = unknown.remedy.removeprefix("record ")
-        typer.echo(f"  {unknown.what}: {unknown.why}" + (f"; record {remedy}" if remedy else ""))
+        remedy = f"; to tell: {unknown.remedy}" if unknown.remedy else ""
+        typer.echo(f"  {unknown.what}: {unknown.why}{remedy}")
     for finding in found.findings:
         where = ", ".join(part for part in (finding.recording, finding.signal) if part)
         typer.echo(f"note: {where + ': ' if where else ''}{finding.summary}")

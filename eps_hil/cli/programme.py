@@ -126,10 +126,12 @@ def _say_whole(whole: "Whole") -> None:
     for heading in ("found", "95 % interval", "in the model file"):
         table.add_column(heading, justify="right")
     for name, one in whole.found.parameters.items():
-        interval = "kept" if one.ci95 is None else f"{one.ci95[0]:.4g} to {one.ci95[1]:.4g}"
+        interval = one.status if one.ci95 is None else f"{one.ci95[0]:.4g} to {one.ci95[1]:.4g}"
         before = "" if one.from_model is None else f"{one.from_model:.4g}"
         table.add_row(name, f"{one.value:.4g}", interval, before)
     Console(width=100, highlight=False).print(table)
+    for unknown in whole.found.cannot_tell:
+        typer.echo(f"cannot tell: {unknown.what}: {unknown.why}")
     for finding in whole.found.findings:
         typer.echo(f"note: {finding.summary}")
 

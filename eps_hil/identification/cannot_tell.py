@@ -61,7 +61,7 @@ def _lag(parameters: Mapping[str, Estimate], lag: MotorLag) -> list[Unknown]:
         Unknown(
             f"dead time and lag of the motor torque{most}",
             "below 10 Hz both are a delay; motor_torque's delay is their sum",
-            "a multisine by the motor, some minutes of it",
+            "record some minutes of multisine by the motor",
         )
     ]
 
@@ -93,6 +93,6 @@ def _load_cell(cases: Sequence[Case]) -> list[Unknown]:
         Unknown(
             "the scale of the motor torque and kr+ minus kr-",
             "the rack force has one sign only",
-            "preloads of both signs",
+            "record preloads of both signs",
         ),
     ]

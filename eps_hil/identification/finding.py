@@ -24,7 +24,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """Two causes that look alike (``what``), why, and what to record (empty: nothing would)."""
+    """Two causes that look alike (``what``), why, and what to do (empty: nothing would)."""
 
     what: str
     why: str
@@ -32,4 +32,4 @@ class Unknown:
 
     def content(self) -> dict[str, str]:
         """JSON-ready."""
-        return {"what": self.what, "why": self.why, "record": self.remedy}
+        return {"what": self.what, "why": self.why, "remedy": self.remedy}
