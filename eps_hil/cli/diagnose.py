@@ -84,10 +84,16 @@ def diagnose(
     """
     from eps_hil.diagnosis.against import diagnose_against
     from eps_hil.diagnosis.diagnose import diagnose as run
+    from eps_hil.diagnosis.intake import RecordingError
     from eps_hil.errors import InputError
     from eps_hil.physics.model import dump_model, load_model
-    from eps_hil.recordings.files import replacing
+    from eps_hil.recordings.files import check_writable, replacing
 
+    for path in (json, report, write_model, write_manoeuvre):
+        if path:
+            check_writable(path)
+    if simulation_signals and not simulation:
+        raise InputError("--simulation-signals", "", "goes with --simulation", "give the traces")
     if report:
         from eps_hil.report import diagnosis_page, page
 
@@ -96,6 +102,8 @@ def diagnose(
     without = _known(without_effect or [])
     fitted = read_all(recording, reading)
     judged = read_all(holdout or [], reading)
+    for name in fitted.keys() & judged.keys():
+        raise InputError(name, "", "is recording and hold-out", "what is fitted proves nothing")
     with stages("aligning the recordings") as say:
         try:
             if simulation:
@@ -103,6 +111,8 @@ def diagnose(
                 result = diagnose_against(traces, rig, fitted, judged, say, without)
             else:
                 result = run(rig, fitted, judged, say, without)
+        except RecordingError as error:
+            raise InputError(error.recording, "", str(error)) from None
         except ValueError as error:
             raise InputError(", ".join([*fitted, *judged]), "", str(error)) from None
     if write_manoeuvre:
@@ -152,15 +162,18 @@ def _say(content: Mapping[str, Any]) -> None:
         "partly_explained": "The mismatch is explained in part:",
         "unknown_effect": "Something is missing that the catalogue does not hold:",
     }
-    typer.echo(words[content["verdict"]])
+    if content["verdict"] == "no_mismatch" and content.get("limits"):
+        typer.echo("Nothing is missing that these recordings could show:")
+    else:
+        typer.echo(words[content["verdict"]])
     for finding in content["findings"]:
         typer.echo(f"  {finding['effect']} ({100 * finding['confidence']:.0f} %): "
                    f"{finding['summary']}")  # fmt: skip
         for region in finding["where"]:
-            typer.echo(
-                f"    {100 * region['share_of_excess']:.0f} % of it at {region['signal']} "
-                f"{region['from']:.4g} to {region['to']:.4g}"
-            )
+            share = region["share_of_excess"]
+            much = f"{100 * share:.0f} % of it " if share else ""
+            place = f"{region['signal']} {region['from']:.4g} to {region['to']:.4g}"
+            typer.echo(f"    {much}at {place}")
         if finding["confusable_with"]:
             typer.echo(f"    could also be {', '.join(finding['confusable_with'])}; "
                        f"{finding['next_experiment']}")  # fmt: skip

@@ -10,11 +10,11 @@ import numpy.typing as npt
 from eps_hil.diagnosis import locate, regions
 from eps_hil.diagnosis.first_look import first_look
 from eps_hil.diagnosis.fit import Fit, fit
+from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
 from eps_hil.diagnosis.leftover import Leftover, leftover
 from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
 from eps_hil.diagnosis.placebo import placebos
-from eps_hil.diagnosis.prepare import prepare
-from eps_hil.diagnosis.problem import Problem, clipped, knee
+from eps_hil.diagnosis.problem import Problem, clipped, knee, sliding
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
 from eps_hil.diagnosis.select import FINAL_SHARE, Say, Selection, select, threshold
 from eps_hil.physics.effects.catalogue import catalogue
@@ -25,6 +25,8 @@ from eps_hil.series import Series
 Floats = npt.NDArray[np.float64]
 
 SCHEMA = "eps-hil/diagnosis/1"
+LEAST_JUDGED = 125
+"""Sliding samples (of 8 ms) that hold-outs need to judge anything: 1 s."""
 RIVAL = 0.97
 """Reaching this share of a finding's gain makes another effect its confusable twin…"""
 RIVAL_GAIN = 60.0
@@ -60,13 +62,14 @@ def diagnose(
 
     Without hold-outs the last recording (of several), or the last third (of one), is kept from
     the fit. Effects in ``without`` (ids) are not considered. ``unexplained_nm`` (rms, at the rotor)
-    is known to be the model's own fault and no finding. ``ValueError`` where a recording lacks what
-    a diagnosis needs.
+    is known to be the model's own fault and no finding. :class:`RecordingError` (a ``ValueError``)
+    where a recording lacks what a diagnosis needs.
     """
-    fitted, kept = _split(recordings, holdouts)
-    ready = [(prepare(name, one, unexplained_nm), one) for name, one in fitted.items()]
-    spare = [(prepare(name, one, unexplained_nm), one) for name, one in kept.items()]
+    fitted, kept = split(recordings, holdouts)
+    ready = [(prepared(name, one, unexplained_nm), one) for name, one in fitted.items()]
+    spare = [(prepared(name, one, unexplained_nm), one) for name, one in kept.items()]
     every = [one for one, _ in (*ready, *spare)]
+    same_load(every)
     load = load_of(every, model) if missing(every) else None
     if load is not None:
         ready = [(with_load(one, model, load), series) for one, series in ready]
@@ -78,6 +81,10 @@ def diagnose(
     if np.sum(problem.sliding) < 500:
         raise ValueError("moves for less than 4 s; a diagnosis needs a rotor that slides")
     judged = [Holdout(one, kept[one.name]) for one in look.kept]
+    if sum(int(np.sum(sliding(one.prepared, model))) for one in judged) < LEAST_JUDGED:
+        raise RecordingError(
+            look.kept[-1].name, "kept from the fit to judge it, but slides for less than 1 s"
+        )
     selection = select(problem, say, without)
     findings = _held_out(problem, selection, judged)
     findings = _refitted(problem, selection, findings)
@@ -92,33 +99,9 @@ def diagnose(
     if model is not given or look.put_right:
         as_read = [Holdout(one, series) for one, series in spare]
         content["fit"]["holdout"]["baseline"] = measures(as_read, given, given)
-    content["limits"] = [] if load is None else [load.sentence]
+    content["limits"] = [*([] if load is None else [load.sentence]), *unseen(every)]
     augmented = look.in_model(_augmented(problem, selection.found, findings))
     return Diagnosis(content, augmented, problem, selection, judged, findings)
-
-
-def _split(
-    recordings: Mapping[str, Mapping[str, Series]], holdouts: Mapping[str, Mapping[str, Series]]
-) -> tuple[Mapping[str, Mapping[str, Series]], Mapping[str, Mapping[str, Series]]]:
-    if holdouts:
-        return dict(recordings), dict(holdouts)
-    names = list(recordings)
-    if len(names) > 2:
-        return {n: recordings[n] for n in names[:-1]}, {names[-1]: recordings[names[-1]]}
-    first: dict[str, Mapping[str, Series]] = {}
-    last: dict[str, Mapping[str, Series]] = {}
-    for name, series in recordings.items():
-        start = min(int(one.t_ns[0]) for one in series.values())
-        end = max(int(one.t_ns[-1]) for one in series.values())
-        cut = start + (end - start) * 2 // 3
-        first[name] = {key: _part(one, start, cut) for key, one in series.items()}
-        last[name] = {key: _part(one, cut, end) for key, one in series.items()}
-    return first, last
-
-
-def _part(one: Series, start: int, end: int) -> Series:
-    keep = slice(*np.searchsorted(one.t_ns, (start, end + 1)).tolist())
-    return Series(one.t_ns[keep], one.value[keep])
 
 
 def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> list[int]:

@@ -215,7 +215,12 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
 
 def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:
     good = np.isfinite(one.value)
-    at, value = one.t_ns[good] - origin, one.value[good]
+    if not good.all():
+        one = Series(one.t_ns[good], one.value[good])
+    at, value = one.t_ns - origin, one.value
+    first = int(np.searchsorted(at, 0))
+    if np.array_equal(at[first : first + len(t_ns)], t_ns):
+        return value[first : first + len(t_ns)]  # on the grid as it is
     if float(np.median(np.diff(at))) > 0.9e9 * STEP_S:
         return np.asarray(np.interp(t_ns, at, value))
     # faster than the grid: the mean over a step, so that noise above it does not fold down

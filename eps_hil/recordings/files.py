@@ -51,6 +51,14 @@ def needs_extra(path: Path, extra: str) -> Iterator[None]:
         raise InputError(path, "", problem, f'pip install "eps_hil[{extra}]"') from None
 
 
+def check_writable(path: Path) -> None:
+    """Refuse before long work what :func:`replacing` would refuse after it."""
+    path = path.resolve()
+    if path.is_dir():
+        raise InputError(path, "", "is a folder, a file name was expected", "name the file")
+    _temporary(path).unlink()
+
+
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary file beside ``path`` that takes its place when the block ends without error.

@@ -43,7 +43,10 @@ def read_parquet(path: Path, *, ignore_unknown: bool = False) -> Table:
         for name in columns
         if name not in (TIME, TIME_NS)
     }
-    return Table(_stamps(path, content), signals, _row, notes)
+    stamps = _stamps(path, content)
+    del content, file  # an hour's table is 200 MB, and all of it is copied by now
+    pyarrow.default_memory_pool().release_unused()
+    return Table(stamps, signals, _row, notes)
 
 
 def write_parquet(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:

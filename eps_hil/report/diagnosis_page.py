@@ -115,6 +115,8 @@ def _verdict(content: Mapping[str, Any]) -> str:
         "unknown_effect": "Something is missing that no known effect explains; where it acts and "
         "its shape are below.",
     }
+    if content["verdict"] == "no_mismatch" and content.get("limits"):
+        return "Nothing is missing that these recordings could show; what they could not is below."
     return sentences[content["verdict"]]
 
 

@@ -1,0 +1,106 @@
+"""What ``diagnose`` says to recordings and options it cannot use: one line, before any work."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from eps_hil.cli.main import main
+
+MODEL = str(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
+Write = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def columns(other_rig: ModuleType) -> Mapping[str, np.ndarray]:
+    made: Mapping[str, np.ndarray] = other_rig.record(other_rig.Effects({}), "weave", 1, 1.0, 8.0)
+    return made
+
+
+@pytest.fixture
+def write(tmp_path: Path, columns: Mapping[str, np.ndarray]) -> Write:
+    """``write(name, without=…, rest=…, seconds=…)`` -> path of a recording."""
+
+    def made(
+        name: str, without: Sequence[str] = (), rest: bool = False, seconds: float = 8.0
+    ) -> str:
+        path = tmp_path / f"{name}.csv"
+        kept = {key: one[: round(1000 * seconds)] for key, one in columns.items()}
+        if rest:
+            kept = {k: one if k == "time_s" else 0.0 * one + one[0] for k, one in kept.items()}
+        shown = {key: one for key, one in kept.items() if key not in without}
+        table = np.column_stack(list(shown.values()))
+        header = ",".join(shown)
+        np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
+        return str(path)
+
+    return made
+
+
+def _refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    assert main(["diagnose", "--model", MODEL, *words]) == 2
+    shown = capsys.readouterr()
+    assert shown.err.count("\n") == 1
+    assert shown.out == ""
+    return shown.err
+
+
+def test_the_recording_that_lacks_a_signal_is_named(
+    write: Write, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = write("good")
+    lacks = write("lacks", without=["motor_torque_nm"])
+    said = _refused(capsys, "--recording", good, lacks)
+    assert f"{lacks}: a diagnosis needs motor_torque_nm (it holds " in said
+    assert good not in said
+    still = write("still", without=["motor_speed_rad_s", "motor_angle_rad"])
+    assert "motor_angle_rad" in _refused(capsys, "--recording", good, still)
+
+
+def test_a_short_holdout_is_named(write: Write, capsys: pytest.CaptureFixture[str]) -> None:
+    short = write("short", seconds=1.5)
+    said = _refused(capsys, "--recording", write("good"), "--holdout", short)
+    assert said.startswith(f"eps-hil: {short}: is shorter than 2 s")
+
+
+def test_a_load_cell_in_some_recordings_only_is_refused(
+    write: Write, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would be left aside in all of them, and hide what the others show."""
+    without = write("without", without=["rack_force_n"])
+    said = _refused(capsys, "--recording", write("good"), "--holdout", without)
+    assert f"{without}: has no rack_force_n, but others have" in said
+
+
+def test_a_recording_does_not_judge_itself(
+    write: Write, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = write("good")
+    assert "is recording and hold-out" in _refused(capsys, "--recording", good, "--holdout", good)
+
+
+@pytest.mark.slow
+def test_a_holdout_at_rest_judges_nothing(write: Write, capsys: pytest.CaptureFixture[str]) -> None:
+    rest = write("rest", rest=True)
+    said = _refused(capsys, "--recording", write("good"), "--holdout", rest)
+    assert f"{rest}: kept from the fit to judge it, but slides for less than 1 s" in said
+
+
+@pytest.mark.parametrize("option", ["--json", "--report", "--write-model", "--write-manoeuvre"])
+def test_a_file_that_cannot_be_written_is_told_first(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The recording is not even looked for."""
+    target = str(tmp_path / "none" / "out.file")
+    said = _refused(capsys, "--recording", "none.csv", option, target)
+    assert "does not exist; create it first" in said
+    said = _refused(capsys, "--recording", "none.csv", option, str(tmp_path))
+    assert "is a folder" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_mapping_without_traces_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    said = _refused(capsys, "--recording", "none.csv", "--simulation-signals", "m.yaml")
+    assert "goes with --simulation" in said
