@@ -66,7 +66,7 @@ def augment(record: AxisRecord, published: Model, say: Say | None = None) -> Aug
     nominal = identify(fitted, published)
     noise = _typical_residual_nm(fitted, nominal)
     fitted, judged, whole = (_noisy(one, noise) for one in (fitted, judged, whole))
-    found = select(Problem([fitted], nominal), say, NOT_FROM_FREE_RUNS)
+    found = select(_problem(fitted, nominal), say, NOT_FROM_FREE_RUNS)
     entries: Entries = found.found.entries
     if all(entry["effect"] != TIMING["effect"] for entry in entries):
         entries = (TIMING, *entries)
@@ -74,6 +74,11 @@ def augment(record: AxisRecord, published: Model, say: Say | None = None) -> Aug
     model, last = _refitted(whole, model, entries)
     augmented = replace(model, effects=last.entries)
     return Augmented(identify(whole, published), augmented, last, losses, noise / ARM_M)
+
+
+def _problem(prepared: Prepared, model: Model) -> Problem:
+    """A friction that bends the other way than its name says is wanted too: the shape predicts."""
+    return Problem([prepared], model, either_sign=True)
 
 
 def _part(record: AxisRecord, part: slice) -> Mapping[str, Series]:
@@ -85,7 +90,7 @@ def _part(record: AxisRecord, part: slice) -> Mapping[str, Series]:
 
 def _typical_residual_nm(prepared: Prepared, model: Model) -> float:
     """Standard deviation by the median, with the best skew of the motor's force taken out."""
-    timed = fit(Problem([prepared], model), [TIMING])
+    timed = fit(_problem(prepared, model), [TIMING])
     left = prepared.residual(replace(model, effects=timed.entries))[0]
     return float(np.median(np.abs(left)) / 0.6745)
 
@@ -123,11 +128,11 @@ def _pruned(
 
 def _refitted(prepared: Prepared, model: Model, entries: Entries) -> tuple[Model, Fit]:
     """The model's own numbers and the effects' in turn, until both have seen the other."""
-    found = fit(Problem([prepared], model), entries)
+    found = fit(_problem(prepared, model), entries)
     for _ in range(_ROUNDS):
         whole = identify(prepared, replace(model, effects=found.entries))
         model = replace(whole, effects=())
-        found = fit(Problem([prepared], model), found.entries)
+        found = fit(_problem(prepared, model), found.entries)
     return model, found
 
 

@@ -8,11 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis import locate, regions
+from eps_hil.diagnosis.baseline import HOLD
 from eps_hil.diagnosis.first_look import first_look
 from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
-from eps_hil.diagnosis.leftover import Leftover, leftover
+from eps_hil.diagnosis.leftover import Leftover, alone, late_torque, leftover
 from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
+from eps_hil.diagnosis.numbers import CONSTANTS
 from eps_hil.diagnosis.placebo import placebos
 from eps_hil.diagnosis.problem import Problem, clipped, knee, sliding
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
@@ -31,6 +33,8 @@ RIVAL = 0.97
 """Reaching this share of a finding's gain makes another effect its confusable twin…"""
 RIVAL_GAIN = 60.0
 """…and so does missing it by less than this many noise variances."""
+BESIDE_UNKNOWN = 2.0
+"""Times the energy that stays unexplained: what a name has to explain, to be one beside it."""
 _INTERNAL = ("belt_ratio", "pole_pairs", "harmonic")
 
 
@@ -94,6 +98,11 @@ def diagnose(
         say("looking at what is left", 0.9)
     hidden = load is not None and load.form == "arbitrary"  # what is left may be the load
     left = None if hidden else leftover(problem, selection.found.residual)
+    if left is not None and findings:
+        findings = _beside_unknown(problem, selection, findings)
+        left = leftover(problem, selection.found.residual)
+    if left is None and not hidden and HOLD in without:
+        left = late_torque(problem, selection.found)
     content = look.added_to(_content(problem, selection, findings, left, judged))
     content["fit"]["placebo"] = placebos(problem, selection, findings, judged)
     if model is not given or look.put_right:
@@ -138,6 +147,27 @@ def _refitted(problem: Problem, selection: Selection, findings: Sequence[int]) -
         entries = [found.entries[k] for k in left]
         selection.found = fit(problem, entries, own=found.own, like=found)
     return [left.index(k) for k in findings]
+
+
+def _beside_unknown(problem: Problem, selection: Selection, findings: Sequence[int]) -> list[int]:
+    """Without the names that explain less than what no name explains: they are parts of it.
+
+    Whatever is unknown is made up for by what happens to be like it; such names are many, small,
+    and wrong. None is left where one unknown curve does better than all of them.
+    """
+    kept = list(findings)
+    if alone(problem, selection.null.residual, selection.found.residual) is not None:
+        return _refitted(problem, selection, [])
+    while kept:
+        residual = selection.found.residual
+        cut = clipped(residual, knee(residual))
+        excess = float(np.sum(cut[problem.sliding] ** 2 - 1.0))
+        gains = {k: selection.gains[selection.found.entries[k]["effect"]] for k in kept}
+        weakest = min(kept, key=gains.__getitem__)
+        if gains[weakest] > BESIDE_UNKNOWN * excess:
+            break
+        kept = _refitted(problem, selection, [k for k in kept if k != weakest])
+    return kept
 
 
 def _better(
@@ -224,6 +254,9 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     gain = selection.gains[effect.id]
     rivals = selection.rivals.get(effect.id, [])
     twins = [name for name, part in rivals if part > RIVAL or (1 - part) * gain < RIVAL_GAIN]
+    if effect.id in CONSTANTS:  # what presliding says of the difference rests on the bristle's form
+        pool = {one.effect.id for one in selection.pool} - {effect.id, *twins}
+        twins += [name for name in CONSTANTS if name in pool]
     others = [e for i, e in enumerate(found.entries) if i != k]
     without = problem.residual(problem.with_entries(others, found.own))
     share = (without - found.residual) ** 2
@@ -292,7 +325,7 @@ def _unknown(left: Leftover) -> dict[str, Any]:
     signal, _, direction = left.signal.partition("|")
     moving = {"right": " while turning in positive direction", "left": " in negative direction"}
     size = max((abs(torque) for _, torque, _ in left.curve), default=0.0)
-    shape = (
+    shape = left.words or (
         f"a torque of up to {size:.3g} Nm at the rotor that follows {signal}"
         f"{moving.get(direction, '')}, strongest from {left.low:.4g} to {left.high:.4g}"
         if left.curve

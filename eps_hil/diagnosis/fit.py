@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.baseline import ALL, KNOBS, SIDES
-from eps_hil.diagnosis.probes import neutral_value
+from eps_hil.diagnosis.probes import bounds, neutral_value
 from eps_hil.diagnosis.problem import Problem, knee
 from eps_hil.physics.effects.catalogue import catalogue
 
@@ -103,7 +103,7 @@ def fit(
             if promised < _NEGLIGIBLE:
                 break
             moved = knobs.moved(step[: len(knobs.names)])
-            trial = _moved(work, names, step[len(knobs.names) :])
+            trial = _moved(problem, work, names, step[len(knobs.names) :])
             changed = problem.residual(problem.with_entries(trial, moved.values))
             lower = problem.cost(changed) + moved.price
             if lower < cost:
@@ -193,7 +193,10 @@ def _step(effect: Any, name: str, value: float, span: float) -> float:
 
 
 def _moved(
-    entries: Sequence[Mapping[str, Any]], names: Sequence[tuple[int, str]], step: Floats
+    problem: Problem,
+    entries: Sequence[Mapping[str, Any]],
+    names: Sequence[tuple[int, str]],
+    step: Floats,
 ) -> list[dict[str, Any]]:
     moved = [dict(entry) for entry in entries]
     for (k, name), change in zip(names, step, strict=True):
@@ -204,7 +207,8 @@ def _moved(
             value = (value + np.pi) % (2 * np.pi) - np.pi
         elif parameter.lower > 0:  # a scale: no more than a factor of three at once
             value = np.clip(value, moved[k][name] / 3, moved[k][name] * 3)
-        moved[k][name] = float(np.clip(value, parameter.lower, parameter.upper))
+        low, high = bounds(effect, parameter, problem)
+        moved[k][name] = float(np.clip(value, low, high))
     return moved
 
 

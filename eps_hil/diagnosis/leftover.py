@@ -6,8 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.baseline import HOLD, HOLD_S
+from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.locate import BINS, coordinates
 from eps_hil.diagnosis.problem import Problem, clipped, knee
+from eps_hil.physics.effects.catalogue import catalogue
 
 Floats = npt.NDArray[np.float64]
 
@@ -33,6 +36,8 @@ class Leftover:
     high: float
     share: float
     excess: float
+    words: str = ""
+    """What it looks like, where that is no curve over a signal."""
 
 
 def leftover(problem: Problem, residual: Floats) -> Leftover | None:
@@ -55,6 +60,42 @@ def leftover(problem: Problem, residual: Floats) -> Leftover | None:
         low, high = np.percentile(coordinates(problem)["motor_speed_rad_s"], [2, 98])
         return Leftover("motor_speed_rad_s", (), float(low), float(high), 0.0, excess)
     return None
+
+
+def alone(problem: Problem, null: Floats, named: Floats) -> Leftover | None:
+    """One unknown curve that explains, by itself, more than all names together; None if none does.
+
+    ``null``, ``named``: residuals (n,) without and with the names.
+    """
+    use, at = problem.sliding, knee(null)
+    cut = clipped(null, at)
+    total = float(np.sum(cut[use] ** 2))
+    excess = total / float(np.sum(use)) - 1.0
+    views = ((name, values) for name, values in _views(problem).items() if name != "time_s")
+    curves = [_curve(problem, name, values, cut, excess) for name, values in views]
+    best = max((one for one in curves if one is not None), key=lambda one: one.share, default=None)
+    if best is None or (1.0 - best.share) * total > float(np.sum(clipped(named, at)[use] ** 2)):
+        return None
+    return best
+
+
+def late_torque(problem: Problem, found: Fit) -> Leftover | None:
+    """A motor torque that is later than holding it explains, where no name for that is allowed."""
+    late_s = HOLD_S * found.own.get(HOLD, 0.0)
+    if abs(late_s) < _least_late_s():
+        return None
+    others = {name: value for name, value in found.own.items() if name != HOLD}
+    punctual = fit(problem, found.entries, own=others, like=found)
+    excess = (punctual.cost - found.cost) / max(float(np.sum(problem.sliding)), 1.0)
+    low, high = np.percentile(coordinates(problem)["motor_torque_nm"], [2, 98])
+    words = f"as if the motor's torque acted {1e3 * late_s:.2g} ms later than the model file says"
+    return Leftover("motor_torque_nm", (), float(low), float(high), 1.0, excess, words)
+
+
+def _least_late_s() -> float:
+    probe = catalogue()[HOLD].probe
+    assert probe is not None
+    return probe.least
 
 
 def _views(problem: Problem) -> Mapping[str, Floats]:

@@ -32,6 +32,7 @@ LIKE_LOAD = (
     "viscous_friction",
     "motor_torque_offset",
     "torque_sensor_offset",
+    "friction_asymmetry",
     "rack_ratio",
     "load_dependent_friction",
 )

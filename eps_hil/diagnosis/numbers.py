@@ -5,7 +5,7 @@ recordings can hardly tell apart. Here sets of names are tried on the refit's ow
 name costing what counts as a gain; the best sets are then fitted in earnest.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.baseline import HOLD, HOLD_S, SIDES, TIMING
-from eps_hil.diagnosis.fit import Fit, fit, matters, own_column
+from eps_hil.diagnosis.fit import Fit, ablated, fit, matters, own_column
 from eps_hil.diagnosis.probes import Candidate, neutral_value
 from eps_hil.diagnosis.problem import Problem
 from eps_hil.physics.effects.catalogue import catalogue
@@ -35,8 +35,9 @@ SPANNED = (
 """Effects that a refit of the model's own numbers can stand in for."""
 _SCALES = ("rack_ratio", "motor_torque_gain", "torque_sensor_gain")
 """Not spanned, but each of them looks like another beside several numbers that are off."""
-_CONSTANTS = ("friction_asymmetry", "motor_torque_offset", "torque_sensor_offset")
+CONSTANTS = ("friction_asymmetry", "motor_torque_offset", "torque_sensor_offset")
 """One constant while sliding; only presliding, where no model is sure, could tell two apart."""
+_FORM = 0.1
 _FITTED_SETS = 3
 _SMALL_SETS = 2
 
@@ -57,7 +58,7 @@ class _Linear:
         """(cost plus price, coefficients of the chosen columns in order)."""
         named = {self.names[k] for k in chosen}
         too_many = sum(name in _SCALES for name in named) > self.scales
-        if too_many or sum(name in _CONSTANTS for name in named) > 1:
+        if too_many or sum(name in CONSTANTS for name in named) > 1:
             return np.inf, np.zeros(0)
         last = len(self.size) - 1
         order = sorted(chosen)
@@ -108,6 +109,24 @@ def _with_delay(problem: Problem, found: Fit) -> Fit:
         return found
     own = {name: 0.0 if name == HOLD else value for name, value in found.own.items()}
     return fit(problem, [*found.entries, delay], own=own, like=found)
+
+
+def levels_first(problem: Problem, found: Fit, least: float, considered: Collection[str]) -> Fit:
+    """Both directions' friction levels, where a level and an offset do no better: one cause.
+
+    What tells the constants apart is presliding, whose form no model knows well: what it says of
+    them counts only beyond a tenth of what the constant gains.
+    """
+    level, asymmetry = "coulomb_level", CONSTANTS[0]
+    names = [str(entry["effect"]) for entry in found.entries]
+    offsets = [k for k, name in enumerate(names) if name in CONSTANTS[1:]]
+    if level not in names or not offsets or asymmetry not in considered:
+        return found
+    without = ablated(problem, found, offsets[0])
+    start = {"effect": asymmetry, "half_difference_nm": 1e-4}
+    trial = fit(problem, [*without.entries, start], own=without.own, like=without)
+    margin = max(least, _FORM * (without.cost - found.cost))
+    return trial if trial.cost < found.cost + margin else found
 
 
 def _linear(
@@ -163,7 +182,7 @@ def _best_sets(linear: _Linear) -> list[frozenset[int]]:
     for count in range(_SMALL_SETS + 1):
         for chosen in combinations(range(n), count):
             cost(frozenset(chosen))
-    spanned = frozenset(k for k in range(n) if linear.names[k] not in (*_SCALES, *_CONSTANTS[1:]))
+    spanned = frozenset(k for k in range(n) if linear.names[k] not in (*_SCALES, *CONSTANTS[1:]))
     for start in (min(seen, key=seen.__getitem__), spanned):
         best = start
         while True:
@@ -178,6 +197,4 @@ def _best_sets(linear: _Linear) -> list[frozenset[int]]:
 
 def _start(problem: Problem, pool: Sequence[Candidate], name: str, value: float) -> dict[str, Any]:
     (candidate, *_) = (one for one in pool if one.effect.id == name)
-    probe = catalogue()[name].probe
-    assert probe is not None
-    return candidate.entry(np.array([value]), neutral_value(probe, problem.model))
+    return candidate.entry(np.array([value]), problem)

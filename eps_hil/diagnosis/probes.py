@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.problem import Problem
 from eps_hil.physics.effects.catalogue import catalogue
-from eps_hil.physics.effects.effect import Effect, Probe
+from eps_hil.physics.effects.effect import Effect, Parameter, Probe
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -20,6 +20,8 @@ _ORDERS = np.arange(0.5, 50.01, 0.05)
 _MOST_ORDERS = 4
 _FILTER_HZ = 30.0
 _KNOTS = 24
+_WIDEST = 0.35
+"""Of the way that was visited: a place that is wider is none."""
 
 Base = tuple[Sequence[Mapping[str, Any]], Mapping[str, float] | None]
 """Entries, and how far the model's own numbers are moved."""
@@ -34,10 +36,11 @@ class Candidate:
     columns: Floats
     """(n, 1), or (n, 2) for the two quadratures of a phase."""
 
-    def entry(self, coefficients: Floats, neutral: float) -> dict[str, Any]:
+    def entry(self, coefficients: Floats, problem: Problem) -> dict[str, Any]:
         """A model file's entry for fitted coefficients, inside the parameters' bounds."""
         probe = self.effect.probe
         assert probe is not None
+        neutral = neutral_value(probe, problem.model)
         if probe.scan == "curve":
             knots = [[x, float(y)] for x, y in zip(self.shape.values(), coefficients, strict=True)]
             return {"effect": self.effect.id, probe.amplitude: knots}
@@ -50,9 +53,8 @@ class Candidate:
         entry: dict[str, Any] = {"effect": self.effect.id, **self.shape, **values}
         for parameter in self.effect.parameters:
             if parameter.name in entry:
-                entry[parameter.name] = float(
-                    np.clip(entry[parameter.name], parameter.lower, parameter.upper)
-                )
+                low, high = bounds(self.effect, parameter, problem)
+                entry[parameter.name] = float(np.clip(entry[parameter.name], low, high))
         return entry
 
 
@@ -61,6 +63,27 @@ def neutral_value(probe: Probe, model: Model) -> float:
     if np.isnan(probe.neutral):
         return float(getattr(model.friction, probe.amplitude))
     return probe.neutral
+
+
+def bounds(effect: Effect, parameter: Parameter, problem: Problem) -> tuple[float, float]:
+    """Between which values a diagnosis looks for a parameter.
+
+    What the model already holds may be too large in it: only there the other sign means the same.
+    A place must have been visited, and be narrow beside the way that was: what is not is a slope.
+    """
+    low, high, probe = parameter.lower, parameter.upper, effect.probe
+    if probe is None:
+        return low, high
+    held = any(entry["effect"] == effect.id for entry in problem.model.effects)
+    if probe.one_sided and not (held or problem.either_sign) and parameter.name == probe.amplitude:
+        low = max(low, neutral_value(probe, problem.model))
+    if probe.scan == "centre_m" and not held:
+        first, last = problem.visited_m
+        if parameter.name == "centre_m":
+            low, high = max(low, min(first, high)), min(high, max(last, low))
+        elif parameter.name == "width_m":
+            high = max(low, min(high, _WIDEST * (last - first)))
+    return low, high
 
 
 def candidates(
@@ -115,7 +138,7 @@ def _columns(
     probe = effect.probe
     assert probe is not None
     if probe.scan == "curve":
-        return _hats(problem, base, effect, shape, residual)
+        return hats(problem, base, effect, list(shape.values()), residual)
     neutral = neutral_value(probe, problem.model)
     value = {probe.amplitude: neutral + probe.step}
     turns: list[dict[str, float]] = [{}]
@@ -130,17 +153,12 @@ def _columns(
     return found if np.all(np.isfinite(found)) and np.any(found) else None
 
 
-def _hats(
-    problem: Problem,
-    base: Base,
-    effect: Effect,
-    shape: Mapping[str, float],
-    residual: Floats,
+def hats(
+    problem: Problem, base: Base, effect: Effect, places: Sequence[float], residual: Floats
 ) -> Floats:
     """One column a knot: the curve that is one there and zero at its neighbours."""
     probe = effect.probe
     assert probe is not None
-    places = list(shape.values())
     columns = []
     for k in range(len(places)):
         knots = [[x, probe.step if i == k else 0.0] for i, x in enumerate(places)]
@@ -156,20 +174,19 @@ def _shapes(effect: Effect, problem: Problem, residual: Floats) -> Sequence[Mapp
     if probe.scan == "order":
         return [{"order": order} for order in _orders(problem, residual)]
     if probe.scan in ("centre_m", "position_m", "curve"):
-        position = np.concatenate([r.motion(problem.model).position_m for r in problem.recordings])
-        return _places(probe.scan, position)
+        return _places(probe.scan, problem)
     return probe.shapes
 
 
-def _places(scan: str, position: Floats) -> Sequence[Mapping[str, float]]:
+def _places(scan: str, problem: Problem) -> Sequence[Mapping[str, float]]:
     """Shapes over the rack positions that were visited (m): bumps, stops, or a curve's knots."""
-    low, high = np.percentile(position, [3, 97])
+    low, high = problem.visited_m
     span = high - low
     if span < 1e-3:
         return []
     if scan == "position_m":
         # by place, not by visits: a rig that leans on its stop is mostly beyond where it begins
-        places = np.percentile(np.abs(position), 99.5) * np.array((0.6, 0.7, 0.8, 0.9, 0.97))
+        places = problem.farthest_m * np.array((0.6, 0.7, 0.8, 0.9, 0.97))
         return [{"position_m": float(np.clip(place, 0.001, 0.2))} for place in places]
     if scan == "curve":
         return [{f"x{k}": float(x) for k, x in enumerate(np.linspace(low, high, _KNOTS))}]

@@ -37,6 +37,8 @@ class Problem:
     model: Model
     tied: Mapping[str, float] = field(default_factory=dict)
     """Own numbers of the model that are free in every fit, because nobody measured them."""
+    either_sign: bool = False
+    """Whether shapes may be found upside down, where what matters is the shape, not its name."""
     sliding: Masks = field(init=False)
     scale: Floats = field(init=False)
     block: npt.NDArray[np.int64] = field(init=False)
@@ -46,6 +48,10 @@ class Problem:
     """Where the sensitivities to the model's own numbers are taken."""
     columns: dict[str, Floats] = field(init=False, default_factory=dict)
     """Sensitivities to the model's own numbers, kept for all fits (they are nearly linear)."""
+    visited_m: tuple[float, float] = field(init=False)
+    """Rack positions (m) between which all but the outermost few percent of the samples are."""
+    farthest_m: float = field(init=False)
+    """The rack's largest distance from its middle (m)."""
 
     def __post_init__(self) -> None:
         masks, floors, blocks = [], [], []
@@ -63,6 +69,10 @@ class Problem:
             index = (recording.thin_time_s - recording.thin_time_s[0]) // BLOCK_S
             blocks.append(number + index.astype(np.int64))
             number = int(blocks[-1][-1]) + 1
+        position = np.concatenate([one.motion(self.model).position_m for one in self.recordings])
+        low, high = np.percentile(position, [3, 97])
+        self.visited_m = float(low), float(high)
+        self.farthest_m = float(np.percentile(np.abs(position), 99.5))
         self.sliding = np.concatenate(masks)
         self.scale = np.concatenate(floors)
         self.block = np.concatenate(blocks)

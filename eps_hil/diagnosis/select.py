@@ -11,9 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.baseline import ALL, TIMING
+from eps_hil.diagnosis.curve import ID as CURVE
+from eps_hil.diagnosis.curve import with_curve
 from eps_hil.diagnosis.fit import Fit, ablated, deviation, fit, matters
-from eps_hil.diagnosis.numbers import SPANNED, numbers_off
-from eps_hil.diagnosis.probes import Candidate, candidates, neutral_value
+from eps_hil.diagnosis.numbers import SPANNED, levels_first, numbers_off
+from eps_hil.diagnosis.probes import Candidate, candidates
 from eps_hil.diagnosis.problem import Problem, clipped, knee
 
 Floats = npt.NDArray[np.float64]
@@ -32,7 +34,7 @@ FARTHEST = 3.0
 NEAR = 0.8
 """A candidate that reaches this share of a finding's gain is fitted in its place."""
 
-_CURVE, _IN_CURVE = "position_torque", ("unmodelled_spring", "end_stop")
+_IN_CURVE = ("unmodelled_spring", "end_stop")
 """A static curve over position holds these already; both at once would cancel each other."""
 
 Say = Callable[[str, float], None]
@@ -83,20 +85,28 @@ def select(problem: Problem, say: Say | None = None, without: Collection[str] = 
     )
     selection = Selection(null, found, pool)
     structures = [one for one in pool if one.effect.id not in SPANNED]
+    curves = any(_is_curve(one) for one in structures)
     for step in range(MOST_EFFECTS):
         if say:
             say("attributing", step / MOST_EFFECTS)
         here = _where_to_look(problem, found)
         chosen = _best(problem, found, here, score(problem, here, structures))
+        if chosen is None and curves:
+            chosen = _curved(problem, found)
         if chosen is None:
             break
         found = _without_neutral(problem, chosen)
         problem.knee = knee(found.residual)
         found = fit(problem, found.entries, own=found.own, like=found)
+    if any(entry["effect"] == CURVE for entry in found.entries):
+        found = _curved(problem, found) or found
     found = _backward(problem, found)
     found = numbers_off(problem, found, pool, threshold(problem, found.residual, FORWARD_SHARE))
     found = _backward(problem, found)
-    selection.found = _exchanged(problem, found, pool)
+    found = _exchanged(problem, found, pool)
+    considered = {one.effect.id for one in pool}
+    least = threshold(problem, found.residual, FORWARD_SHARE)
+    selection.found = _backward(problem, levels_first(problem, found, least, considered))
     _rivals(problem, selection)
     return selection
 
@@ -121,13 +131,12 @@ def score(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> list[Score
     basis = _basis(found.jacobian)
     taken = {entry["effect"] for entry in found.entries}
     for candidate in pool:
-        if candidate.effect.id in taken or (_CURVE in taken and candidate.effect.id in _IN_CURVE):
+        if candidate.effect.id in taken or (CURVE in taken and candidate.effect.id in _IN_CURVE):
             continue
         gain, coefficients = _cross_validated(problem, found.residual, candidate.columns, basis)
-        probe = candidate.effect.probe
-        assert probe is not None
-        neutral = neutral_value(probe, problem.model)
-        results.append(Scored(candidate, gain, candidate.entry(coefficients, neutral)))
+        entry = candidate.entry(coefficients, problem)
+        if deviation(entry, problem) > 0.0:  # of the other sign it is not this effect
+            results.append(Scored(candidate, gain, entry))
     return sorted(results, key=lambda one: -one.gain)
 
 
@@ -160,6 +169,15 @@ def _best(problem: Problem, found: Fit, here: Fit, scored: Sequence[Scored]) -> 
     fits = [fit(problem, [*here.entries, one.entry], own=here.own, like=here) for one in shortlist]
     fits = [one for one in fits if found.cost - one.cost > least]
     return min(fits, key=_penalised, default=None)
+
+
+def _curved(problem: Problem, found: Fit) -> Fit | None:
+    """The fit with a curve over position where that still bends, if it is worth its knots."""
+    trial = with_curve(problem, found)
+    least = threshold(problem, found.residual, FORWARD_SHARE)
+    had = any(entry["effect"] == CURVE for entry in found.entries)
+    better = _penalised(found) - _penalised(trial)
+    return trial if better > (0.0 if had else least) else None
 
 
 def _is_curve(candidate: Candidate) -> bool:

@@ -95,6 +95,9 @@ class Probe:
     """A parameter whose starting values come from the data: see ``diagnosis/probes.py``."""
     least: float = 0.0
     """A smaller change than this is how rigs are built and sampled: fitted, but no finding."""
+    one_sided: bool = False
+    """Whether only values above the neutral one are this effect: what bends the other way is
+    something else, and must not go under its name."""
 
 
 class Joint(NamedTuple):

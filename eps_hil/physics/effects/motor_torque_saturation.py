@@ -19,5 +19,5 @@ EFFECT = Effect(
     "{curvature_per_nm2:.3g} /Nm²): saturation.",
     twins={"motor_torque_gain": "the same manoeuvre at half the torque"},
     kernel=_torque_nm,
-    probe=Probe("curvature_per_nm2", 0.0, 0.01),
+    probe=Probe("curvature_per_nm2", 0.0, 0.01, one_sided=True),
 )

@@ -21,5 +21,5 @@ EFFECT = Effect(
     "missing.",
     twins={"viscous_friction": "a sweep to at least twice the speed"},
     kernel=_torque_nm,
-    probe=Probe("coefficient_nm_s2_per_rad2", 0.0, 1e-6),
+    probe=Probe("coefficient_nm_s2_per_rad2", 0.0, 1e-6, one_sided=True),
 )

@@ -32,5 +32,11 @@ EFFECT = Effect(
         "speed",
     },
     kernel=_level_nm,
-    probe=Probe("level_nm", 0.0, 0.01, tuple({"speed_rad_s": v} for v in (2.0, 5.0, 12.0, 30.0))),
+    probe=Probe(
+        "level_nm",
+        0.0,
+        0.01,
+        tuple({"speed_rad_s": v} for v in (2.0, 5.0, 12.0, 30.0)),
+        one_sided=True,
+    ),
 )

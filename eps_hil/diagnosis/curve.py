@@ -1,0 +1,128 @@
+"""A free curve over rack position: where its knots go, and its values beside everything else.
+
+Equally spaced knots blur a narrow step and waste themselves on straight parts. Here a knot goes
+where the residual's profile over position still bends, as long as it earns its price.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.fit import Fit, fit
+from eps_hil.diagnosis.locate import coordinates
+from eps_hil.diagnosis.probes import hats
+from eps_hil.diagnosis.problem import Problem, clipped, knee
+from eps_hil.physics.effects.catalogue import catalogue
+
+Floats = npt.NDArray[np.float64]
+
+ID = "position_torque"
+MOST_KNOTS = 30
+_CELLS = 240
+_LEAST_IN_CELL = 4
+_TRIALS = 5
+_LEAST_PROFILE = 12
+_WAY, _FLAT = 101, 0.3
+
+
+def knots(problem: Problem, residual: Floats) -> list[float]:
+    """Positions (m), ascending, between which the profile of ``residual`` is straight enough.
+
+    Knots are added one at a time in the span with the largest misfit, until the best new one
+    lowers the misfit by less than Schwarz's price. Empty where too little way was covered.
+    """
+    place, mean, weight = _profile(problem, residual)
+    if len(place) < _LEAST_PROFILE:
+        return []
+    price = 2.0 * float(np.log(len(residual)))
+    chosen = [float(place[0]), float(place[-1])]
+    misfit, left = _straight(chosen, place, mean, weight)
+    while len(chosen) < MOST_KNOTS:
+        trials = _trials(chosen, place, left)
+        found = [(_straight(sorted([*chosen, x]), place, mean, weight)[0], x) for x in trials]
+        best, x = min(found, default=(np.inf, 0.0))
+        if misfit - best < price:
+            break
+        chosen = sorted([*chosen, x])
+        misfit, left = _straight(chosen, place, mean, weight)
+    return chosen
+
+
+def _profile(problem: Problem, residual: Floats) -> tuple[Floats, Floats, Floats]:
+    """Cells over position that were slid through: place, mean residual, weight of the mean."""
+    use = problem.sliding
+    position = coordinates(problem)["rack_position_m"][use]
+    values = clipped(residual, knee(residual))[use]
+    edges = np.linspace(*problem.visited_m, _CELLS + 1)
+    cell = np.searchsorted(edges, position, side="right") - 1
+    inside = (cell >= 0) & (cell < _CELLS)
+    count: Floats = np.bincount(cell[inside], minlength=_CELLS).astype(np.float64)
+    total = np.bincount(cell[inside], weights=values[inside], minlength=_CELLS)
+    square = np.bincount(cell[inside], weights=values[inside] ** 2, minlength=_CELLS)
+    good = count >= _LEAST_IN_CELL
+    mean = total[good] / count[good]
+    scatter = float(np.sum(square[good] - count[good] * mean**2) / max(np.sum(count[good]), 1))
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    return centre[good], mean, count[good] / max(scatter, 1.0)
+
+
+def _straight(
+    chosen: Sequence[float], place: Floats, mean: Floats, weight: Floats
+) -> tuple[float, Floats]:
+    """(misfit, each cell's share of it) of the best curve that is straight between knots."""
+    root = np.sqrt(weight)
+    hat = np.column_stack([np.interp(place, chosen, row) for row in np.eye(len(chosen))])
+    values = np.linalg.lstsq(hat * root[:, None], mean * root, rcond=1e-6)[0]
+    left = weight * (mean - hat @ values) ** 2
+    return float(np.sum(left)), left
+
+
+def _trials(chosen: Sequence[float], place: Floats, left: Floats) -> list[float]:
+    """A few places for a new knot, in the span that holds most of the misfit."""
+    span = np.clip(np.searchsorted(chosen, place, side="right") - 1, 0, len(chosen) - 2)
+    for worst in np.argsort(-np.bincount(span, weights=left, minlength=len(chosen) - 1)):
+        inside = place[span == worst][1:-1]
+        if len(inside):
+            picks = np.linspace(0, len(inside) - 1, _TRIALS + 2)[1:-1].round().astype(int)
+            return [float(x) for x in inside[np.unique(picks)] if x not in chosen]
+    return []
+
+
+def with_curve(problem: Problem, found: Fit) -> Fit:
+    """The fit with its curve's knots and values found anew, or with a first curve, beside all else.
+
+    Everything else moves in the same linear step, and is then fitted around the curve. The fit as
+    it was, where no curve is worth its knots. The curve is zero where it is flattest: a constant
+    torque has names of its own.
+    """
+    others = [dict(entry) for entry in found.entries if entry["effect"] != ID]
+    bare = found if len(others) == len(found.entries) else fit(problem, others, 0, found.own)
+    places = knots(problem, bare.residual)
+    if len(places) < 3:
+        return found
+    columns = hats(problem, (others, found.own), catalogue()[ID], places, bare.residual)
+    prior = np.zeros(columns.shape[1] + bare.jacobian.shape[1])
+    own = len(bare.own)
+    prior[columns.shape[1] : columns.shape[1] + own] = 1.0
+    everything = np.column_stack([columns, -bare.jacobian])
+    cut = clipped(bare.residual, knee(bare.residual))
+    normal = everything.T @ everything + np.diag(prior)
+    size = np.sqrt(np.diag(normal)) + 1e-300
+    values = np.linalg.lstsq(normal / np.outer(size, size), everything.T @ cut / size, rcond=1e-9)
+    torque = (values[0] / size)[: columns.shape[1]]
+    torque = torque - _level(np.interp(np.linspace(*problem.visited_m, _WAY), places, torque))
+    entry: Mapping[str, Any] = {
+        "effect": ID,
+        "curve": [[x, float(y)] for x, y in zip(places, torque, strict=True)],
+    }
+    return fit(problem, [*others, entry], own=found.own, like=bare)
+
+
+def _level(torque: Floats) -> float:
+    """The torque about which most of the way lies closest together."""
+    ordered = np.sort(torque)
+    n = round(_FLAT * len(ordered))
+    first = int(np.argmin(ordered[n:] - ordered[:-n]))
+    return float(np.mean(ordered[first : first + n + 1]))
