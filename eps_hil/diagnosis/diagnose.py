@@ -10,7 +10,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis import locate, regions
 from eps_hil.diagnosis.baseline import HOLD
 from eps_hil.diagnosis.first_look import first_look
-from eps_hil.diagnosis.fit import Fit, fit
+from eps_hil.diagnosis.fit import Fit, fit, quantile
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
 from eps_hil.diagnosis.leftover import Leftover, alone, late_torque, leftover
 from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
@@ -155,19 +155,14 @@ def _beside_unknown(problem: Problem, selection: Selection, findings: Sequence[i
     Whatever is unknown is made up for by what happens to be like it; such names are many, small,
     and wrong. None is left where one unknown curve does better than all of them.
     """
-    kept = list(findings)
-    if alone(problem, selection.null.residual, selection.found.residual) is not None:
+    residual = selection.found.residual
+    if alone(problem, selection.null.residual, residual) is not None:
         return _refitted(problem, selection, [])
-    while kept:
-        residual = selection.found.residual
-        cut = clipped(residual, knee(residual))
-        excess = float(np.sum(cut[problem.sliding] ** 2 - 1.0))
-        gains = {k: selection.gains[selection.found.entries[k]["effect"]] for k in kept}
-        weakest = min(kept, key=gains.__getitem__)
-        if gains[weakest] > BESIDE_UNKNOWN * excess:
-            break
-        kept = _refitted(problem, selection, [k for k in kept if k != weakest])
-    return kept
+    cut = clipped(residual, knee(residual))
+    least = BESIDE_UNKNOWN * float(np.sum(cut[problem.sliding] ** 2 - 1.0))
+    names = {k: str(selection.found.entries[k]["effect"]) for k in findings}
+    kept = [k for k in findings if selection.gains[names[k]] > least]
+    return _refitted(problem, selection, kept)
 
 
 def _better(
@@ -268,7 +263,7 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
         "confidence": _confidence(gain, threshold(problem, found.residual, FINAL_SHARE), rivals),
         "equation": effect.equation,
         "summary": sentence.format(**values),
-        "parameters": _parameters(found, k, effect),
+        "parameters": _parameters(found, k, effect, quantile(problem)),
         "where": [
             {
                 "signal": region.signal,
@@ -283,7 +278,8 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     }
 
 
-def _parameters(found: Fit, k: int, effect: Effect) -> dict[str, Any]:
+def _parameters(found: Fit, k: int, effect: Effect, wide: float) -> dict[str, Any]:
+    """``wide``: half width of a 95 % interval in deviations."""
     entry = found.entries[k]
     result = {}
     for parameter in effect.parameters:
@@ -297,7 +293,7 @@ def _parameters(found: Fit, k: int, effect: Effect) -> dict[str, Any]:
         if (k, parameter.name) in found.names:
             place = found.names.index((k, parameter.name))
             sigma = float(np.sqrt(max(found.covariance[place, place], 0.0)))
-        low, high = value - 1.96 * sigma, value + 1.96 * sigma
+        low, high = value - wide * sigma, value + wide * sigma
         result[parameter.name] = {"value": value, "unit": parameter.unit, "ci95": [low, high]}
     return result
 

@@ -213,7 +213,7 @@ def _moved(
 
 
 def _covariance(jacobian: Floats, residual: Floats, problem: Problem, own: int) -> Floats:
-    """Sandwich over blocks: residuals of one block hang together, and so count once.
+    """Sandwich over stretches: residuals of one stretch hang together, and so count once.
 
     The first ``own`` columns have their prior and are left out of the result.
     """
@@ -227,13 +227,20 @@ def _covariance(jacobian: Floats, residual: Floats, problem: Problem, own: int) 
     inverse = np.linalg.pinv(normal / np.outer(size, size)) / np.outer(size, size)
     middle = np.zeros_like(normal)
     middle[np.diag_indices(own)] += 1.0
-    blocks = np.unique(problem.block)
-    for block in blocks:
-        rows = problem.block == block
+    stretches = np.unique(problem.stretch)
+    for stretch in stretches:
+        rows = problem.stretch == stretch
         score = jacobian[rows].T @ residual[rows]
         middle += np.outer(score, score)
-    found = inverse @ middle @ inverse * len(blocks) / max(len(blocks) - 1, 1)
+    found = inverse @ middle @ inverse * len(stretches) / max(len(stretches) - 1, 1)
     return np.asarray(found[own:, own:])
+
+
+def quantile(problem: Problem) -> float:
+    """Half width of a 95 % interval in deviations: Student's, for so few stretches."""
+    from scipy.stats import t
+
+    return float(t.ppf(0.975, max(int(problem.stretch[-1]), 1)))
 
 
 def ablated(problem: Problem, found: Fit, k: int, rounds: int = 6) -> Fit:

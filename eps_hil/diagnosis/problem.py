@@ -27,6 +27,8 @@ NOTHING_NM = 1e3
 """Deviation of a sample that says nothing."""
 BLOCK_S = 2.0
 """Length of the blocks that take turns in fitting and judging."""
+STRETCH_S = 10.0
+"""Length over which errors hang together: a manoeuvre, in which the model is wrong in one way."""
 
 
 @dataclass
@@ -42,6 +44,7 @@ class Problem:
     sliding: Masks = field(init=False)
     scale: Floats = field(init=False)
     block: npt.NDArray[np.int64] = field(init=False)
+    stretch: npt.NDArray[np.int64] = field(init=False)
     knee: float = field(init=False, default=0.0)
     """Beyond this a residual counts as an outlier; 0: set by the first fit (:func:`knee`)."""
     at: Mapping[str, float] = field(init=False, default_factory=dict)
@@ -54,8 +57,8 @@ class Problem:
     """The rack's largest distance from its middle (m)."""
 
     def __post_init__(self) -> None:
-        masks, floors, blocks = [], [], []
-        number = 0
+        masks, floors, blocks, stretches = [], [], [], []
+        number = several = 0
         for recording in self.recordings:
             mask = sliding(recording, self.model)
             barred = np.zeros(len(mask), bool) if recording.barred is None else recording.barred
@@ -69,6 +72,8 @@ class Problem:
             index = (recording.thin_time_s - recording.thin_time_s[0]) // BLOCK_S
             blocks.append(number + index.astype(np.int64))
             number = int(blocks[-1][-1]) + 1
+            stretches.append(several + (index // round(STRETCH_S / BLOCK_S)).astype(np.int64))
+            several = int(stretches[-1][-1]) + 1
         position = np.concatenate([one.motion(self.model).position_m for one in self.recordings])
         low, high = np.percentile(position, [3, 97])
         self.visited_m = float(low), float(high)
@@ -76,6 +81,7 @@ class Problem:
         self.sliding = np.concatenate(masks)
         self.scale = np.concatenate(floors)
         self.block = np.concatenate(blocks)
+        self.stretch = np.concatenate(stretches)
 
     @property
     def independent(self) -> float:

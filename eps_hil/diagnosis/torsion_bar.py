@@ -19,9 +19,15 @@ LEAST_PLAY_NM = 0.03
 _LEAST_TWIST = 0.9
 """Least correlation of twist and torque for the twist to be the torsion bar's."""
 _RATE_HZ = 40.0
+_BEFORE_HZ = 17.0
+"""Low-pass of the twist before play. Noise inside the play makes it look wider than it is, and
+smoothed reversals narrower; here the two are about as large."""
 _PLAY_HZ = 15.0
+"""Low-pass of both torques after it."""
 _CLEAR = 4.0
 """Play is seen where it is this many deviations of the twist's noise."""
+_STRETCH = 1250
+"""Thinned samples in 10 s."""
 _PLAYS_NM = (0.05, 0.1, 0.2, 0.4, 0.8)
 
 
@@ -61,7 +67,7 @@ class _Twisted:
 
     def __init__(self, one: Prepared, model: Model) -> None:
         late = model.delays_s.of("torque_sensor_nm")
-        self.twist = low_pass(twist_rad(one, model), _PLAY_HZ)
+        self.twist = low_pass(twist_rad(one, model), _BEFORE_HZ)
         self.rate = np.gradient(self.twist, 1e-3)
         reported = low_pass(one.raw["torque_sensor_nm"], _PLAY_HZ)
         self.torque = np.interp(one.time_s + late, one.time_s, reported)
@@ -71,9 +77,23 @@ class _Twisted:
     def left(self, gain: float, damping: float, offset: float, play: float) -> Floats:
         """Reported torque less what a sensor with this play would report; thinned."""
         true = gain * self.twist + damping * self.rate + offset
-        seen = with_play(true, play) if play > 0 else true
+        seen = low_pass(with_play(true, play) if play > 0 else true, _PLAY_HZ)
         edge = 250
         return np.asarray((self.torque - seen)[edge:-edge:8])
+
+
+def _spread(jacobian: Floats, residual: Floats, rows: Sequence[_Twisted]) -> float:
+    """Deviation of the play (Nm): a sandwich over stretches, whose errors hang together."""
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    middle, first = np.zeros_like(inverse), 0
+    for one in rows:
+        count = len(one.left(1.0, 0.0, 0.0, 0.0))
+        for start in range(first, first + count, _STRETCH):
+            part = slice(start, min(start + _STRETCH, first + count))
+            score = jacobian[part].T @ residual[part]
+            middle += np.outer(score, score)
+        first += count
+    return float(np.sqrt(max((inverse @ middle @ inverse)[3, 3], 0.0)))
 
 
 def sensor_play(
@@ -124,11 +144,11 @@ def sensor_play(
         return None
     if kept and cost(found, kept) >= cost(start, kept):
         return None
-    spread = np.linalg.pinv(done.jac.T @ done.jac)[3, 3] * sigma**2 * 12.0
+    spread = float(np.hypot(_spread(done.jac, done.fun, rows), 0.5 * sigma))
     low, high = (float(v) for v in np.percentile(torque, [2, 98]))
     seen = Seen(
         {"effect": "torque_sensor_hysteresis", "play_nm": play},
-        {"play_nm": float(np.sqrt(max(spread, 0.0)))},
+        {"play_nm": spread},
         gain,
         min(1.0, gain / max(excess, 1.0)),
         (("torque_sensor_nm", low, high, 1.0),),

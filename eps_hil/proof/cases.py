@@ -216,7 +216,7 @@ def _answer(plan: Plan, hidden: list[_Hidden], form: Strength, total: Strength) 
         "can": plan.can,
         "twin": plan.twin,
         "withheld": list(plan.withheld),
-        "effects": [_told(one) for one in hidden],
+        "effects": [_told(one, World(plan.simple)) for one in hidden],
         "tolerated": tolerated,
         "noise_nm": form.noise_nm,
         "form_to_noise": form.ratio,
@@ -225,8 +225,7 @@ def _answer(plan: Plan, hidden: list[_Hidden], form: Strength, total: Strength) 
     }
 
 
-def _told(one: _Hidden) -> dict[str, Any]:
-    world = World(True)
+def _told(one: _Hidden, world: World) -> dict[str, Any]:
     return {
         "effect": one.effect.id,
         "kind": one.effect.kind,

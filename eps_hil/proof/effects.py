@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from eps_hil.proof.hidden_effect import Draw, HiddenEffect, Shape
+from eps_hil.proof.truth import NUT_NM_PER_RAD
 from eps_hil.proof.world import World
 
 _KNOTS = np.linspace(-3.0, 3.0, 31)
@@ -241,11 +242,23 @@ _PARAMETERS = (
     ),
 )  # fmt: skip
 
+
+def _rotor_to_rack(compliance: float, world: World) -> float:
+    """What a rotor feels of a rack that is held (Nm/rad): CONTRACT 8 has two masses, one spring.
+
+    On the full plant the belt and the ball nut behind it give one after the other.
+    """
+    nut = 0.0 if world.simple else 1.0 / NUT_NM_PER_RAD
+    return 1.0 / (compliance + nut)
+
+
 _CHAIN = (
     HiddenEffect(
         "belt_compliance", "structure", 0.05, 0.5,
         lambda w, s, _: replace(w, belt_nm_per_rad=1.0 / s, belt_damping=5e-3),
-        lambda s, _, __: {"stiffness_nm_per_rad": 1.0 / s, "damping_nm_s_per_rad": 5e-3},
+        lambda s, _, w: {
+            "stiffness_nm_per_rad": _rotor_to_rack(s, w), "damping_nm_s_per_rad": 5e-3
+        },
         _no_shape, twins=("inertia",),
     ),
     HiddenEffect(

@@ -13,6 +13,8 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 
 MOTOR_LAG_S = 0.0007
+NUT_NM_PER_RAD = 300.0
+"""Stiffness of the ball nut on its screw, at the rotor."""
 """Current loop; it also makes the reported torque smooth, so that a sample speaks of an instant."""
 
 
@@ -175,7 +177,7 @@ def five_masses(
     share = np.array([0.67, 0.24, 0.03, 0.06])
     return Chain(
         share * j,
-        np.array([belt_nm_per_rad, 300.0, 200.0]),
+        np.array([belt_nm_per_rad, NUT_NM_PER_RAD, 200.0]),
         np.array([belt_damping, 0.01, 0.01]),
         2,
         gap_rad,
