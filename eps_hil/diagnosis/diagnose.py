@@ -252,6 +252,8 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     if effect.id in CONSTANTS:  # what presliding says of the difference rests on the bristle's form
         pool = {one.effect.id for one in selection.pool} - {effect.id, *twins}
         twins += [name for name in CONSTANTS if name in pool]
+        near = dict(rivals)
+        rivals = [(name, max(near.get(name, 0.0), 1.0)) for name in twins]
     others = [e for i, e in enumerate(found.entries) if i != k]
     without = problem.residual(problem.with_entries(others, found.own))
     share = (without - found.residual) ** 2
