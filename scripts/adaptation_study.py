@@ -163,7 +163,15 @@ def units(count: int) -> Iterator[tuple[str, Model, Course, int]]:
         yield rig, true, driven("driving, smooth road", 30.0, seed), seed
 
 
-def outcomes(todo: Iterator[tuple[str, Model, Course, int]], total: int, few: int) -> list[Outcome]:
+METHODS = (TI, EI, RA, RC)
+
+
+def outcomes(
+    todo: Iterator[tuple[str, Model, Course, int]],
+    total: int,
+    few: int,
+    wanted: tuple[str, ...] = METHODS,
+) -> list[Outcome]:
     """What the methods make of ``total`` courses; progress on a terminal, Ctrl-C ends it early.
 
     Beyond ``few`` gears each course goes only to the method that it was made for.
@@ -172,11 +180,11 @@ def outcomes(todo: Iterator[tuple[str, Model, Course, int]], total: int, few: in
     since = time.monotonic()
     try:
         for k, (rig, true, course, seed) in enumerate(todo):
-            if course.name.startswith("parked"):
+            made_for = _made_for(course, seed < few)
+            methods = tuple(name for name in made_for if name in wanted)
+            if TI in methods:
                 found.append(torque_injection(rig, true, course, seed))
-            else:
-                own = (EI,) if course.name.startswith("near") else (RA,)
-                methods = own if seed >= few else (EI, RA, RC)
+            elif methods:
                 rows = record(rig, true, course, seed)
                 found += [one for one, _ in listeners(rig, true, course, rows, methods)]
             if sys.stderr.isatty():
@@ -187,6 +195,14 @@ def outcomes(todo: Iterator[tuple[str, Model, Course, int]], total: int, few: in
     if sys.stderr.isatty():
         print(file=sys.stderr)
     return found
+
+
+def _made_for(course: Course, every: bool) -> tuple[str, ...]:
+    if course.name.startswith("parked"):
+        return (TI,)
+    if every:
+        return (EI, RA, RC)
+    return (EI,) if course.name.startswith("near") else (RA,)
 
 
 def hour(rounds: int) -> dict[str, np.ndarray]:
@@ -286,11 +302,15 @@ def must_show(found: list[Outcome]) -> Iterator[str]:
 def main() -> None:
     """Run, print, draw."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="8 gears instead of 200")
+    parser.add_argument("--quick", action="store_true", help="8 gears, and an hour in 6 rounds")
+    parser.add_argument("--gears", type=int, default=200, help="how many for the spread")
     parser.add_argument("--figure", type=Path, default=Path("build/adaptation.png"))
+    told = "print these methods' lines only, and neither hour nor figure"
+    parser.add_argument("--only", nargs="*", choices=METHODS, default=METHODS, help=told)
     choice = parser.parse_args()
-    many, few = (8, 2) if choice.quick else (200, 10)
-    found = outcomes(chain(cases(few), units(many)), 7 * few + 3 * many, few)
+    many, few = (8, 2) if choice.quick else (choice.gears, 10)
+    wanted = tuple(choice.only)
+    found = outcomes(chain(cases(few), units(many)), 7 * few + 3 * many, few, wanted)
     for line in must_show(found):
         print(line)
     print()
@@ -300,6 +320,8 @@ def main() -> None:
     print("\nwhat torque injection said where it did not stand by its result, among others:")
     for note in notes[:6]:
         print(f"  {note}")
+    if wanted != METHODS:
+        return
     levels = hour(6 if choice.quick else 60)
     print("\nfriction losing 35 % over an hour, error of the sum in % (from minute 5 on):")
     for line in drift_errors(levels):
