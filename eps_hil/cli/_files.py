@@ -17,6 +17,18 @@ def write_json(path: Path, content: Any) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def check_places(*paths: Path | None) -> None:
+    """Refuse files that cannot be written before long work begins, not after it."""
+    for path in paths:
+        if path is None:
+            continue
+        folder = path.resolve().parent
+        if path.is_dir():
+            raise InputError(path, "", "is a folder, a file name was expected", "name the file")
+        if not folder.is_dir():
+            raise InputError(path, "", f"folder {folder} does not exist", "create it first")
+
+
 def output_for(out: Path, recording: Path, several: bool) -> Path:
     """The output file of one recording; with several recordings its name must hold {name}."""
     if "{name}" in str(out):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eps_hil.cli._files import write_json
+from eps_hil.cli._files import check_places, write_json
 from eps_hil.cli._inputs import ModelPath, progress
 from eps_hil.cli.estimate import Kind
 
@@ -77,6 +77,7 @@ def budget(
 
     if report:
         page.check("--report", "matplotlib")
+    check_places(json, figure, report)
     rig = load_model(model)
     chosen = yaml_file.load(settings, EstimatorSettings) if settings else EstimatorSettings()
     if kind is not None:

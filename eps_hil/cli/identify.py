@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eps_hil.cli._files import write_json
+from eps_hil.cli._files import check_places, write_json
 from eps_hil.cli._inputs import (
     ModelPath,
     Reading,
@@ -52,6 +52,7 @@ def identify(
         from eps_hil.report import identification_page, page
 
         page.check("--report", "matplotlib")
+    check_places(write_model, json, report)
     rig = load_model(model)
     read = read_all(recordings, reading)
     with progress("identifying") as bar:

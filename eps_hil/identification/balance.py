@@ -28,7 +28,8 @@ CLEAR_SIGMA = 6.0
 SETTLED = 6.0
 """Path since a reversal, in units of T_fs/σ0, after which the bristle's history is forgotten."""
 LOAD_HZ = 40.0
-PLACE_HZ = 0.3
+DRIFT_HZ = 0.05
+"""Below this an angle made from the speed drifts, and the rack position is asked where it is."""
 
 
 @dataclass
@@ -81,7 +82,11 @@ class Case:
         if not self.recording.has("rack_position_m"):
             return by_rotor
         if self._place is None or self._place[0] != model.rack_to_rotor_ratio_rad_per_m:
-            apart = low_pass(self.recording.raw["rack_position_m"] - by_rotor, PLACE_HZ, 2)
+            apart = self.recording.raw["rack_position_m"] - by_rotor
+            if self.recording.has("motor_angle_rad"):
+                apart = np.full(len(apart), np.median(apart))
+            else:
+                apart = low_pass(apart, DRIFT_HZ, 2)
             self._place = (model.rack_to_rotor_ratio_rad_per_m, by_rotor + apart)
         return self._place[1]
 

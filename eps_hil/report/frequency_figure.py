@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from eps_hil.identification.frequency_response import OUTPUTS, Response, coherence_limit
 from eps_hil.report import figures
@@ -33,10 +34,13 @@ def draw(
         _measured(axes[:, column], one)
         for order, found in sorted(chains.items()):
             if name in found:
-                _chain(axes[:, column], found[name], order)
+                _chain(axes[:, column], found[name], order, one.trusted)
         axes[0, column].set_title(OUTPUTS[name], fontsize="medium")
         axes[0, column].set_ylabel(_UNITS[name])
-        axes[0, column].set_ylim(bottom=0.0, top=1.3 * float(np.max(np.abs(one.gain))))
+        # a single trusted line between others is not drawn as a line either
+        beside = np.convolve(one.trusted, [1, 0, 1], mode="same") > 0
+        shown = np.abs(one.gain)[one.trusted & beside]
+        axes[0, column].set_ylim(bottom=0.0, top=1.3 * float(shown.max()) if shown.size else None)
         axes[2, column].set_ylim(0.0, 1.05)
         axes[2, column].set_xlabel("frequency in Hz")
     axes[1, 0].set_ylabel("phase in degrees")
@@ -63,8 +67,9 @@ def _measured(column: Any, one: Response) -> None:
     column[2].axhline(coherence_limit(one.averages), color="0.5", linestyle=(0, (2, 2)))
 
 
-def _chain(column: Any, one: Response, order: int) -> None:
+def _chain(column: Any, one: Response, order: int, keep: npt.NDArray[np.bool_]) -> None:
+    """The model where the measurement is trusted: elsewhere nothing excites either of them."""
     label = f"{order} mass" if order == 1 else f"{order} masses"
     style = {"color": _COLOURS[order], "linewidth": 1.1, "linestyle": (0, (5, order))}
-    column[0].plot(one.frequency_hz, np.abs(one.gain), **style, label=label)
-    column[1].plot(one.frequency_hz, one.phase_deg, **style)
+    column[0].plot(one.frequency_hz, np.where(keep, np.abs(one.gain), np.nan), **style, label=label)
+    column[1].plot(one.frequency_hz, np.where(keep, one.phase_deg, np.nan), **style)
