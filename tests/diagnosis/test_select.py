@@ -1,0 +1,100 @@
+"""Which names are taken, and which are not although they would fit."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.fit import fit, quantile
+from eps_hil.diagnosis.prepare import prepare
+from eps_hil.diagnosis.probes import bounds
+from eps_hil.diagnosis.problem import Problem
+from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.model import Model
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def problem(record: Callable[..., Any], reference_model: Model, other_rig: Any) -> Problem:
+    plant = {other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0}
+    recordings = record(plant, ("sweep", "weave"), seconds=12.0)
+    return Problem([prepare(name, one) for name, one in recordings.items()], reference_model)
+
+
+def limits(problem: Problem, effect: str, parameter: str) -> tuple[float, float]:
+    entry = catalogue()[effect]
+    (found,) = (one for one in entry.parameters if one.name == parameter)
+    return bounds(entry, found, problem)
+
+
+def test_a_shape_upside_down_is_another_effect(problem: Problem) -> None:
+    assert limits(problem, "stribeck", "level_nm")[0] == 0.0
+    assert limits(problem, "quadratic_drag", "coefficient_nm_s2_per_rad2")[0] == 0.0
+    assert limits(problem, "unmodelled_spring", "stiffness_nm_per_rad")[0] < 0.0
+
+
+def test_what_the_model_holds_may_be_too_much(problem: Problem) -> None:
+    held = {"effect": "stribeck", "level_nm": 0.05, "speed_rad_s": 10.0}
+    model = replace(problem.model, effects=(held,))
+    beside = Problem(problem.recordings, model)
+    assert limits(beside, "stribeck", "level_nm")[0] < 0.0
+    found = fit(beside, [{"effect": "stribeck", "level_nm": 0.0, "speed_rad_s": 10.0}])
+    assert found.entries[0]["level_nm"] == pytest.approx(-0.02, abs=0.004)
+
+
+def test_either_sign_where_the_shape_matters(problem: Problem) -> None:
+    beside = Problem(problem.recordings, problem.model, either_sign=True)
+    assert limits(beside, "stribeck", "level_nm")[0] < 0.0
+
+
+def test_a_place_is_one_that_was_visited(problem: Problem) -> None:
+    low, high = limits(problem, "position_dependent_friction", "centre_m")
+    assert (low, high) == pytest.approx(problem.visited_m)
+    widest = limits(problem, "position_dependent_friction", "width_m")[1]
+    assert widest < 0.5 * (high - low)
+
+
+def test_an_interval_knows_how_few_stretches_there_are(problem: Problem) -> None:
+    """Two recordings of 12 s: two stretches each, so Student's t with three degrees of freedom."""
+    assert int(problem.stretch[-1]) == 3
+    assert quantile(problem) == pytest.approx(3.182, abs=1e-3)
+    assert np.all(np.diff(problem.stretch) >= 0)
+
+
+def test_levels_of_both_directions_are_not_a_level_and_an_offset(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    plant = {other_rig.K0P: 5.6e-2 * 1.15, other_rig.K0N: 1.258e-1 * 0.9}
+    found = diagnose(reference_model, record(plant), record(plant, ("weave",), 2)).content
+    names = {one["effect"] for one in found["findings"]}
+    assert "friction_asymmetry" in names
+    assert not names & {"motor_torque_offset", "torque_sensor_offset"}
+
+
+def test_a_late_torque_that_may_not_be_named_is_unknown(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    late = replace(reference_model.delays_s, motor_torque=-2e-3)
+    model = replace(reference_model, delays_s=late)
+    told = diagnose(
+        model, record({}), record({}, ("weave",), 2),
+        without=("motor_torque_delay", "speed_sensor_delay"),
+    ).content  # fmt: skip
+    assert told["verdict"] == "unknown_effect"
+    (finding,) = told["findings"]
+    assert finding["effect"] == "unknown"
+
+
+def test_an_unknown_effect_is_not_cut_into_names(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    """An eddy-current brake is a level, a slope and a bend of friction, none of which is there."""
+    plant = {other_rig.EDDY: 0.03, other_rig.EDDY_W: 15.0}
+    told = diagnose(reference_model, record(plant), record(plant, ("weave",), 2)).content
+    assert told["verdict"] == "unknown_effect"
+    assert [one["effect"] for one in told["findings"]] == ["unknown"]
+    assert told["findings"][0]["curve"]
