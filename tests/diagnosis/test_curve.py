@@ -80,5 +80,5 @@ def test_a_curve_is_solved_beside_the_rest_and_holds_no_constant(
     wrong = drawn - bump_nm(way)
     assert np.sqrt(np.mean(wrong**2)) < 0.05 * PEAK_NM
     assert np.median(np.abs(wrong)) < 0.01 * PEAK_NM
-    offset_nm = 0.02 * found.own["motor_torque_offset"]
-    assert offset_nm == pytest.approx(0.01, abs=2e-3)
+    # the friction levels of both directions share the offset, by their priors
+    assert 0.02 * found.own["motor_torque_offset"] == pytest.approx(0.01, rel=0.3)
