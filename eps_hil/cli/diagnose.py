@@ -126,7 +126,10 @@ def diagnose(
     if write_model:
         with replacing(write_model) as temporary:
             temporary.write_text(dump_model(result.model), encoding="utf-8")
-        typer.echo(f"model with {len(result.model.effects)} effects written to {write_model}")
+        count = len(result.model.effects)
+        what = f"{count} effect{'' if count == 1 else 's'}"
+        base = "the simulator's own numbers and " if simulation else ""
+        typer.echo(f"model with {base}{what} written to {write_model}")
 
 
 def _known(effects: list[str]) -> frozenset[str]:

@@ -11,7 +11,7 @@ import pytest
 from eps_hil.cli.main import main
 from eps_hil.diagnosis.against import diagnose_against
 from eps_hil.diagnosis.diagnose import Diagnosis
-from eps_hil.physics.model import Model
+from eps_hil.physics.model import Model, load_model
 from eps_hil.series import Series
 
 MODEL = str(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
@@ -120,12 +120,20 @@ def test_the_command(
         f"  {n}: {{column: {n}}}" for n in ("motor_torque_nm", "torque_sensor_nm", "rack_force_n")
     ]
     mapping.write_text("\n".join(lines), encoding="utf-8")
-    out = tmp_path / "d.json"
-    assert main([*words, "--simulation-signals", str(mapping), "--json", str(out)]) == 0
+    out, better = tmp_path / "d.json", tmp_path / "better.yaml"
+    words += ["--simulation-signals", str(mapping), "--json", str(out)]
+    assert main([*words, "--write-model", str(better)]) == 0
     content = json.loads(out.read_text(encoding="utf-8"))
     assert [finding["effect"] for finding in content["findings"]] == ["coulomb_level"]
     assert content["findings"][0]["parameters"]["scale"]["value"] == pytest.approx(1.22, rel=0.05)
-    assert "offset_pos_nm" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "offset_pos_nm" in said
+    assert "the simulator's own numbers and 1 effect written to" in said
+    # the rig: what the simulator says of it, and what that lacks
+    rig_file = load_model(better)
+    level = rig_file.friction.offset_pos_nm * rig_file.effects[0]["scale"]
+    assert level == pytest.approx(0.11, rel=0.05)
+    assert rig_file.friction.viscous_pos_nm_s_per_rad == pytest.approx(2e-4, rel=0.1)
 
 
 def _write(path: Path, series: Mapping[str, Series], renamed: Mapping[str, str]) -> str:
