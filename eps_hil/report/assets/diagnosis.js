@@ -29,7 +29,7 @@
     });
     const options = {
       width: holder.clientWidth || 1100, height: plot.height, series: series, bands: bands,
-      scales: { x: { time: false }, y: { range: plot.name.startsWith("profile-") ? fromZero : undefined } }, axes: [axis(plot.x_label, 34, 60), axis(plot.y_label, 58, 22)],
+      scales: { x: { time: false }, y: { range: plot.name.startsWith("profile-") ? fromZero : undefined } }, axes: [axis(plot.x_label, 34, 60), axis(plot.y_label, 58, 16)],
       cursor: { drag: { x: true, y: false } },
     };
     if (plot.lines.length === 1 || plot.name.startsWith("profile-")) options.legend = { show: false };
