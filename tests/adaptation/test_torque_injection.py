@@ -47,10 +47,10 @@ def test_levels_of_a_rig_that_the_model_does_not_know(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("force_n", [40.0, -40.0])
 def test_a_rack_force_that_nobody_measured_is_noticed(
-    reference_model: Model, bench: Any, scaled_levels: Any, force_n: float
+    reference_model: Model, bench: Any, scaled_levels: Any
 ) -> None:
+    force_n = -40.0
     true = scaled_levels(reference_model, 1.3, 0.8)
     pushed = Segment(rack_force_n=constant(force_n))
     run = bench(true).run(TorqueInjection(InjectionSettings(), reference_model), pushed)

@@ -76,8 +76,8 @@ def frames_of(model: Model, manoeuvre: Manoeuvre, t0_ns: int = T0_NS) -> list[li
 
 @pytest.fixture(scope="module")
 def driven() -> list[list[Frame]]:
-    """Fourteen seconds of driving with a rig whose friction is 40 % higher than the model's."""
-    return frames_of(with_levels(MODEL, scaled(1.4)), weave(14.0))
+    """Nine seconds of driving with a rig whose friction is 40 % higher than the model's."""
+    return frames_of(with_levels(MODEL, scaled(1.4)), weave(9.0))
 
 
 def service(adaptation: AdaptationConfig | None, config: ServiceConfig | None = None) -> Parts:
@@ -126,7 +126,7 @@ def test_levels_are_learnt_and_taken_while_driving(
     assert first.t_ns - T0_NS < 4_000 * MS, "after the first stretch"
     assert first.levels == pytest.approx(scaled(1.4), rel=0.03)
     assert {event.fate for event in events[1:]} <= {"agrees", "taken"}
-    gone_s = (T0_NS + 14_000 * MS - first.t_ns) * 1e-9
+    gone_s = (T0_NS + 9_000 * MS - first.t_ns) * 1e-9
     moved = parts.estimator.friction_levels.negative_nm - OWN.negative_nm
     assert moved == pytest.approx(min(0.005 * gone_s, 0.4 * OWN.negative_nm), rel=0.03)
     assert parts.estimator.friction_levels.positive_nm == pytest.approx(1.4 * 0.056, rel=0.03)
@@ -143,12 +143,12 @@ def test_no_step_in_the_published_force_is_larger_than_an_ordinary_one(
     assert np.abs(np.diff(after[1000:])).max() < 1.02 * ordinary
     # Between two turns, where the rotor slides, the force moves by the slew (and by what eq. 3 then
     # makes of the other force, 12 % up or down on this rig).
-    turns = 0.5 + np.arange(14.0)
+    turns = 0.5 + np.arange(9.0)
     since = turns[np.searchsorted(turns, taken * 1e-3)]  # the first turn with new levels
     between = slice(round(1e3 * since) + 300, round(1e3 * since) + 850)
     added = np.diff(after - before)[between]
     assert np.abs(np.median(added)) == pytest.approx(SLEW_N, rel=0.15)
-    assert np.abs(after - before)[-2000:].max() > 80.0, "and it does move"
+    assert np.abs(after - before)[-2000:].max() > 50.0, "and it does move"
 
 
 @pytest.mark.slow
@@ -166,7 +166,7 @@ def test_the_operators_levels_come_back_in_a_replay(driven: list[list[Frame]]) -
     run(live, driven[:2000])
     live.core.on_frames(driven[2000][:1])  # in the middle of a millisecond
     live.levels.operator(scaled(1.25))
-    run(live, [driven[2000][1:], *driven[2001:8000]])
+    run(live, [driven[2000][1:], *driven[2001:7000]])
     events = live.levels.take_events()
     assert (events[0].fate, events[0].source, events[0].levels) == (
         "taken",
@@ -176,7 +176,7 @@ def test_the_operators_levels_come_back_in_a_replay(driven: list[list[Frame]]) -
     assert [event.source for event in events].count("reversals") >= 1, "it goes on learning"
     replay = service(BOTH)
     replay.levels.operator(events[0].levels, events[0].t_ns)  # as the journal says
-    assert run(replay, driven[:8000]) == [one for _, one in live.core.record or []]
+    assert run(replay, driven[:7000]) == [one for _, one in live.core.record or []]
     assert replay.levels.take_events() == events
 
 
@@ -187,13 +187,13 @@ def test_a_log_and_its_journal_give_what_was_published(
     live = service(AdaptationConfig())
     run(live, driven[:2000])
     live.levels.operator(scaled(1.3))
-    estimates = run(live, driven[2000:5000])
+    estimates = run(live, driven[2000:4000])
     log, journal, out = (tmp_path / name for name in ("bus.log", "journal.jsonl", "out.parquet"))
     log.write_text(
         "".join(
             f"({frame.t_ns // 10**9}.{frame.t_ns // 1000 % 10**6:06d}) can0 "
             f"{frame.can_id:03X}#{frame.data.hex().upper()}\n"
-            for batch in driven[:5000]
+            for batch in driven[:4000]
             for frame in batch
         )
     )
@@ -207,9 +207,9 @@ def test_a_log_and_its_journal_give_what_was_published(
         assert main([*words, *more]) == 0
         return np.array(pq.read_table(out)["rack_force_estimate_n"])
 
-    told = forces(estimates)[-4900:]
-    assert np.array_equal(table("--friction-journal", str(journal))[-4900:], told)
-    assert not np.array_equal(table()[-4900:], told), "without the journal it is not the same"
+    told = forces(estimates)[-3900:]
+    assert np.array_equal(table("--friction-journal", str(journal))[-3900:], told)
+    assert not np.array_equal(table()[-3900:], told), "without the journal it is not the same"
 
 
 @pytest.mark.parametrize("line", ["no json", "[]", '{"levels": "taken"}'])
@@ -240,7 +240,7 @@ def test_what_shall_not_be_taken_changes_nothing(
     adaptation: AdaptationConfig, why: str, driven: list[list[Frame]], plain: list[Estimate]
 ) -> None:
     parts = service(adaptation)
-    assert run(parts, driven[:8000]) == plain[:8000]
+    assert run(parts, driven[:7000]) == plain[:7000]
     events = parts.levels.take_events()
     assert len(events) >= 2
     assert all(why in event.why for event in events), events
@@ -256,7 +256,7 @@ def test_what_shall_not_be_taken_changes_nothing(
 def test_friction_that_changed_over_an_hour_is_followed(driven: list[list[Frame]]) -> None:
     """The stamps jump by an hour, as after a pause; the friction is another one then."""
     parts = service(BOTH)
-    run(parts, driven[:5000])
+    run(parts, driven[:4500])
     later = frames_of(with_levels(MODEL, scaled(1.1)), weave(5.0), T0_NS + 3_600_000 * MS)
     run(parts, later)
     events = [event for event in parts.levels.take_events() if event.fate == "taken"]
