@@ -100,6 +100,14 @@ def run(folder: Path, recordings: list[str]) -> dict[str, Any]:
     }
 
 
+def measured_once(minutes: float, one: bool) -> dict[str, Any]:
+    """:func:`run` on recordings of so many minutes."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "rig.yaml").write_text(model_yaml(Drive()))
+        return run(folder, case(folder, minutes, one))
+
+
 def main() -> None:
     """Every length in turn, a line each."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -108,14 +116,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="a JSON line for each length")
     chosen = parser.parse_args()
     lines: list[dict[str, Any]] = []
+    measured_once(1.0, False)
     for minutes in chosen.minutes:
-        with tempfile.TemporaryDirectory() as name:
-            folder = Path(name)
-            (folder / "rig.yaml").write_text(model_yaml(Drive()))
-            recordings = case(folder, minutes, chosen.one)
-            if not lines:
-                run(folder, recordings[:2])
-            lines.append({"minutes": minutes, **run(folder, recordings)})
+        lines.append({"minutes": minutes, **measured_once(minutes, chosen.one)})
         first, last = lines[0], lines[-1]
         ratios = [
             last[key] / last["minutes"] * first["minutes"] / first[key]
