@@ -18,7 +18,7 @@ from eps_hil.diagnosis.numbers import CONSTANTS
 from eps_hil.diagnosis.placebo import placebos
 from eps_hil.diagnosis.problem import Problem, clipped, knee, sliding
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
-from eps_hil.diagnosis.select import FINAL_SHARE, Say, Selection, select, threshold
+from eps_hil.diagnosis.select import FINAL_SHARE, Say, Selection, select, threshold, timed
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Effect
 from eps_hil.physics.model import Model
@@ -33,6 +33,8 @@ RIVAL = 0.97
 """Reaching this share of a finding's gain makes another effect its confusable twin…"""
 RIVAL_GAIN = 60.0
 """…and so does missing it by less than this many noise variances."""
+SUREST = 0.95
+"""So many of the surest names were right on the proof's development cases (docs/proof.md)."""
 BESIDE_UNKNOWN = 2.0
 """Times the energy that stays unexplained: what a name has to explain, to be one beside it."""
 _INTERNAL = ("belt_ratio", "pole_pairs", "harmonic")
@@ -145,7 +147,7 @@ def _refitted(problem: Problem, selection: Selection, findings: Sequence[int]) -
     ]
     if len(left) < len(found.entries):
         entries = [found.entries[k] for k in left]
-        selection.found = fit(problem, entries, own=found.own, like=found)
+        selection.found = timed(problem, fit(problem, entries, own=found.own, like=found))
     return [left.index(k) for k in findings]
 
 
@@ -304,7 +306,7 @@ def _confidence(gain: float, least: float, rivals: Sequence[tuple[str, float]]) 
     """How sure the name is: how far above the gate, and how far above the next best name."""
     detected = 1.0 - 0.4 * float(np.exp(-(gain / least - 1.0)))
     against = sum(float(np.exp(-max(0.0, (1 - part) * gain) / 50.0)) for _, part in rivals)
-    return round(min(0.99, detected / (1.0 + against)), 3)
+    return round(min(SUREST, detected / (1.0 + against)), 3)
 
 
 def _experiment(effect: Effect, twins: Sequence[str]) -> str:
@@ -332,7 +334,7 @@ def _unknown(left: Leftover) -> dict[str, Any]:
     return {
         "effect": "unknown",
         "kind": "structure",
-        "confidence": round(min(0.99, 1.0 - float(np.exp(-left.excess))), 3),
+        "confidence": round(min(SUREST, 1.0 - float(np.exp(-left.excess))), 3),
         "equation": "",
         "summary": f"Something is left that no effect of the catalogue explains: {shape}; "
         f"{100 * left.excess:.0f} % more energy than sensor noise.",

@@ -215,7 +215,9 @@ def _moved(
 def _covariance(jacobian: Floats, residual: Floats, problem: Problem, own: int) -> Floats:
     """Sandwich over stretches: residuals of one stretch hang together, and so count once.
 
-    The first ``own`` columns have their prior and are left out of the result.
+    Where few stretches hold all that is known of a number, their sum says too little of it: its
+    variance is at least that of shorter blocks, and of independent samples. The first ``own``
+    columns have their prior and are left out of the result.
     """
     if jacobian.shape[1] <= own:
         return np.zeros((0, 0))
@@ -225,15 +227,20 @@ def _covariance(jacobian: Floats, residual: Floats, problem: Problem, own: int) 
     normal[np.diag_indices(own)] += 1.0
     size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
     inverse = np.linalg.pinv(normal / np.outer(size, size)) / np.outer(size, size)
-    middle = np.zeros_like(normal)
-    middle[np.diag_indices(own)] += 1.0
-    stretches = np.unique(problem.stretch)
-    for stretch in stretches:
-        rows = problem.stretch == stretch
-        score = jacobian[rows].T @ residual[rows]
-        middle += np.outer(score, score)
-    found = inverse @ middle @ inverse * len(stretches) / max(len(stretches) - 1, 1)
-    return np.asarray(found[own:, own:])
+    prior = np.zeros_like(normal)
+    prior[np.diag_indices(own)] += 1.0
+    alone = jacobian.T @ (jacobian * (residual**2)[:, None])
+    middles = [prior + alone]
+    for group in (problem.block, problem.stretch):
+        scores = [
+            jacobian[group == one].T @ residual[group == one] for one in np.unique(group).tolist()
+        ]
+        few = len(scores) / max(len(scores) - 1, 1)
+        middles.append(prior + few * sum(np.outer(score, score) for score in scores))
+    found = [(inverse @ middle @ inverse)[own:, own:] for middle in middles]
+    spread = np.sqrt(np.maximum(np.max([np.diag(one) for one in found], axis=0), 0.0))
+    last = np.sqrt(np.maximum(np.diag(found[-1]), 1e-300))
+    return np.asarray(found[-1] * np.outer(spread / last, spread / last))
 
 
 def quantile(problem: Problem) -> float:

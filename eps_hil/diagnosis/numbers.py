@@ -87,6 +87,8 @@ def numbers_off(problem: Problem, found: Fit, pool: Sequence[Candidate], price: 
             if not name.startswith("±")
         ]
         own = {**TIMING, **problem.tied, **{side: 0.0 for name in free for side in SIDES[name]}}
+        if HOLD in named:
+            del own[HOLD]  # two of the same, which would only pull against each other
         one = fit(problem, [*kept, *starts], own=own, like=found)
         small = [
             e
@@ -95,7 +97,7 @@ def numbers_off(problem: Problem, found: Fit, pool: Sequence[Candidate], price: 
         ]
         if small:
             left = [e for e in one.entries if e not in small]
-            one = fit(problem, left, own=one.own, like=one)
+            one = fit(problem, left, own={**TIMING, **one.own}, like=one)
         fits.append((one.cost + price * (len(one.entries) + len(free)), one))
     best = min(fits, key=lambda pair: pair[0])[1]
     considered = any(one.effect.id == HOLD for one in pool)
@@ -107,7 +109,7 @@ def _with_delay(problem: Problem, found: Fit) -> Fit:
     delay = {"effect": HOLD, "delay_s": HOLD_S * found.own.get(HOLD, 0.0)}
     if any(entry["effect"] == HOLD for entry in found.entries) or not matters(delay, problem):
         return found
-    own = {name: 0.0 if name == HOLD else value for name, value in found.own.items()}
+    own = {name: value for name, value in found.own.items() if name != HOLD}
     return fit(problem, [*found.entries, delay], own=own, like=found)
 
 

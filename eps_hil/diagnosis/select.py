@@ -106,7 +106,8 @@ def select(problem: Problem, say: Say | None = None, without: Collection[str] = 
     found = _exchanged(problem, found, pool)
     considered = {one.effect.id for one in pool}
     least = threshold(problem, found.residual, FORWARD_SHARE)
-    selection.found = _backward(problem, levels_first(problem, found, least, considered))
+    found = _backward(problem, levels_first(problem, found, least, considered))
+    selection.found = timed(problem, found)
     _rivals(problem, selection)
     return selection
 
@@ -240,6 +241,15 @@ def _backward(problem: Problem, found: Fit) -> Fit:
             return found
         found = without[weakest]
     return found
+
+
+def timed(problem: Problem, found: Fit) -> Fit:
+    """How a torque is held is free again where no delay worth a name stands for it."""
+    (name,) = TIMING
+    entries = [e for e in found.entries if e["effect"] != name or matters(e, problem)]
+    if name in found.own or any(entry["effect"] == name for entry in entries):
+        return found
+    return fit(problem, entries, own={**TIMING, **found.own}, like=found)
 
 
 def _exchanged(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> Fit:
