@@ -4,6 +4,7 @@ import os
 import shutil
 import socket
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -73,10 +74,9 @@ def collect() -> Callable[[Port, int], list[Frame]]:
 
     def collected(port: Port, count: int) -> list[Frame]:
         frames: list[Frame] = []
-        for _ in range(50):
+        until = time.monotonic() + 5.0
+        while len(frames) < count and time.monotonic() < until:
             frames += port.recv(0.1)
-            if len(frames) >= count:
-                break
         return frames
 
     return collected
