@@ -179,8 +179,15 @@ def _speed(evidence: Evidence, one: Prepared, sync: str, most: int) -> list[Plot
         return []
     errors = [("model as it was", "before", before - measured)]
     if evidence.entries:
-        after = free_runs(one, evidence.augmented)[1]
-        errors.append(("with the findings", "after", after - measured))
+        # a finding may shift the speed itself, and so which half seconds begin while sliding
+        then, after, measured = free_runs(one, evidence.augmented)
+        time, of_before, of_after = np.intersect1d(time, then, return_indices=True)
+        if len(time) == 0:
+            return []
+        errors = [
+            ("model as it was", "before", errors[0][2][of_before]),
+            ("with the findings", "after", (after - measured)[of_after]),
+        ]
     keep = thinned(errors[0][2], most)
     # between two stretches nothing was simulated: no line there
     starts = np.flatnonzero(np.diff(time) > 2 * STEP_S) + 1

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
-from eps_hil.physics.model import load_model
+from eps_hil.diagnosis.prepare import Prepared
+from eps_hil.diagnosis.proof_of_fit import free_runs
+from eps_hil.physics.model import Model, load_model
 from eps_hil.report import diagnosis_page
 from eps_hil.report.diagnosis_evidence import LABELS
 from eps_hil.report.diagnosis_maps import colour
@@ -252,3 +254,23 @@ def test_ticks_are_round_and_inside() -> None:
     assert ticks(-0.0209, 0.0197) == [-0.02, -0.01, 0.0, 0.01]
     assert ticks(0.0, 45.0, 8) == [0.0, 10.0, 20.0, 30.0, 40.0]
     assert ticks(3.0, 3.0) == [3.0]
+
+
+def test_a_finding_may_shift_which_half_seconds_slide(
+    explained: Diagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A late speed does: what is compared is what both models were run over."""
+    whole = free_runs
+
+    def fewer(one: Prepared, model: Model) -> tuple[Any, Any, Any]:
+        parts = whole(one, model)
+        first = 0 if model is explained.problem.model else 500
+        return parts[0][first:], parts[1][first:], parts[2][first:]
+
+    monkeypatch.setattr("eps_hil.report.diagnosis_figures.free_runs", fewer)
+    plots = _plots(_Checked(diagnosis_page.render(explained, "rig.yaml")))
+    speed = next(one for one in plots if one["name"].endswith("-speed"))
+    times = whole(explained.judged[0].prepared, explained.problem.model)[0]
+    assert min(speed["data"][0]) >= times[500] - 1e-6
+    assert {len(column) for column in speed["data"]} == {len(speed["data"][0])}
+    assert [line["style"] for line in speed["lines"]] == ["before", "after"]
