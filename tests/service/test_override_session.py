@@ -29,6 +29,7 @@ from .lockstep import CONFIG, Sawtooth, parts_of
 
 UDP = BusConfig("udp_multicast", "239.74.163.83", fd=True, options={"port": 43183, "hop_limit": 0})
 PEAK_NM = 0.04
+ECU_TIMEOUT_S = 0.2
 PATIENT = {  # two busy threads of one process keep no time; the limits are tested elsewhere
     "max_frame_gap_s": 0.05,
     "max_input_age_s": 0.1,
@@ -50,7 +51,7 @@ class RigThread(threading.Thread):
         super().__init__()
         setup = load_rig_setup(CONFIG)
         self.simulation = RigSimulation(
-            replace(setup, rig=replace(setup.rig, override_timeout_s=0.2))
+            replace(setup, rig=replace(setup.rig, override_timeout_s=ECU_TIMEOUT_S))
         )
         bus = config.bus
         self._port = open_port(bus.interface, bus.channel, fd=bus.fd, options=bus.options)
@@ -173,7 +174,7 @@ def test_a_lost_bus_is_left_to_the_ecu(tmp_path: Path) -> None:
 
     with pytest.raises(BusError, match="the bus is lost: the interface was removed"):
         stage.run(pull_the_plug)
-    time.sleep(0.1)
+    time.sleep(ECU_TIMEOUT_S)  # a command that was still on its way counts from when it came
     assert stage.session.fault is not None
     assert "bus: the interface was removed" in stage.session.fault.why
     end = stage.rig.applied[-1]
