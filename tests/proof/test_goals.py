@@ -40,7 +40,18 @@ def test_shares_are_of_their_own_kind_and_level() -> None:
     assert row.low < 0.95
     assert _row(rows, "right name first, effect/noise 0.3").met is False
     assert _row(rows, "right name first, effect/noise 1.5").met is None
-    assert _row(rows, "masked pairs").met is True
+    assert _row(rows, "masked pairs, both named").met is True
+
+
+def test_a_row_without_a_goal_is_neither_met_nor_missed() -> None:
+    cases = [Scored(_judged("singles", 0.6), {}) for _ in range(3)]
+    offset = {"truths": ("motor_torque_offset",), "first": "friction_asymmetry"}
+    cases += [Scored(_judged("singles", 0.6, **offset), {})]
+    rows = figures(cases)
+    row = _row(rows, "right name first, at 0.6 and more, without the three constants")
+    assert (row.value, row.cases, row.met, row.verdict) == (1.0, 3, None, "")
+    assert _row(rows, "right name first, effect/noise 0.6").value == 0.75
+    assert _row(rows, "masked pairs, both in").verdict == "no cases"
 
 
 def test_no_diagnosis_is_a_false_alarm_and_a_wrong_name() -> None:
