@@ -31,6 +31,7 @@ import numpy as np
 
 from eps_hil.identification import filters, kinematics
 from eps_hil.identification.balance import cases
+from eps_hil.identification.friction_rows import COLUMNS
 from eps_hil.identification.identify import METHOD_SAMPLES, identify
 from eps_hil.identification.prepare import prepare
 from eps_hil.identification.state import State, get, put, sliding_parameters
@@ -59,16 +60,7 @@ STEPS = {
     "rack_force_n": 1.0,
 }
 FRICTION = ("k0_pos", "k0_neg", "kw_pos", "kw_neg", "kr_pos", "kr_neg", "sigma0", "sigma1")
-NAMES = (
-    "friction.offset_pos_nm",
-    "friction.offset_neg_nm",
-    "friction.viscous_pos_nm_s_per_rad",
-    "friction.viscous_neg_nm_s_per_rad",
-    "friction.load_pos_nm_per_n",
-    "friction.load_neg_nm_per_n",
-    "friction.sigma0_nm_per_rad",
-    "friction.sigma1_nm_s_per_rad",
-)
+NAMES = COLUMNS[: len(FRICTION)]
 MAIN_SKEW = "motor_speed_minus_motor_torque"
 SCATTER = MAIN_SKEW + ", scatter alone"
 LIMITS = {"inertia": 3.0, "offset": 5.0, "load": 8.0, MAIN_SKEW: 0.5}

@@ -17,29 +17,16 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.axis.augment import augment
-from eps_hil.axis.emps import ARM_M, AxisRecord, published_model, read
+from eps_hil.axis.emps import ARM_M, published_model, read
 from eps_hil.axis.phase import rephased
-from eps_hil.axis.proof import _at_shaft, _inside, _plateau, balance_n
-from eps_hil.estimation import batch
+from eps_hil.axis.proof import _inside, _plateau, balance_n, online_error_n
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.identification.prepare import noise_of
-from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
 Masks = npt.NDArray[np.bool_]
 SLOW_RAD_S = 1.0
 STEP_S = 1e-3
-
-
-def error_n(record: AxisRecord, model: Model, settings: EstimatorSettings) -> Floats:
-    """Estimate less hidden force (N), NaN where there is none; (n,)."""
-    trace = batch.estimate(record.series(), model, settings)
-    error = np.full(len(record.force_n), np.nan)
-    index = np.rint(trace.t_ns * 1e-9 / STEP_S).astype(int)
-    good = trace.valid & (index >= 0) & (index < len(error))
-    truth = _at_shaft(record.hidden_force_n, model)
-    error[index[good]] = trace.rack_force_n[good] - truth[index[good]]
-    return error
 
 
 def row(name: str, error: Floats, parts: dict[str, Masks]) -> str:
@@ -79,10 +66,10 @@ def main() -> int:
         }
         for words, numbers in (("a steering's noise", {}), ("this axis' noise", own)):
             base = replace(EstimatorSettings(), **numbers)
-            print(row(f"observer, {words}", error_n(judged, model, base), parts))
+            print(row(f"observer, {words}", online_error_n(judged, model, base), parts))
             for kind in ("bristle_filter", "smoother"):
                 chosen = replace(base, kind=kind)
-                print(row(f"{kind}, {words}", error_n(judged, model, chosen), parts))
+                print(row(f"{kind}, {words}", online_error_n(judged, model, chosen), parts))
         print("    " + ", ".join(f"{key} {value:.3g}" for key, value in own.items()))
     return 0
 

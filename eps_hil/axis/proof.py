@@ -14,6 +14,7 @@ from eps_hil.axis.identify import axis_numbers
 from eps_hil.axis.phase import rephased
 from eps_hil.diagnosis.prepare import EDGE_S, SMOOTH_HZ, STEP_S, low_pass, prepare
 from eps_hil.estimation import batch
+from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.physics.balance import residual_nm
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
@@ -78,7 +79,7 @@ def judge(record: AxisRecord, model: Model) -> Judged:
     missed = hidden - low_pass(_at_shaft(record.hidden_force_n, model), BAND_HZ)
     unshifted = hidden - low_pass(record.hidden_force_n, BAND_HZ)
     plateau = inside & _plateau(record.hidden_force_n)
-    online = _online_error(record, model)
+    online = online_error_n(record, model)
     seen = np.isfinite(online) & inside
     return Judged(
         heldout_force_error_percent=100 * _rms(error[inside]) / _rms(known.force_n[inside]),
@@ -106,9 +107,14 @@ def _at_shaft(force_n: Floats, model: Model) -> Floats:
     return np.interp(time - late, time, force_n)
 
 
-def _online_error(record: AxisRecord, model: Model) -> Floats:
-    """What the rack-force estimator itself makes of the record, less the hidden force (N)."""
-    trace = batch.estimate(record.series(), model)
+def online_error_n(
+    record: AxisRecord, model: Model, settings: EstimatorSettings | None = None
+) -> Floats:
+    """What the rack-force estimator itself makes of the record, less the hidden force (N); (n,).
+
+    NaN where there is no estimate.
+    """
+    trace = batch.estimate(record.series(), model, settings)
     error = np.full(len(record.force_n), np.nan)
     index = np.rint(trace.t_ns * 1e-9 / STEP_S).astype(int)
     good = trace.valid & (index >= 0) & (index < len(error))

@@ -34,7 +34,7 @@ RIVAL = 0.97
 RIVAL_GAIN = 60.0
 """…and so does missing it by less than this many noise variances."""
 SUREST = 0.95
-"""So many of the surest names were right on the proof's development cases (docs/proof.md)."""
+"""No name is surer, set on development cases; docs/proof.md says how many such were right."""
 BESIDE_UNKNOWN = 2.0
 """Times the energy that stays unexplained: what a name has to explain, to be one beside it."""
 _INTERNAL = ("belt_ratio", "pole_pairs", "harmonic")
