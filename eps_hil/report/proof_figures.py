@@ -75,7 +75,7 @@ def reliability(table: Sequence[tuple[float, float, int]], path: Path) -> Path:
     axis.set_ylim(0, 1.03)
     axis.set_xlabel("stated confidence in the name")
     axis.set_ylabel("share of findings that are hidden effects")
-    axis.legend(loc="upper left")
+    axis.legend(loc="lower right")
     return figures.save(figure, path)
 
 
