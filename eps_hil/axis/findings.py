@@ -77,8 +77,7 @@ def _parameters(augmented: Augmented, k: int, effect: Effect) -> dict[str, Any]:
         unit, factor = _AXIS.get(parameter.unit, (parameter.unit, 1.0))
         if (k, parameter.name) not in fit.names:
             continue
-        place = fit.names.index((k, parameter.name))
-        half = 1.96 * float(np.sqrt(max(fit.covariance[place, place], 0.0)))
+        half = fit.half_width[k, parameter.name]
         interval = [(value - half) * factor, (value + half) * factor]
         name = _renamed(parameter.name)
         result[name] = {"value": value * factor, "unit": unit, "ci95": interval}

@@ -15,7 +15,7 @@ from eps_hil.physics.model import Model
 
 OFFSET, HOLD, SPRING = "motor_torque_offset", "motor_torque_delay", "unmodelled_spring"
 _SPRING_NM_PER_RAD = 1e-3
-_OFFSET_NM = 0.02
+OFFSET_NM = 0.02
 HOLD_S = 0.4e-3
 """A torque held for a sample of 1 ms is half of it late on the shaft, if it is held."""
 
@@ -90,7 +90,7 @@ KNOBS: Sequence[Knob] = (
     _factor("sigma0_nm_per_rad", 0.4),
     _factor("sigma1_nm_s_per_rad", 0.5),
     Knob("inertia", _inertia),
-    Knob(OFFSET, _raised(OFFSET, "offset_nm", _OFFSET_NM)),
+    Knob(OFFSET, _raised(OFFSET, "offset_nm", OFFSET_NM)),
     Knob(HOLD, _hold, 0.25),
     Knob(SPRING, _raised(SPRING, "stiffness_nm_per_rad", _SPRING_NM_PER_RAD)),
 )

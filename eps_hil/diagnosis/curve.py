@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.baseline import OFFSET, OFFSET_NM
 from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.locate import coordinates
 from eps_hil.diagnosis.probes import hats
@@ -25,6 +26,7 @@ _LEAST_IN_CELL = 4
 _TRIALS = 5
 _LEAST_PROFILE = 12
 _WAY, _FLAT = 101, 0.3
+_CLEAR_OF_ZERO = 0.1
 
 
 def knots(problem: Problem, residual: Floats) -> list[float]:
@@ -53,10 +55,9 @@ def knots(problem: Problem, residual: Floats) -> list[float]:
 def _profile(problem: Problem, residual: Floats) -> tuple[Floats, Floats, Floats]:
     """Cells over position that were slid through: place, mean residual, weight of the mean."""
     use = problem.sliding
-    position = coordinates(problem)["rack_position_m"][use]
-    values = clipped(residual, knee(residual))[use]
-    edges = np.linspace(*problem.visited_m, _CELLS + 1)
-    cell = np.searchsorted(edges, position, side="right") - 1
+    values = _without_outliers(problem, residual)[use]
+    edges, cell = _cells(problem)
+    cell = cell[use]
     inside = (cell >= 0) & (cell < _CELLS)
     count: Floats = np.bincount(cell[inside], minlength=_CELLS).astype(np.float64)
     total = np.bincount(cell[inside], weights=values[inside], minlength=_CELLS)
@@ -66,6 +67,31 @@ def _profile(problem: Problem, residual: Floats) -> tuple[Floats, Floats, Floats
     scatter = float(np.sum(square[good] - count[good] * mean**2) / max(np.sum(count[good]), 1))
     centre = 0.5 * (edges[1:] + edges[:-1])
     return centre[good], mean, count[good] / max(scatter, 1.0)
+
+
+def _cells(problem: Problem) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Edges (m) of the cells over position, and each sample's cell; outside, -1 or _CELLS."""
+    edges = np.linspace(*problem.visited_m, _CELLS + 1)
+    position = coordinates(problem)["rack_position_m"]
+    return edges, np.searchsorted(edges, position, side="right") - 1
+
+
+def _without_outliers(problem: Problem, residual: Floats) -> Floats:
+    """The residual with outliers cut, each beside the median of its place.
+
+    A strong curve would be cut itself if outliers were judged from zero.
+    """
+    _, cell = _cells(problem)
+    middle = np.zeros(_CELLS + 2)
+    order = np.argsort(cell, kind="stable")
+    order = order[problem.sliding[order]]
+    bounds = np.searchsorted(cell[order], np.arange(_CELLS + 1))
+    for k in range(_CELLS):
+        inside = residual[order[bounds[k] : bounds[k + 1]]]
+        if len(inside) >= _LEAST_IN_CELL:
+            middle[k] = np.median(inside)
+    beside = residual - middle[cell]  # outside the cells: -1 and _CELLS, zeros both
+    return np.asarray(middle[cell] + clipped(beside, knee(beside)))
 
 
 def _straight(
@@ -107,7 +133,7 @@ def with_curve(problem: Problem, found: Fit) -> Fit:
     own = len(bare.own)
     prior[columns.shape[1] : columns.shape[1] + own] = 1.0
     everything = np.column_stack([columns, -bare.jacobian])
-    cut = clipped(bare.residual, knee(bare.residual))
+    cut = _without_outliers(problem, bare.residual)
     normal = everything.T @ everything + np.diag(prior)
     size = np.sqrt(np.diag(normal)) + 1e-300
     values = np.linalg.lstsq(normal / np.outer(size, size), everything.T @ cut / size, rcond=1e-9)
@@ -118,6 +144,28 @@ def with_curve(problem: Problem, found: Fit) -> Fit:
         "curve": [[x, float(y)] for x, y in zip(places, torque, strict=True)],
     }
     return fit(problem, [*others, entry], own=found.own, like=bare)
+
+
+def has_curve(found: Fit) -> bool:
+    """Whether a curve over position is one of the fit's entries."""
+    return any(entry["effect"] == ID for entry in found.entries)
+
+
+def levelled(problem: Problem, found: Fit) -> Fit | None:
+    """The fit with its constant torque put into the curve; None where that lifts it off zero.
+
+    Where a curve is zero is a matter of how it is drawn. A curve that keeps clear of zero by a
+    part of its height holds a constant torque besides.
+    """
+    constant_nm = OFFSET_NM * found.own.get(OFFSET, 0.0)
+    (curve,) = (entry["curve"] for entry in found.entries if entry["effect"] == ID)
+    raised = [[x, y - constant_nm] for x, y in curve]
+    low, high = min(y for _, y in raised), max(y for _, y in raised)
+    if max(low, -high) > _CLEAR_OF_ZERO * (high - low):
+        return None
+    entries = [{**one, "curve": raised} if one["effect"] == ID else one for one in found.entries]
+    own = {name: value for name, value in found.own.items() if name != OFFSET}
+    return fit(problem, entries, own=own, like=found)
 
 
 def _level(torque: Floats) -> float:

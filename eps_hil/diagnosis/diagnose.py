@@ -10,15 +10,16 @@ import numpy.typing as npt
 from eps_hil.diagnosis import locate, regions
 from eps_hil.diagnosis.baseline import HOLD
 from eps_hil.diagnosis.first_look import first_look
-from eps_hil.diagnosis.fit import Fit, fit, quantile
+from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
-from eps_hil.diagnosis.leftover import Leftover, alone, late_torque, leftover
+from eps_hil.diagnosis.leftover import BESIDE_UNKNOWN, Leftover, alone, late_torque, leftover
 from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
 from eps_hil.diagnosis.numbers import CONSTANTS
 from eps_hil.diagnosis.placebo import placebos
 from eps_hil.diagnosis.problem import Problem, clipped, knee, sliding
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
-from eps_hil.diagnosis.select import FINAL_SHARE, Say, Selection, select, threshold, timed
+from eps_hil.diagnosis.scoring import FINAL_SHARE, threshold
+from eps_hil.diagnosis.select import Say, Selection, select, timed
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Effect
 from eps_hil.physics.model import Model
@@ -35,8 +36,9 @@ RIVAL_GAIN = 60.0
 """…and so does missing it by less than this many noise variances."""
 SUREST = 0.95
 """No name is surer, set on development cases; docs/proof.md says how many such were right."""
-BESIDE_UNKNOWN = 2.0
-"""Times the energy that stays unexplained: what a name has to explain, to be one beside it."""
+INSTANT = 0.1
+"""Of a sampling interval: deviation of what a delay means, when nobody knows at which instant of
+its interval a value was taken, how the controller held it and how its filters shaped it."""
 _INTERNAL = ("belt_ratio", "pole_pairs", "harmonic")
 
 
@@ -99,10 +101,10 @@ def diagnose(
     if say:
         say("looking at what is left", 0.9)
     hidden = load is not None and load.form == "arbitrary"  # what is left may be the load
-    left = None if hidden else leftover(problem, selection.found.residual)
+    left = None if hidden else _left(problem, selection, judged)
     if left is not None and findings:
         findings = _beside_unknown(problem, selection, findings)
-        left = leftover(problem, selection.found.residual)
+        left = _left(problem, selection, judged)
     if left is None and not hidden and HOLD in without:
         left = late_torque(problem, selection.found)
     content = look.added_to(_content(problem, selection, findings, left, judged))
@@ -113,6 +115,14 @@ def diagnose(
     content["limits"] = [*([] if load is None else [load.sentence]), *unseen(every)]
     augmented = look.in_model(_augmented(problem, selection.found, findings))
     return Diagnosis(content, augmented, problem, selection, judged, findings)
+
+
+def _left(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Leftover | None:
+    """What is left of the fitted recordings, on those themselves or on the hold-outs."""
+    test = Problem([one.prepared for one in judged], problem.model)
+    found = selection.found
+    residual = test.residual(test.with_entries(found.entries, found.own))
+    return leftover(problem, found.residual, (test, residual))
 
 
 def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> list[int]:
@@ -267,7 +277,7 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
         "confidence": _confidence(gain, threshold(problem, found.residual, FINAL_SHARE), rivals),
         "equation": effect.equation,
         "summary": sentence.format(**values),
-        "parameters": _parameters(found, k, effect, quantile(problem)),
+        "parameters": _parameters(problem, found, k, effect),
         "where": [
             {
                 "signal": region.signal,
@@ -282,8 +292,7 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     }
 
 
-def _parameters(found: Fit, k: int, effect: Effect, wide: float) -> dict[str, Any]:
-    """``wide``: half width of a 95 % interval in deviations."""
+def _parameters(problem: Problem, found: Fit, k: int, effect: Effect) -> dict[str, Any]:
     entry = found.entries[k]
     result = {}
     for parameter in effect.parameters:
@@ -293,12 +302,13 @@ def _parameters(found: Fit, k: int, effect: Effect, wide: float) -> dict[str, An
         if parameter.name == "curve":
             result["curve"] = {"value": value, "unit": parameter.unit, "ci95": None}
             continue
-        sigma = 0.0
-        if (k, parameter.name) in found.names:
-            place = found.names.index((k, parameter.name))
-            sigma = float(np.sqrt(max(found.covariance[place, place], 0.0)))
-        low, high = value - wide * sigma, value + wide * sigma
-        result[parameter.name] = {"value": value, "unit": parameter.unit, "ci95": [low, high]}
+        half = found.half_width.get((k, parameter.name), 0.0)
+        if parameter.name == "delay_s":
+            half = float(
+                np.hypot(half, 1.96 * INSTANT * max(one.interval_s for one in problem.recordings))
+            )
+        ends = [value - half, value + half]
+        result[parameter.name] = {"value": value, "unit": parameter.unit, "ci95": ends}
     return result
 
 

@@ -26,7 +26,7 @@ class Drift:
     """How much the clock of speed and angle drifts, and how sure that is."""
 
     ppm: float
-    sigma_ppm: float
+    half_width_ppm: float
     gain: float
 
     def corrected(self, one: Prepared) -> Prepared:
@@ -43,7 +43,7 @@ class Drift:
         from eps_hil.physics.effects.catalogue import catalogue
 
         effect = catalogue()["clock_drift"]
-        half = 1.96 * self.sigma_ppm
+        half = self.half_width_ppm
         return {
             "effect": effect.id,
             "kind": str(effect.kind),

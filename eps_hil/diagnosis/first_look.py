@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from eps_hil.diagnosis import kinematics, quality
+from eps_hil.diagnosis.apart import Apart
 from eps_hil.diagnosis.drift import Drift
 from eps_hil.diagnosis.prepare import Prepared
 from eps_hil.diagnosis.seen import finding
@@ -37,6 +38,8 @@ class FirstLook:
     entries: tuple[dict[str, Any], ...]
     quality: tuple[dict[str, Any], ...]
     kinematics: Mapping[str, Any]
+    left: Apart | None = None
+    """What of rotor against rack no name stands for."""
 
     @property
     def put_right(self) -> bool:
@@ -49,9 +52,12 @@ class FirstLook:
         new = [one for one in self.findings if one["effect"] not in named]
         known = [one for one in content["findings"] if one["effect"] != "unknown"]
         unknown = [one for one in content["findings"] if one["effect"] == "unknown"]
+        if self.left is not None:
+            unknown.append(self.left.finding())
         verdict = content["verdict"]
-        if new:
+        if new or self.left is not None:
             verdict = "partly_explained" if unknown else "explained"
+            verdict = verdict if known or new else "unknown_effect"
         return {
             **content,
             "verdict": verdict,
@@ -90,7 +96,7 @@ def first_look(
     for effect in seen.seen:
         name = effect.entry["effect"]
         if name == "clock_drift":
-            drifting = Drift(effect.entry["ppm"], effect.sigma["ppm"], effect.gain)
+            drifting = Drift(effect.entry["ppm"], effect.half_width["ppm"], effect.gain)
             ready = [drifting.corrected(one) for one in ready]
             findings.append(drifting.finding())
             continue
@@ -107,4 +113,5 @@ def first_look(
         tuple(entries),
         tuple(look.content() for look in looks),
         seen.content,
+        seen.left,
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis.baseline import ALL, KNOBS, SIDES
 from eps_hil.diagnosis.probes import bounds, neutral_value
 from eps_hil.diagnosis.problem import Problem, knee
+from eps_hil.diagnosis.spread import Integers, half_widths
 from eps_hil.physics.effects.catalogue import catalogue
 
 Floats = npt.NDArray[np.float64]
@@ -28,7 +30,7 @@ _NEGLIGIBLE = 0.5
 
 @dataclass(frozen=True)
 class Fit:
-    """Fitted entries, weighted residual (n,), and parameter covariance in the order of names.
+    """Fitted entries, weighted residual (n,), and the names of the numbers that were fitted.
 
     ``own``: how far the model's own numbers were moved beside the entries (empty: not at all).
     ``jacobian`` has the columns of ``own`` first, then those of ``names``.
@@ -37,11 +39,23 @@ class Fit:
     entries: tuple[dict[str, Any], ...]
     residual: Floats
     names: tuple[tuple[int, str], ...]
-    covariance: Floats
     jacobian: Floats
     own: Mapping[str, float] = field(default_factory=dict)
     cost: float = 0.0
     """Huber's loss, twice, at the problem's knee, and the price of ``own`` (its prior)."""
+    knee: float = np.inf
+    groups: tuple[Integers, ...] = ()
+    """Blocks and stretches (n,) whose residuals hang together."""
+
+    @cached_property
+    def half_width(self) -> Mapping[tuple[int, str], float]:
+        """Half widths of the 95 % intervals of the fitted numbers, by place and parameter name."""
+        if not self.names:
+            return {}
+        weight = np.sqrt(_huber(self.residual, self.knee))
+        first, jacobian = len(self.own), self.jacobian * weight[:, None]
+        wide = half_widths(jacobian, self.residual * weight, self.groups, first)[first:]
+        return dict(zip(self.names, (float(one) for one in wide), strict=True))
 
     def slopes(self) -> dict[tuple[str, str], Floats]:
         """Columns of the Jacobian by (effect, parameter)."""
@@ -116,8 +130,8 @@ def fit(
         if before - cost < _NEGLIGIBLE and (fresh_now or promised < _NEGLIGIBLE):
             break
         fresh = before - cost < _TRUSTED * promised
-    covariance = _covariance(jacobian, residual, problem, len(knobs.names))
-    return Fit(tuple(work), residual, names, covariance, jacobian, knobs.values, cost)
+    groups = problem.block, problem.stretch
+    return Fit(tuple(work), residual, names, jacobian, knobs.values, cost, at, groups)
 
 
 class _Knobs:
@@ -210,44 +224,6 @@ def _moved(
         low, high = bounds(effect, parameter, problem)
         moved[k][name] = float(np.clip(value, low, high))
     return moved
-
-
-def _covariance(jacobian: Floats, residual: Floats, problem: Problem, own: int) -> Floats:
-    """Sandwich over stretches: residuals of one stretch hang together, and so count once.
-
-    Where few stretches hold all that is known of a number, their sum says too little of it: its
-    variance is at least that of shorter blocks, and of independent samples. The first ``own``
-    columns have their prior and are left out of the result.
-    """
-    if jacobian.shape[1] <= own:
-        return np.zeros((0, 0))
-    jacobian = jacobian * np.sqrt(_huber(residual, problem.knee))[:, None]
-    residual = residual * np.sqrt(_huber(residual, problem.knee))
-    normal = jacobian.T @ jacobian
-    normal[np.diag_indices(own)] += 1.0
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
-    inverse = np.linalg.pinv(normal / np.outer(size, size)) / np.outer(size, size)
-    prior = np.zeros_like(normal)
-    prior[np.diag_indices(own)] += 1.0
-    alone = jacobian.T @ (jacobian * (residual**2)[:, None])
-    middles = [prior + alone]
-    for group in (problem.block, problem.stretch):
-        scores = [
-            jacobian[group == one].T @ residual[group == one] for one in np.unique(group).tolist()
-        ]
-        few = len(scores) / max(len(scores) - 1, 1)
-        middles.append(prior + few * sum(np.outer(score, score) for score in scores))
-    found = [(inverse @ middle @ inverse)[own:, own:] for middle in middles]
-    spread = np.sqrt(np.maximum(np.max([np.diag(one) for one in found], axis=0), 0.0))
-    last = np.sqrt(np.maximum(np.diag(found[-1]), 1e-300))
-    return np.asarray(found[-1] * np.outer(spread / last, spread / last))
-
-
-def quantile(problem: Problem) -> float:
-    """Half width of a 95 % interval in deviations: Student's, for so few stretches."""
-    from scipy.stats import t
-
-    return float(t.ppf(0.975, max(int(problem.stretch[-1]), 1)))
 
 
 def ablated(problem: Problem, found: Fit, k: int, rounds: int = 6) -> Fit:

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.apart import Apart, apart
+from eps_hil.diagnosis.leftover import BESIDE_UNKNOWN
 from eps_hil.diagnosis.prepare import Prepared
 from eps_hil.diagnosis.rotor_and_rack import (
     Rows,
@@ -41,6 +43,8 @@ class Kinematics:
     content: dict[str, Any] = field(default_factory=dict)
     twist: tuple[float, float, float] | None = None
     gap_rad: float = 0.0
+    left: Apart | None = None
+    """What of rotor against rack no name stands for."""
 
     def corrected(self, one: Prepared, model: Model) -> Prepared:
         """The recording with the torsion-bar torque that the twist shows in place of the report."""
@@ -79,17 +83,17 @@ def examine(
     """
     seen: list[Seen] = []
     content: dict[str, Any] = {}
-    gap = 0.0
+    gap, left = 0.0, None
     rows = [Rows(one, model) for one in fitted if has_rack(one, model)]
     kept = [Rows(one, model) for one in judged if has_rack(one, model)]
     if rows:
-        found, content = rotor_against_rack(rows, kept)
-        found = [one for one in found if one.entry["effect"] not in without]
-        seen += found
+        found, content, accepted = rotor_against_rack(rows, kept, without)
+        left = apart(rows, accepted, without)
+        seen += [one for one in found if left is None or one.gain > BESIDE_UNKNOWN * left.energy]
         gap = next((s.entry["gap_rad"] for s in found if s.entry["effect"] == "backlash"), 0.0)
     twist = None
     play = sensor_play(fitted, judged, model)
     if play is not None and play[0].entry["effect"] not in without:
         seen.append(play[0])
         twist = play[1]
-    return Kinematics(tuple(seen), content, twist, gap)
+    return Kinematics(tuple(seen), content, twist, gap, left)

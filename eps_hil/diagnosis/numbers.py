@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.baseline import HOLD, HOLD_S, SIDES, TIMING
+from eps_hil.diagnosis.baseline import HOLD, HOLD_S, OFFSET, SIDES, TIMING
+from eps_hil.diagnosis.curve import has_curve
 from eps_hil.diagnosis.fit import Fit, ablated, fit, matters, own_column
 from eps_hil.diagnosis.probes import Candidate, neutral_value
 from eps_hil.diagnosis.problem import Problem
@@ -71,10 +72,25 @@ class _Linear:
         return cost, a[: len(order)] * self.size[-1] / self.size[order]
 
 
-def numbers_off(problem: Problem, found: Fit, pool: Sequence[Candidate], price: float) -> Fit:
-    """The fit with the model's own numbers back in place, and the fewest names instead."""
+def numbers_off(
+    problem: Problem,
+    found: Fit,
+    pool: Sequence[Candidate],
+    price: float,
+    *,
+    level: bool = True,
+) -> Fit:
+    """The fit with the model's own numbers back in place, and the fewest names instead.
+
+    Beside a curve over position a constant torque is only that curve's level: it stays a number
+    without a name in ``own`` then, but for ``level`` False.
+    """
     kept = [entry for entry in found.entries if entry["effect"] not in _SCALES]
-    linear = _linear(problem, found, kept, pool, price)
+    level = level and has_curve(found)
+    if level:
+        pool = [one for one in pool if one.effect.id not in CONSTANTS]
+    constant = (OFFSET,) if level else ()
+    linear = _linear(problem, found, kept, pool, price, constant)
     fits = []
     for chosen in _best_sets(linear)[:_FITTED_SETS]:
         values = dict(zip(sorted(chosen), linear.solved(chosen)[1].tolist(), strict=True))
@@ -87,6 +103,7 @@ def numbers_off(problem: Problem, found: Fit, pool: Sequence[Candidate], price: 
             if not name.startswith("±")
         ]
         own = {**TIMING, **problem.tied, **{side: 0.0 for name in free for side in SIDES[name]}}
+        own |= dict.fromkeys(constant, 0.0)
         if HOLD in named:
             del own[HOLD]  # two of the same, which would only pull against each other
         one = fit(problem, [*kept, *starts], own=own, like=found)
@@ -137,6 +154,7 @@ def _linear(
     kept: Sequence[Mapping[str, Any]],
     pool: Sequence[Candidate],
     price: float,
+    constant: Sequence[str],
 ) -> _Linear:
     """The linear problem at the refit, so that no set is judged by how far it bends on the way."""
     some = [one for one in pool if one.effect.id in (*SPANNED, *_SCALES)]
@@ -160,7 +178,7 @@ def _linear(
             assert probe is not None
             left = left - tangents[:, i] * (entry[name] - neutral_value(probe, problem.model))
             scales += 1
-    always = [own_column(problem, name) for name in (HOLD, *problem.tied)]
+    always = [own_column(problem, name) for name in (HOLD, *problem.tied, *constant)]
     free = np.column_stack([*always, tangents[:, places]])
     weight = np.minimum(1.0, problem.knee / np.maximum(np.abs(found.residual), 1e-12))
     everything = np.column_stack([*columns, free, left]) * np.sqrt(weight)[:, None]

@@ -186,7 +186,8 @@ def _places(scan: str, problem: Problem) -> Sequence[Mapping[str, float]]:
         return []
     if scan == "position_m":
         # by place, not by visits: a rig that leans on its stop is mostly beyond where it begins
-        places = problem.farthest_m * np.array((0.6, 0.7, 0.8, 0.9, 0.97))
+        near, far = problem.farthest_m, problem.extreme_m
+        places = [*(near * np.array((0.6, 0.7, 0.8, 0.9, 0.97))), near, 0.6 * near + 0.4 * far]
         return [{"position_m": float(np.clip(place, 0.001, 0.2))} for place in places]
     if scan == "curve":
         return [{f"x{k}": float(x) for k, x in enumerate(np.linspace(low, high, _KNOTS))}]

@@ -54,7 +54,9 @@ class Problem:
     visited_m: tuple[float, float] = field(init=False)
     """Rack positions (m) between which all but the outermost few percent of the samples are."""
     farthest_m: float = field(init=False)
-    """The rack's largest distance from its middle (m)."""
+    """The rack's distance from its middle (m) that only few samples exceed…"""
+    extreme_m: float = field(init=False)
+    """…and the largest of all."""
 
     def __post_init__(self) -> None:
         masks, floors, blocks, stretches = [], [], [], []
@@ -78,6 +80,7 @@ class Problem:
         low, high = np.percentile(position, [3, 97])
         self.visited_m = float(low), float(high)
         self.farthest_m = float(np.percentile(np.abs(position), 99.5))
+        self.extreme_m = float(np.max(np.abs(position)))
         self.sliding = np.concatenate(masks)
         self.scale = np.concatenate(floors)
         self.block = np.concatenate(blocks)

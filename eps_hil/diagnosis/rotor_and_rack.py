@@ -5,7 +5,7 @@ play makes e jump by the gap where τ changes its sign, a wrong ratio makes it g
 angle with the speed. All are columns of one least-squares fit.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,18 +14,23 @@ import numpy.typing as npt
 from eps_hil.diagnosis.drift import drift_matters
 from eps_hil.diagnosis.prepare import Prepared, low_pass
 from eps_hil.diagnosis.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
+from eps_hil.diagnosis.spread import Integers, half_widths
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 BLOCK_S = 2.0
+_IN_STRETCH = 5
 LEAST_COMPLIANCE = 1.0 / 60.0
 """rad/Nm; a stiffer drive resonates above 150 Hz, where no torque balance sees it."""
-LEAST_GAP_RAD = 0.02
+LEAST_GAP_RAD = 0.005
+"""Beside a belt that is free to give, noise alone shows gaps of less than a tenth of this."""
 LEAST_RATIO = 0.004
 _OPEN_NM, _WIDE = 0.03, 9
 """Within so many thinned samples of a smaller transmitted torque a gap may be open."""
+_CLEAR = 2.0
+"""Half widths of its interval that a gap is away from none."""
 _CONTACT_NM = 0.01
 """Transmitted torque at which a gap counts as closed."""
 _ONE_SOURCE = 1e-3
@@ -34,13 +39,15 @@ _INERTIA_SHARE = 0.33
 _SMOOTH_HZ = 40.0
 _ALWAYS = ("ratio", "delay")
 """Columns of every fit…"""
+USUAL = (*_ALWAYS, "compliance", "inertia")
+"""…and what every drive has a little of."""
 _GROUPS = {
     "belt_compliance": ("compliance", "inertia"),
     "backlash": ("half_gap",),
     "rack_ratio": ("ratio_slope", "ratio_bend"),
     "clock_drift": ("drift",),
 }
-"""…and those that an effect adds."""
+"""Columns that an effect adds."""
 
 
 class Rows:
@@ -59,6 +66,11 @@ class Rows:
         self.e = thin(motion.angle_rad - ratio * motion.position_m)
         self.x = thin(motion.position_m)
         self.torque, self.force = thin(torque), thin(motion.rack_force_n)
+        self.at = {
+            "rack_force_n": self.force,
+            "rack_position_m": self.x,
+            "motor_speed_rad_s": thin(motion.speed_rad_s),
+        }
         self.columns = {
             "ratio": ratio * self.x,
             "delay": -thin(motion.speed_rad_s),
@@ -122,13 +134,19 @@ def _design(rows: Sequence[Rows], names: Sequence[str]) -> tuple[Floats, Floats]
     return np.concatenate(parts), np.concatenate([one.e / one.sigma for one in rows])
 
 
-def _fit(rows: Sequence[Rows], names: Sequence[str]) -> tuple[dict[str, float], Floats]:
+def solved(rows: Sequence[Rows], names: Sequence[str]) -> tuple[dict[str, float], Floats]:
     """(coefficients by name, their residual in noise deviations)."""
     a, b = _design(rows, names)
     size = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
-    solved = np.linalg.lstsq(a / size, b, rcond=1e-9)[0] / size
-    values = (float(value) for value in solved[len(rows) :])
-    return dict(zip(names, values, strict=True)), b - a @ solved
+    best = np.linalg.lstsq(a / size, b, rcond=1e-9)[0] / size
+    values = (float(value) for value in best[len(rows) :])
+    return dict(zip(names, values, strict=True)), b - a @ best
+
+
+def columns_of(effects: Sequence[str]) -> list[str]:
+    """The columns of a fit with these effects: beside a gap, the belt may always give a little."""
+    names = [*_ALWAYS, *(column for effect in effects for column in _GROUPS[effect])]
+    return list(dict.fromkeys([*names, *USUAL])) if "backlash" in effects else names
 
 
 def _held_out_gain(rows: Sequence[Rows], names: Sequence[str], group: Sequence[str]) -> float:
@@ -148,17 +166,17 @@ def _held_out_gain(rows: Sequence[Rows], names: Sequence[str], group: Sequence[s
     return gain
 
 
-def _accepted(rows: Sequence[Rows]) -> list[str]:
+def _accepted(rows: Sequence[Rows], without: Collection[str]) -> list[str]:
     """Effects in the order of their gain on blocks that were not fitted, while it is enough."""
     names = list(_ALWAYS)
     accepted: list[str] = []
     while True:
-        left = _fit(rows, names)[1]
+        left = solved(rows, names)[1]
         excess = robust_cost(left) - len(left)
         gains = {
             effect: _held_out_gain(rows, names, group)
             for effect, group in _GROUPS.items()
-            if effect not in accepted
+            if effect not in accepted and effect not in without
         }
         best = max(gains, key=lambda effect: gains[effect], default=None)
         if best is None or gains[best] < max(LEAST_GAIN, LEAST_SHARE * excess):
@@ -168,22 +186,22 @@ def _accepted(rows: Sequence[Rows]) -> list[str]:
 
 
 def rotor_against_rack(
-    rows: Sequence[Rows], kept: Sequence[Rows]
-) -> tuple[list[Seen], dict[str, Any]]:
-    """Effects seen, and what the JSON says of the residual.
+    rows: Sequence[Rows], kept: Sequence[Rows], without: Collection[str] = ()
+) -> tuple[list[Seen], dict[str, Any], list[str]]:
+    """Effects seen, what the JSON says of the residual, and the effects that the fit has taken in.
 
-    ``kept``: hold-outs, on which an effect must help too.
+    ``kept``: hold-outs, on which an effect must help too. Ids in ``without`` are not considered.
     """
-    accepted = _accepted(rows)
-    names = [*_ALWAYS, *(column for effect in accepted for column in _GROUPS[effect])]
-    start, base = _fit(rows, _ALWAYS)
-    values, left = _fit(rows, names)
+    accepted = _accepted(rows, without)
+    names = columns_of(accepted)
+    start, base = solved(rows, _ALWAYS)
+    values, left = solved(rows, names)
     found = []
     for effect in accepted:
         one = _judged(rows, kept, names, values, effect)
         if one is not None:
             found.append(one)
-    if abs(values["ratio"]) > LEAST_RATIO:
+    if abs(values["ratio"]) > LEAST_RATIO and "rack_ratio" not in without:
         one = _judged(rows, kept, names, values, "rack_ratio", constant=True)
         if one is not None and all(s.entry["effect"] != "rack_ratio" for s in found):
             found.append(one)
@@ -198,7 +216,7 @@ def rotor_against_rack(
     if kept:
         content["holdout_rms_rad"] = _rms_rad(kept, start)
         content["holdout_left_rad"] = _rms_rad(kept, values)
-    return found, content
+    return found, content, accepted
 
 
 def _judged(
@@ -213,13 +231,17 @@ def _judged(
     """The finding, if its numbers make sense, are large enough, and help on the hold-outs."""
     group = ("ratio",) if constant else _GROUPS[effect]
     entry = _entry(effect, values, constant=constant)
+    if entry is None:
+        return None
     if effect == "clock_drift" and not drift_matters(values["drift"], [one.one for one in rows]):
         return None
-    if entry is None or (kept and not _helps(kept, names, values, group)):
+    if kept and not _helps(kept, names, values, group):
         return None
     others = [name for name in names if name not in group]
-    with_it, without = _fit(rows, names)[1], _fit(rows, others)[1]
-    sigma = _deviations(rows, names, with_it)
+    with_it, without = solved(rows, names)[1], solved(rows, others)[1]
+    half = _half_widths(rows, names, with_it)
+    if effect == "backlash" and entry["gap_rad"] < _CLEAR * 2.0 * half["half_gap"]:
+        return None
     gain = robust_cost(without) - robust_cost(with_it)
     total = max(robust_cost(without) - len(without), 1.0)
     force = np.concatenate([one.force for one in rows])
@@ -231,7 +253,7 @@ def _judged(
         if effect == "rack_ratio"
         else ("rack_force_n", low, high, 1.0)
     )
-    return Seen(entry, _own(effect, values, sigma), gain, min(1.0, gain / total), (place,))
+    return Seen(entry, _own(effect, values, half), gain, min(1.0, gain / total), (place,))
 
 
 def _entry(effect: str, values: Mapping[str, float], *, constant: bool) -> dict[str, Any] | None:
@@ -251,19 +273,19 @@ def _entry(effect: str, values: Mapping[str, float], *, constant: bool) -> dict[
     return {"effect": effect, "stiffness_nm_per_rad": 1.0 / compliance}
 
 
-def _own(effect: str, values: Mapping[str, float], sigma: Mapping[str, float]) -> dict[str, float]:
-    """Deviations of the effect's own parameters."""
+def _own(effect: str, values: Mapping[str, float], half: Mapping[str, float]) -> dict[str, float]:
+    """Half widths of the effect's own parameters."""
     if effect == "rack_ratio":
         return {
-            "scale": sigma["ratio"],
-            "slope_per_m": sigma.get("ratio_slope", 0.0),
-            "bend_per_m2": sigma.get("ratio_bend", 0.0),
+            "scale": half["ratio"],
+            "slope_per_m": half.get("ratio_slope", 0.0),
+            "bend_per_m2": half.get("ratio_bend", 0.0),
         }
     if effect == "clock_drift":
-        return {"ppm": sigma["drift"]}
+        return {"ppm": half["drift"]}
     if effect == "backlash":
-        return {"gap_rad": 2.0 * sigma["half_gap"]}
-    return {"stiffness_nm_per_rad": sigma["compliance"] / values["compliance"] ** 2}
+        return {"gap_rad": 2.0 * half["half_gap"]}
+    return {"stiffness_nm_per_rad": half["compliance"] / values["compliance"] ** 2}
 
 
 def _left(one: Rows, values: Mapping[str, float]) -> Floats:
@@ -286,15 +308,13 @@ def _helps(
     return cost[0] < cost[1]
 
 
-def _deviations(rows: Sequence[Rows], names: Sequence[str], residual: Floats) -> dict[str, float]:
-    """Sandwich deviations over blocks."""
+def _half_widths(rows: Sequence[Rows], names: Sequence[str], residual: Floats) -> dict[str, float]:
+    """Half widths of 95 % intervals, over blocks and stretches."""
     a, _ = _design(rows, names)
-    block = np.concatenate([one.block + 1000 * k for k, one in enumerate(rows)])
-    inverse = np.linalg.pinv(a.T @ a)
-    middle = np.zeros_like(inverse)
-    for number in np.unique(block):
-        inside = block == number
-        score = a[inside].T @ residual[inside]
-        middle += np.outer(score, score)
-    spread = np.sqrt(np.maximum(np.diag(inverse @ middle @ inverse), 0.0))
-    return dict(zip(names, (float(s) for s in spread[len(rows) :]), strict=True))
+    blocks: list[Integers] = []
+    stretches: list[Integers] = []
+    for one in rows:
+        blocks.append(one.block + (blocks[-1][-1] + 1 if blocks else 0))
+        stretches.append(one.block // _IN_STRETCH + (stretches[-1][-1] + 1 if stretches else 0))
+    wide = half_widths(a, residual, (np.concatenate(blocks), np.concatenate(stretches)))
+    return dict(zip(names, (float(one) for one in wide[len(rows) :]), strict=True))

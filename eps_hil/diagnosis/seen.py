@@ -20,10 +20,10 @@ LEAST_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Seen:
-    """One effect seen in the kinematics: its entry, deviations of its numbers, its gain."""
+    """One effect seen in the kinematics: its entry, half widths of 95 % intervals, its gain."""
 
     entry: dict[str, Any]
-    sigma: Mapping[str, float]
+    half_width: Mapping[str, float]
     gain: float
     share: float
     where: tuple[tuple[str, float, float, float], ...]
@@ -42,11 +42,11 @@ def finding(seen: Seen) -> dict[str, Any]:
     parameters = {}
     for one in effect.parameters:
         if one.name in seen.entry:
-            value, sigma = seen.entry[one.name], seen.sigma.get(one.name, 0.0)
+            value, half = seen.entry[one.name], seen.half_width.get(one.name, 0.0)
             parameters[one.name] = {
                 "value": value,
                 "unit": one.unit,
-                "ci95": [value - 1.96 * sigma, value + 1.96 * sigma],
+                "ci95": [value - half, value + half],
             }
     return {
         "effect": effect.id,

@@ -4,7 +4,6 @@ those numbers are off, then whether fewer names would do.
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -12,41 +11,34 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.baseline import ALL, TIMING
 from eps_hil.diagnosis.curve import ID as CURVE
-from eps_hil.diagnosis.curve import with_curve
+from eps_hil.diagnosis.curve import has_curve, levelled, with_curve
+from eps_hil.diagnosis.exchange import bettered, exchanged
 from eps_hil.diagnosis.fit import Fit, ablated, deviation, fit, matters
 from eps_hil.diagnosis.numbers import SPANNED, levels_first, numbers_off
 from eps_hil.diagnosis.probes import Candidate, candidates
-from eps_hil.diagnosis.problem import Problem, clipped, knee
+from eps_hil.diagnosis.problem import Problem, knee
+from eps_hil.diagnosis.scoring import (
+    FINAL_SHARE,
+    FORWARD_SHARE,
+    IN_CURVE,
+    NEAR,
+    Scored,
+    is_curve,
+    penalised,
+    score,
+    threshold,
+)
 
 Floats = npt.NDArray[np.float64]
 
-LEAST_SHARE = 0.006
-"""Least share of the residual's energy that an accepted effect explains on unfitted blocks."""
-LEAST_GAIN = 30.0
-"""Least gain in units of the noise's own variance."""
 MOST_EFFECTS = 8
 CURVE_MARGIN = 0.6
 """A free curve is only looked at where no simpler effect reaches this share of its gain."""
-FORWARD_SHARE, FINAL_SHARE = 0.02, 0.10
-"""Least shares of what is still unexplained: on the way, and in the end."""
 FARTHEST = 3.0
 """Usual errors by which a believable refit moves the model's own numbers at most."""
-NEAR = 0.8
-"""A candidate that reaches this share of a finding's gain is fitted in its place."""
 
-_IN_CURVE = ("unmodelled_spring", "end_stop")
-"""A static curve over position holds these already; both at once would cancel each other."""
 
 Say = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Scored:
-    """A candidate, its held-out gain (noise variances), and the entry to start a fit from."""
-
-    candidate: Candidate
-    gain: float
-    entry: dict[str, Any]
 
 
 @dataclass
@@ -85,7 +77,7 @@ def select(problem: Problem, say: Say | None = None, without: Collection[str] = 
     )
     selection = Selection(null, found, pool)
     structures = [one for one in pool if one.effect.id not in SPANNED]
-    curves = any(_is_curve(one) for one in structures)
+    curves = any(is_curve(one) for one in structures)
     for step in range(MOST_EFFECTS):
         if say:
             say("attributing", step / MOST_EFFECTS)
@@ -98,12 +90,15 @@ def select(problem: Problem, say: Say | None = None, without: Collection[str] = 
         found = _without_neutral(problem, chosen)
         problem.knee = knee(found.residual)
         found = fit(problem, found.entries, own=found.own, like=found)
-    if any(entry["effect"] == CURVE for entry in found.entries):
-        found = _curved(problem, found) or found
+    if has_curve(found):
+        found = _curve_alone(problem, _curved(problem, found) or found)
     found = _backward(problem, found)
-    found = numbers_off(problem, found, pool, threshold(problem, found.residual, FORWARD_SHARE))
+    least = threshold(problem, found.residual, FORWARD_SHARE)
+    refitted, found = found, numbers_off(problem, found, pool, least)
+    if has_curve(found):
+        found = levelled(problem, found) or numbers_off(problem, refitted, pool, least, level=False)
     found = _backward(problem, found)
-    found = _exchanged(problem, found, pool)
+    found = bettered(problem, exchanged(problem, found, pool), pool)
     considered = {one.effect.id for one in pool}
     least = threshold(problem, found.residual, FORWARD_SHARE)
     found = _backward(problem, levels_first(problem, found, least, considered))
@@ -126,40 +121,14 @@ def _where_to_look(problem: Problem, found: Fit) -> Fit:
     return fit(problem, found.entries, 0, dict.fromkeys(found.own, 0.0))
 
 
-def score(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> list[Scored]:
-    """Every candidate's gain on held-out blocks, best first."""
-    results = []
-    basis = _basis(found.jacobian)
-    taken = {entry["effect"] for entry in found.entries}
-    for candidate in pool:
-        if candidate.effect.id in taken or (CURVE in taken and candidate.effect.id in _IN_CURVE):
-            continue
-        gain, coefficients = _cross_validated(problem, found.residual, candidate.columns, basis)
-        entry = candidate.entry(coefficients, problem)
-        if deviation(entry, problem) > 0.0:  # of the other sign it is not this effect
-            results.append(Scored(candidate, gain, entry))
-    return sorted(results, key=lambda one: -one.gain)
-
-
-def threshold(problem: Problem, residual: Floats, of_excess: float) -> float:
-    """Gain that counts beside what the residual still holds.
-
-    ``of_excess`` is the share of the energy beyond the sensor noise that it must explain: an
-    effect that leaves most of the mismatch standing has the wrong name.
-    """
-    energy = clipped(residual, knee(residual)) ** 2
-    excess = float(np.sum(energy[problem.sliding] - 1.0))
-    return max(LEAST_GAIN, LEAST_SHARE * float(np.sum(energy)), of_excess * excess)
-
-
 def _best(problem: Problem, found: Fit, here: Fit, scored: Sequence[Scored]) -> Fit | None:
     """Refit from ``here`` with each of the best few of different effects; keep the one that fits
     best, if it does better than ``found``.
     """
     least = threshold(problem, found.residual, FORWARD_SHARE)
-    simple = max((one.gain for one in scored if not _is_curve(one.candidate)), default=0.0)
+    simple = max((one.gain for one in scored if not is_curve(one.candidate)), default=0.0)
     scored = [
-        one for one in scored if not _is_curve(one.candidate) or simple < CURVE_MARGIN * one.gain
+        one for one in scored if not is_curve(one.candidate) or simple < CURVE_MARGIN * one.gain
     ]
     shortlist: list[Scored] = []
     for one in scored:
@@ -169,66 +138,37 @@ def _best(problem: Problem, found: Fit, here: Fit, scored: Sequence[Scored]) -> 
             shortlist.append(one)
     fits = [fit(problem, [*here.entries, one.entry], own=here.own, like=here) for one in shortlist]
     fits = [one for one in fits if found.cost - one.cost > least]
-    return min(fits, key=_penalised, default=None)
+    return min(fits, key=penalised, default=None)
 
 
 def _curved(problem: Problem, found: Fit) -> Fit | None:
-    """The fit with a curve over position where that still bends, if it is worth its knots."""
-    trial = with_curve(problem, found)
+    """The fit with a curve over position where that still bends, if it is worth its knots.
+
+    In the place of what such a curve holds already: both at once would cancel each other.
+    """
+    others = [entry for entry in found.entries if entry["effect"] not in IN_CURVE]
+    bare = found if len(others) == len(found.entries) else fit(problem, others, own=found.own)
+    trial = with_curve(problem, bare)
     least = threshold(problem, found.residual, FORWARD_SHARE)
-    had = any(entry["effect"] == CURVE for entry in found.entries)
-    better = _penalised(found) - _penalised(trial)
+    had = has_curve(found)
+    better = penalised(found) - penalised(trial)
     return trial if better > (0.0 if had else least) else None
 
 
-def _is_curve(candidate: Candidate) -> bool:
-    probe = candidate.effect.probe
-    return probe is not None and probe.scan == "curve"
+def _curve_alone(problem: Problem, found: Fit) -> Fit:
+    """Without the effects in whose place the curve, with knots of its own choice, does as well.
 
-
-def _penalised(one: Fit) -> float:
-    """Cost with Schwarz's price, ln n, for every number fitted, a curve's knots included."""
-    knots = sum(len(entry["curve"]) for entry in one.entries if "curve" in entry)
-    return one.cost + float(np.log(len(one.residual))) * (len(one.names) + knots)
-
-
-def _cross_validated(
-    problem: Problem, residual: Floats, columns: Floats, basis: Floats
-) -> tuple[float, Floats]:
-    """(held-out gain, coefficients from all blocks) of regressing the residual on the columns.
-
-    What the parameters already in the model could do is projected out of the columns first.
+    What was found before the curve may be a part of it.
     """
-    if basis.shape[1]:
-        columns = columns - basis @ (basis.T @ columns)
-        if np.linalg.norm(columns) < 1e-6:
-            return 0.0, np.zeros(columns.shape[1])
-    cut = clipped(residual, knee(residual))
-    norm = np.sqrt(np.sum(columns**2, axis=0)) + 1e-300
-    scaled = columns / norm
-    gain = 0.0
-    for part in (0, 1):
-        fitted, judged = problem.block % 2 == part, problem.block % 2 != part
-        a = np.linalg.lstsq(scaled[fitted], cut[fitted], rcond=1e-9)[0]
-        guess = scaled[judged] @ a
-        gain += float(np.sum(cut[judged] ** 2 - (cut[judged] - guess) ** 2))
-    whole = np.linalg.lstsq(scaled, cut, rcond=1e-9)[0]
-    return gain, whole / norm
-
-
-def _basis(jacobian: Floats) -> Floats:
-    if jacobian.shape[1] == 0:
-        return jacobian
-    size = np.sqrt(np.sum(jacobian**2, axis=0))
-    q, r = np.linalg.qr(jacobian[:, size > 0] / size[size > 0])
-    return np.asarray(q[:, np.abs(np.diag(r)) > 1e-6])
-
-
-def _without_neutral(problem: Problem, found: Fit) -> Fit:
-    keep = [e for e in found.entries if deviation(e, problem) > 1e-9]
-    if len(keep) == len(found.entries):
-        return found
-    return fit(problem, keep, own=found.own)
+    k = 0
+    while k < len(found.entries):
+        if found.entries[k]["effect"] != CURVE:
+            trial = with_curve(problem, ablated(problem, found, k))
+            least = threshold(problem, found.residual, FINAL_SHARE)
+            if penalised(trial) < penalised(found) + least:
+                found, k = trial, -1
+        k += 1
+    return found
 
 
 def _backward(problem: Problem, found: Fit) -> Fit:
@@ -243,6 +183,13 @@ def _backward(problem: Problem, found: Fit) -> Fit:
     return found
 
 
+def _without_neutral(problem: Problem, found: Fit) -> Fit:
+    keep = [e for e in found.entries if deviation(e, problem) > 1e-9]
+    if len(keep) == len(found.entries):
+        return found
+    return fit(problem, keep, own=found.own)
+
+
 def timed(problem: Problem, found: Fit) -> Fit:
     """How a torque is held is free again where no delay worth a name stands for it."""
     (name,) = TIMING
@@ -250,26 +197,6 @@ def timed(problem: Problem, found: Fit) -> Fit:
     if name in found.own or any(entry["effect"] == name for entry in entries):
         return found
     return fit(problem, entries, own={**TIMING, **found.own}, like=found)
-
-
-def _exchanged(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> Fit:
-    """One effect in the place of two, where it does as well: fewer names explain as much."""
-    changed = True
-    while changed and len(found.entries) > 1:
-        changed = False
-        least = threshold(problem, found.residual, FORWARD_SHARE)
-        for pair in combinations(range(len(found.entries)), 2):
-            others = [e for i, e in enumerate(found.entries) if i not in pair]
-            without = fit(problem, others, 6, found.own, found)
-            loss = without.cost - found.cost
-            best = score(problem, without, pool)[:1]
-            if not best or best[0].gain < NEAR * loss:
-                continue
-            trial = fit(problem, [*without.entries, best[0].entry], own=found.own, like=without)
-            if trial.cost < found.cost + least:
-                found, changed = trial, True
-                break
-    return found
 
 
 def _rivals(problem: Problem, selection: Selection) -> None:
@@ -287,7 +214,7 @@ def _rivals(problem: Problem, selection: Selection) -> None:
             name = one.candidate.effect.id
             if name == entry["effect"] or name in near or one.gain < NEAR * gain:
                 continue
-            if _is_curve(one.candidate):
+            if is_curve(one.candidate):
                 continue  # by its definition what no other effect explains, so nobody's rival
             refitted = fit(problem, [*without.entries, one.entry], own=found.own, like=without)
             near[name] = (without.cost - refitted.cost) / max(gain, 1e-9)

@@ -21,7 +21,8 @@ from eps_hil.diagnosis.fit import Fit, ablated, fit
 from eps_hil.diagnosis.leftover import LEAST_EXCESS
 from eps_hil.diagnosis.parameters import Reduction, reduce_parameters
 from eps_hil.diagnosis.problem import Problem, clipped, knee
-from eps_hil.diagnosis.select import LEAST_GAIN, Say, select
+from eps_hil.diagnosis.scoring import LEAST_GAIN
+from eps_hil.diagnosis.select import Say, select
 from eps_hil.diagnosis.traces import Signals, dressed, left_nm, lent, placed, places, usual_noise
 from eps_hil.physics.model import Delays, Model
 

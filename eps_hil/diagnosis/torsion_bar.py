@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.prepare import Prepared, low_pass, with_play
 from eps_hil.diagnosis.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
+from eps_hil.diagnosis.spread import Integers, half_widths
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -24,8 +25,10 @@ _BEFORE_HZ = 17.0
 smoothed reversals narrower; here the two are about as large."""
 _PLAY_HZ = 15.0
 """Low-pass of both torques after it."""
-_CLEAR = 4.0
-"""Play is seen where it is this many deviations of the twist's noise."""
+_CLEAR = 1.5
+"""Play is seen where it is this many deviations of the twist's noise, filtered. Noise alone looks
+like play of a quarter of one; what matters most is the share of the residual that it explains."""
+_LEAST_SHARE = 3 * LEAST_SHARE
 _STRETCH = 1250
 """Thinned samples in 10 s."""
 _PLAYS_NM = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -82,18 +85,15 @@ class _Twisted:
         return np.asarray((self.torque - seen)[edge:-edge:8])
 
 
-def _spread(jacobian: Floats, residual: Floats, rows: Sequence[_Twisted]) -> float:
-    """Deviation of the play (Nm): a sandwich over stretches, whose errors hang together."""
-    inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    middle, first = np.zeros_like(inverse), 0
+def _stretches(rows: Sequence[_Twisted]) -> Integers:
+    """The stretch of 10 s that each sample of all rows lies in, ascending, (n,)."""
+    found: list[Integers] = []
+    first = 0
     for one in rows:
-        count = len(one.left(1.0, 0.0, 0.0, 0.0))
-        for start in range(first, first + count, _STRETCH):
-            part = slice(start, min(start + _STRETCH, first + count))
-            score = jacobian[part].T @ residual[part]
-            middle += np.outer(score, score)
-        first += count
-    return float(np.sqrt(max((inverse @ middle @ inverse)[3, 3], 0.0)))
+        samples = np.arange(len(one.left(1.0, 0.0, 0.0, 0.0)), dtype=np.int64)
+        found.append(first + samples // _STRETCH)
+        first = int(found[-1][-1]) + 1
+    return np.concatenate(found)
 
 
 def sensor_play(
@@ -138,17 +138,16 @@ def sensor_play(
     gain = cost(start, rows) - cost(found, rows)
     excess = cost(start, rows) - len(residual(start))
     play = float(found[3])
-    if play < max(LEAST_PLAY_NM, _CLEAR * sigma) or gain < max(
-        LEAST_GAIN, 3 * LEAST_SHARE * excess
-    ):
+    if play < max(LEAST_PLAY_NM, _CLEAR * sigma) or gain < max(LEAST_GAIN, _LEAST_SHARE * excess):
         return None
     if kept and cost(found, kept) >= cost(start, kept):
         return None
-    spread = float(np.hypot(_spread(done.jac, done.fun, rows), 0.5 * sigma))
+    half = half_widths(done.jac, done.fun, (_stretches(rows),))[3]
+    half = float(np.hypot(half, 1.96 * 0.5 * sigma))  # noise in the play and the filter against it
     low, high = (float(v) for v in np.percentile(torque, [2, 98]))
     seen = Seen(
         {"effect": "torque_sensor_hysteresis", "play_nm": play},
-        {"play_nm": spread},
+        {"play_nm": half},
         gain,
         min(1.0, gain / max(excess, 1.0)),
         (("torque_sensor_nm", low, high, 1.0),),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from eps_hil.diagnosis.diagnose import Diagnosis
-from eps_hil.diagnosis.select import FORWARD_SHARE, score, threshold
+from eps_hil.diagnosis.scoring import FORWARD_SHARE, score, threshold
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.report import (
     diagnosis_evidence,

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import Port, open_port
 from eps_hil.cli._levels import accept
@@ -24,7 +25,8 @@ from eps_hil.service.config import load_config
 
 ROOT = Path(__file__).parents[2]
 CHANNEL = "239.74.163.82"
-OURS = {0x80, 0x140}
+COMMAND = 0x80
+OURS = {COMMAND, 0x140}
 
 
 def port_number(folder: Path) -> int:
@@ -111,6 +113,25 @@ def calibrate(*words: str, seconds: float = 250.0) -> "subprocess.CompletedProce
     )
 
 
+def calibrate_in_time(ear: Ear, *words: str) -> "subprocess.CompletedProcess[str]":
+    """A machine that is kept busy may be late, and the guard is right to end the run: then again.
+
+    Whatever ended it, the last thing on the bus is no request for torque.
+    """
+    message = load_database([ROOT / "dbc" / "eps_rig.dbc"]).get_message_by_frame_id(COMMAND)
+    for _ in range(6):
+        told = calibrate(*words)
+        time.sleep(0.2)
+        last = [frame for frame in ear.frames if frame.can_id == COMMAND][-1:]
+        last_request = [
+            message.decode(f.data, decode_choices=False)["OverrideRequest"] for f in last
+        ]
+        assert last_request == [0], told.stdout
+        if told.returncode != 3 or "ended the run: clock: " not in told.stderr:
+            return told
+    pytest.fail(f"this machine keeps no time: {told.stdout}")
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("rig")
 def test_dry_run_then_a_run_that_finds_the_levels(config: Path, ear: Ear, tmp_path: Path) -> None:
@@ -124,7 +145,7 @@ def test_dry_run_then_a_run_that_finds_the_levels(config: Path, ear: Ear, tmp_pa
     config.write_text(text)
     out, journal = tmp_path / "m.yaml", tmp_path / "j.jsonl"
     options = ("--write-model", str(out), "--journal", str(journal), "--yes-i-stand-clear")
-    told = calibrate("torque-injection", "--config", str(config), *options)
+    told = calibrate_in_time(ear, "torque-injection", "--config", str(config), *options)
     assert told.returncode == 0, told.stdout + told.stderr
     friction = load_model(out).friction
     assert friction.offset_pos_nm == pytest.approx(0.0560, rel=0.03)

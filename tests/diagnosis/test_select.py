@@ -4,11 +4,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from eps_hil.diagnosis.diagnose import diagnose
-from eps_hil.diagnosis.fit import fit, quantile
+from eps_hil.diagnosis.fit import fit
 from eps_hil.diagnosis.prepare import prepare
 from eps_hil.diagnosis.probes import bounds
 from eps_hil.diagnosis.problem import Problem
@@ -56,13 +55,6 @@ def test_a_place_is_one_that_was_visited(problem: Problem) -> None:
     assert (low, high) == pytest.approx(problem.visited_m)
     widest = limits(problem, "position_dependent_friction", "width_m")[1]
     assert widest < 0.5 * (high - low)
-
-
-def test_an_interval_knows_how_few_stretches_there_are(problem: Problem) -> None:
-    """Two recordings of 12 s: two stretches each, so Student's t with three degrees of freedom."""
-    assert int(problem.stretch[-1]) == 3
-    assert quantile(problem) == pytest.approx(3.182, abs=1e-3)
-    assert np.all(np.diff(problem.stretch) >= 0)
 
 
 def test_levels_of_both_directions_are_not_a_level_and_an_offset(

@@ -166,9 +166,9 @@ class Scene:
     def injecting(self) -> "Started":
         """A session whose whole torque the ECU applies.
 
-        Where the machine keeps no time, a limit may end it before: again.
+        Where the machine keeps no time (or is kept busy), a limit may end it before: again.
         """
-        for _ in range(1 if self.pace is UDP else 6):
+        for _ in range(6):
             session = self.session()
             if self._until_injecting():
                 return session

@@ -1,0 +1,63 @@
+"""How sure fitted numbers are, where residuals hang together and few places say anything.
+
+A sandwich over groups of samples takes the residuals of one group for one observation. Which
+groups are right nobody knows (an error of form lasts as long as a manoeuvre does), so samples,
+blocks and stretches are all tried and the widest counts. A number that only a few groups tell
+anything of has few degrees of freedom, whatever the length of the recordings: its half width is
+Student's for as many groups as its information is spread over.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+FEWEST = 2.0
+"""Least degrees of freedom: fewer would make an interval of everything."""
+
+
+def half_widths(
+    jacobian: Floats, residual: Floats, groups: Sequence[Integers], prior: int = 0
+) -> Floats:
+    """Half widths (p,) of 95 % intervals of numbers with the sensitivities ``jacobian`` (n, p).
+
+    ``groups``: for each partition tried, the group of each sample, ascending, (n,). The first
+    ``prior`` numbers have a prior of width one.
+    """
+    widths, _, _ = parts(jacobian, residual, groups, prior)
+    return np.max(widths, axis=0)
+
+
+def parts(
+    jacobian: Floats, residual: Floats, groups: Sequence[Integers], prior: int = 0
+) -> tuple[Floats, Floats, Floats]:
+    """(half widths, deviations, degrees of freedom), each by partition, (1 + partitions, p).
+
+    The first partition is samples alone.
+    """
+    from scipy.stats import t
+
+    normal = jacobian.T @ jacobian
+    known = np.zeros(len(normal))
+    known[:prior] = 1.0
+    normal += np.diag(known)
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
+    inverse = np.linalg.pinv(normal / np.outer(size, size)) / np.outer(size, size)
+    pull = jacobian @ inverse  # what each sample moves each number by, for a residual of one
+    own = inverse**2 @ known
+    moved, told = pull * residual[:, None], pull**2
+    deviations, freedom = [], []
+    for group in (np.arange(len(residual)), *groups):
+        first = np.flatnonzero(np.diff(group, prepend=group[0] - 1))
+        each = np.add.reduceat(moved, first, axis=0)
+        share = np.add.reduceat(told, first, axis=0)
+        total = np.sum(share, axis=0)
+        count = total**2 / np.maximum(np.sum(share**2, axis=0), 1e-300)
+        free = np.maximum(count - 1.0, FEWEST)
+        deviations.append(np.sqrt(np.sum(each**2, axis=0) * (free + 1.0) / free + own))
+        freedom.append(free)
+    sigma, degrees = np.array(deviations), np.array(freedom)
+    return np.asarray(t.ppf(0.975, degrees) * sigma), sigma, degrees
