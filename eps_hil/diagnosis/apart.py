@@ -1,7 +1,7 @@
 """Rotor and rack apart, and no name for it: a reproducible curve that the second residual shows."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,8 @@ class Apart:
     share: float
     energy: float
     """All that is left beyond the noise, in noise variances."""
+    alone: bool = False
+    """Whether one such curve does better, without any name, than the names that were accepted."""
 
     def finding(self) -> dict[str, Any]:
         """The JSON entry (CONTRACT 7)."""
@@ -81,14 +83,25 @@ def apart(rows: Sequence[Rows], accepted: Sequence[str], without: Collection[str
     ]
     if beyond:
         left = solved(rows, [name for name in names if name not in beyond])[1]
-    left = np.clip(left, -_far(left), _far(left))
-    views = ("rack_force_n", "rack_position_m", "motor_speed_rad_s")
-    found = [_curve(rows, name, left) for name in views]
-    best = max((one for one in found if one is not None), key=lambda one: one.share, default=None)
-    total = float(np.sum(left**2))
-    if best is None or best.share < LEAST_SHARE or best.share * total < LEAST_GAIN:
+    best = _best(rows, left)
+    if best is None or best.share < LEAST_SHARE or best.share * _energy(left) < LEAST_GAIN:
         return None
-    return best
+    bare = solved(rows, columns_of(()))[1]
+    curve = _best(rows, bare)
+    alone = curve is not None and (1.0 - curve.share) * _energy(bare) < _energy(left)
+    return replace(curve, alone=True) if curve is not None and alone else best
+
+
+def _energy(left: Floats) -> float:
+    return float(np.sum(np.clip(left, -_far(left), _far(left)) ** 2))
+
+
+def _best(rows: Sequence[Rows], left: Floats) -> Apart | None:
+    """The curve that explains most of what is left."""
+    cut = np.clip(left, -_far(left), _far(left))
+    views = ("rack_force_n", "rack_position_m", "motor_speed_rad_s")
+    found = [one for one in (_curve(rows, name, cut) for name in views) if one is not None]
+    return max(found, key=lambda one: one.share, default=None)
 
 
 def _far(left: Floats) -> float:

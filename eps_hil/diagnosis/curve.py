@@ -27,6 +27,8 @@ _TRIALS = 5
 _LEAST_PROFILE = 12
 _WAY, _FLAT = 101, 0.3
 _CLEAR_OF_ZERO = 0.1
+MOST_SWINGS, _SWING = 4, 0.35
+"""A curve goes up or down by so much of its height, as a swing counts, so many times at most."""
 
 
 def knots(problem: Problem, residual: Floats) -> list[float]:
@@ -149,6 +151,24 @@ def with_curve(problem: Problem, found: Fit) -> Fit:
 def has_curve(found: Fit) -> bool:
     """Whether a curve over position is one of the fit's entries."""
     return any(entry["effect"] == ID for entry in found.entries)
+
+
+def winds(entry: Mapping[str, Any]) -> bool:
+    """Whether an entry's curve goes to and fro too often for a place on the rack.
+
+    That is a pattern which has a name of its own, or none.
+    """
+    torque = [y for _, y in entry.get("curve", ())]
+    least = _SWING * (max(torque, default=0.0) - min(torque, default=0.0))
+    low = high = torque[0] if torque else 0.0
+    swings, up = 0, 0
+    for y in torque:
+        if up != 1 and y - low > least:
+            swings, up, high = swings + 1, 1, y
+        elif up != -1 and high - y > least:
+            swings, up, low = swings + 1, -1, y
+        low, high = min(low, y), max(high, y)
+    return swings > MOST_SWINGS
 
 
 def levelled(problem: Problem, found: Fit) -> Fit | None:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis import locate, regions
 from eps_hil.diagnosis.baseline import HOLD
+from eps_hil.diagnosis.curve import winds
 from eps_hil.diagnosis.first_look import first_look
 from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
@@ -94,7 +95,8 @@ def diagnose(
             look.kept[-1].name, "kept from the fit to judge it, but slides for less than 1 s"
         )
     selection = select(problem, say, without)
-    findings = _held_out(problem, selection, judged)
+    entries = selection.found.entries
+    findings = [k for k in _held_out(problem, selection, judged) if not winds(entries[k])]
     findings = _refitted(problem, selection, findings)
     if findings and not _better(problem, selection.found, findings, judged):
         findings = []
@@ -170,11 +172,16 @@ def _beside_unknown(problem: Problem, selection: Selection, findings: Sequence[i
     residual = selection.found.residual
     if alone(problem, selection.null.residual, residual) is not None:
         return _refitted(problem, selection, [])
-    cut = clipped(residual, knee(residual))
-    least = BESIDE_UNKNOWN * float(np.sum(cut[problem.sliding] ** 2 - 1.0))
     names = {k: str(selection.found.entries[k]["effect"]) for k in findings}
-    kept = [k for k in findings if selection.gains[names[k]] > least]
-    return _refitted(problem, selection, kept)
+    while True:
+        residual = selection.found.residual
+        cut = clipped(residual, knee(residual))
+        least = BESIDE_UNKNOWN * float(np.sum(cut[problem.sliding] ** 2 - 1.0))
+        kept = [k for k in findings if selection.gains[names[k]] > least]
+        if len(kept) == len(findings):
+            return list(findings)
+        findings = _refitted(problem, selection, kept)
+        names = {k: str(selection.found.entries[k]["effect"]) for k in findings}
 
 
 def _better(

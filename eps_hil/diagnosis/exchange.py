@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from eps_hil.diagnosis.fit import Fit, ablated, fit
+from eps_hil.diagnosis.fit import Fit, ablated, fit, own_without
 from eps_hil.diagnosis.probes import Candidate
 from eps_hil.diagnosis.problem import Problem, clipped, knee
 from eps_hil.diagnosis.scoring import (
@@ -35,7 +35,7 @@ def exchanged(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> Fit:
             best = score(problem, without, pool)[:1]
             if not best or best[0].gain < _ROUGHLY * NEAR * loss:
                 continue
-            trial = fit(problem, [*without.entries, best[0].entry], own=found.own, like=without)
+            trial = fit(problem, [*without.entries, best[0].entry], own=without.own, like=without)
             if trial.cost < found.cost + least:
                 found, changed = trial, True
                 break
@@ -46,10 +46,11 @@ def _roughly_without(problem: Problem, found: Fit, places: Collection[int]) -> F
     """The fit without some entries, the others refitted in one linear step."""
     left = [i for i in range(len(found.entries)) if i not in places]
     entries = [found.entries[i] for i in left]
-    residual = problem.residual(problem.with_entries(entries, found.own))
-    first = len(found.own)
+    own = own_without(found, places)
+    residual = problem.residual(problem.with_entries(entries, own))
     keep = [i for i, (k, _) in enumerate(found.names) if k in left]
-    jacobian = found.jacobian[:, [*range(first), *(first + i for i in keep)]]
+    columns = [i for i, name in enumerate(found.own) if name in own]
+    jacobian = found.jacobian[:, [*columns, *(len(found.own) + i for i in keep)]]
     cut = clipped(residual, knee(residual))
     size = np.sqrt(np.sum(jacobian**2, axis=0)) + 1e-300
     step = np.linalg.lstsq(
@@ -62,6 +63,7 @@ def _roughly_without(problem: Problem, found: Fit, places: Collection[int]) -> F
         residual=residual,
         names=tuple((left.index(found.names[i][0]), found.names[i][1]) for i in keep),
         jacobian=jacobian,
+        own=own,
         cost=problem.cost(residual),
     )
 
@@ -78,7 +80,7 @@ def bettered(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> Fit:
                 continue
             if is_curve(one.candidate):
                 continue
-            trial = fit(problem, [*without.entries, one.entry], own=found.own, like=without)
+            trial = fit(problem, [*without.entries, one.entry], own=without.own, like=without)
             if penalised(trial) < penalised(found) - LEAST_GAIN:
                 found = trial
                 break

@@ -1,6 +1,6 @@
 """All parameters of the chosen effects together: bounded least squares on the torque balance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -226,14 +226,18 @@ def _moved(
     return moved
 
 
+def own_without(found: Fit, places: Collection[int]) -> dict[str, float]:
+    """The model's own numbers without those that only went with the entries at ``places``."""
+    if len(found.own) >= len(ALL):  # the free baseline goes with no name
+        return dict(found.own)
+    gone = {side for k in places for side in SIDES.get(str(found.entries[k]["effect"]), ())}
+    return {name: value for name, value in found.own.items() if name not in gone}
+
+
 def ablated(problem: Problem, found: Fit, k: int, rounds: int = 6) -> Fit:
     """The fit without entry ``k``, the others refitted."""
     others = [e for i, e in enumerate(found.entries) if i != k]
-    own = found.own
-    if len(own) < len(ALL):  # not the free baseline: a name's own sides go with it
-        sides = SIDES.get(str(found.entries[k]["effect"]), ())
-        own = {name: value for name, value in own.items() if name not in sides}
-    return fit(problem, others, rounds, own, found)
+    return fit(problem, others, rounds, own_without(found, (k,)), found)
 
 
 def deviation(entry: Mapping[str, Any], problem: Problem) -> float:

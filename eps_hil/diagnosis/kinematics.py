@@ -70,6 +70,13 @@ class Kinematics:
         return may_be_open(one.thin(transmitted(one, model)))
 
 
+def _beside(left: Apart, found: Sequence[Seen]) -> list[Seen]:
+    """Names that may stand beside something unknown; those of its kind only if they do better."""
+    kept = [one for one in found if one.gain > BESIDE_UNKNOWN * left.energy]
+    joints = ("belt_compliance", "backlash")
+    return [one for one in kept if not left.alone or one.entry["effect"] not in joints]
+
+
 def examine(
     fitted: Sequence[Prepared],
     judged: Sequence[Prepared],
@@ -89,7 +96,7 @@ def examine(
     if rows:
         found, content, accepted = rotor_against_rack(rows, kept, without)
         left = apart(rows, accepted, without)
-        seen += [one for one in found if left is None or one.gain > BESIDE_UNKNOWN * left.energy]
+        seen += found if left is None else _beside(left, found)
         gap = next((s.entry["gap_rad"] for s in found if s.entry["effect"] == "backlash"), 0.0)
     twist = None
     play = sensor_play(fitted, judged, model)

@@ -20,7 +20,7 @@ LEAST_SHARE = 0.03
 """Least share of the residual energy that a curve explains on blocks it was not drawn from."""
 LARGE_EXCESS = 0.3
 """Beyond this, in the median sample too, something is missing even if no curve shows it."""
-HUGE_EXCESS = 1.2
+HUGE_EXCESS = 0.6
 """Beyond this something is missing even if only some samples show it."""
 BESIDE_UNKNOWN = 2.0
 """Times the energy that stays unexplained: what a name has to explain, to be one beside it."""

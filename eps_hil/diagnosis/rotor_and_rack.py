@@ -67,7 +67,7 @@ class Rows:
         self.x = thin(motion.position_m)
         self.torque, self.force = thin(torque), thin(motion.rack_force_n)
         self.at = {
-            "rack_force_n": self.force,
+            "rack_force_n": ratio * self.torque,  # as far as the rotor carries it
             "rack_position_m": self.x,
             "motor_speed_rad_s": thin(motion.speed_rad_s),
         }

@@ -1,13 +1,14 @@
 """A free curve over position: where its knots go and what it holds."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.baseline import ALL
-from eps_hil.diagnosis.curve import ID, MOST_KNOTS, knots, with_curve
+from eps_hil.diagnosis.baseline import ALL, OFFSET, OFFSET_NM
+from eps_hil.diagnosis.curve import ID, MOST_KNOTS, knots, levelled, winds, with_curve
 from eps_hil.diagnosis.fit import fit
 from eps_hil.diagnosis.locate import coordinates
 from eps_hil.diagnosis.prepare import prepare
@@ -82,3 +83,52 @@ def test_a_curve_is_solved_beside_the_rest_and_holds_no_constant(
     assert np.median(np.abs(wrong)) < 0.01 * PEAK_NM
     # the friction levels of both directions share the offset, by their priors
     assert 0.02 * found.own["motor_torque_offset"] == pytest.approx(0.01, rel=0.3)
+
+
+def test_a_strong_curve_is_not_cut_as_an_outlier(clean: Problem) -> None:
+    """A hundred times the noise: its own height is no outlier, and single samples still are."""
+    rng = np.random.default_rng(4)
+    place = coordinates(clean)["rack_position_m"]
+    residual = rng.standard_normal(len(place)) + 10.0 * bump_nm(place) / clean.scale
+    residual[::97] += 500.0
+    base = fit(clean, [], own=ALL)
+    entry = with_curve(clean, replace(base, residual=residual)).entries[0]
+    x, y = np.array(entry["curve"]).T
+    drawn = np.interp(place, x, y)
+    error = drawn - 10.0 * bump_nm(place)
+    error -= np.median(error[clean.sliding])
+    assert np.max(np.abs(error[clean.sliding])) < 0.15 * 10.0 * PEAK_NM
+
+
+def test_a_constant_is_the_level_of_a_curve_unless_the_curve_keeps_clear_of_zero(
+    clean: Problem,
+) -> None:
+    bump = [[0.001 * k, float(bump_nm(0.001 * k))] for k in range(-8, 9)]
+    entries = [{"effect": ID, "curve": bump}]
+    for share, folded in ((0.05, True), (-0.5, True), (-1.5, False), (0.5, False)):
+        offset = -share * PEAK_NM / OFFSET_NM
+        found = fit(clean, entries, 0, {OFFSET: offset})
+        raised = levelled(clean, found)
+        assert (raised is not None) == folded
+        if raised is not None:
+            assert OFFSET not in raised.own
+            assert raised.entries[0]["curve"][0][1] == pytest.approx(
+                bump[0][1] + share * PEAK_NM, abs=1e-12
+            )
+            assert raised.residual == pytest.approx(found.residual, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (lambda x: np.exp(-(x**2) / 0.1), False),
+        (lambda x: np.sin(np.pi * x), False),
+        (lambda x: x, False),
+        (lambda x: np.sin(6 * np.pi * x), True),
+        (lambda x: np.exp(-(x**2) / 0.1) + 0.1 * np.sin(40 * x), False),
+    ],
+)
+def test_what_goes_to_and_fro_is_no_place(shape: Callable[[Any], Any], expected: bool) -> None:
+    x = np.linspace(-1.0, 1.0, 60)
+    assert winds({"curve": [[a, b] for a, b in zip(x, shape(x), strict=True)]}) == expected
+    assert not winds({"level_nm": 0.1})
