@@ -135,17 +135,21 @@ def finding(
     return Plot(f"finding{k}", x_label, "torque, mNm", centre, lines, height=260), sizes
 
 
-def unknown(curve: Sequence[Sequence[float]], signal: str) -> Plot | None:
+def unknown(finding: Mapping[str, Any]) -> Plot | None:
     """The curve of what no effect explains, with its band; None where there is none."""
-    if not curve:
+    if not finding["curve"]:
         return None
-    x, torque, band = (np.array(column, dtype=np.float64) for column in zip(*curve, strict=True))
+    apart = finding.get("seen_in") == "kinematics"
+    columns = zip(*finding["curve"], strict=True)
+    x, size, band = (np.array(column, dtype=np.float64) for column in columns)
+    what = "way that nothing explains" if apart else "torque that nothing explains"
     lines = [
-        Line("±2 standard errors", "edge", 1e3 * (torque - band)),
-        Line("", "edge", 1e3 * (torque + band), band_below=True),
-        Line("torque that nothing explains", "before", 1e3 * torque),
+        Line("±2 standard errors", "edge", 1e3 * (size - band)),
+        Line("", "edge", 1e3 * (size + band), band_below=True),
+        Line(what, "before", 1e3 * size),
     ]
-    return Plot("unknown", label(signal), "torque, mNm", x, lines, height=260)
+    name, y_label = ("unknown-apart", "φ − i·x, mrad") if apart else ("unknown", "torque, mNm")
+    return Plot(name, label(finding["where"][0]["signal"]), y_label, x, lines, height=260)
 
 
 def holdouts(diagnosis: Diagnosis, evidence: Evidence) -> list[dict[str, Any]]:

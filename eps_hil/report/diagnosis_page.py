@@ -202,10 +202,13 @@ def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[di
         known = catalogue()[one["effect"]].parameters if one["effect"] in catalogue() else ()
         card["meanings"] = {parameter.name: parameter.meaning for parameter in known}
         if one["effect"] == "unknown":
-            card["plot"] = diagnosis_figures.unknown(one["curve"], one["where"][0]["signal"])
+            card["plot"] = diagnosis_figures.unknown(one)
             peak = max((abs(point[1]) for point in one["curve"]), default=0.0)
             ratio = diagnosis.problem.model.rack_to_rotor_ratio_rad_per_m
-            card["sizes"] = {"peak_n": ratio * peak} if peak else None
+            if "seen_in" in one:
+                card["size"] = f"up to {1e3 * peak / ratio:.3g} mm"
+            else:
+                card["sizes"] = {"peak_n": ratio * peak} if peak else None
         elif one["effect"] in places:
             k = places[one["effect"]]
             card["plot"], card["sizes"] = diagnosis_figures.finding(fitted, k, one["where"])

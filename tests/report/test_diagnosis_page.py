@@ -274,3 +274,33 @@ def test_a_finding_may_shift_which_half_seconds_slide(
     assert min(speed["data"][0]) >= times[500] - 1e-6
     assert {len(column) for column in speed["data"]} == {len(speed["data"][0])}
     assert [line["style"] for line in speed["lines"]] == ["before", "after"]
+
+
+def test_rotor_and_rack_apart_without_a_name_have_a_plot_of_their_own(
+    explained: Diagnosis,
+) -> None:
+    unknown = {
+        "effect": "unknown",
+        "kind": "structure",
+        "confidence": 0.95,
+        "equation": "",
+        "summary": "Rotor and rack move apart.",
+        "parameters": {},
+        "where": [{"signal": "rack_force_n", "from": -900, "to": 900, "share_of_excess": 0.4}],
+        "curve": [[-900.0, -0.05, 0.001], [900.0, 0.05, 0.001]],
+        "confusable_with": [],
+        "next_experiment": "",
+        "seen_in": "kinematics",
+    }
+    torque = {**unknown, "curve": [[-0.01, 0.002, 0.001], [0.01, 0.02, 0.001]]}
+    del torque["seen_in"]
+    content = {**explained.content, "verdict": "unknown_effect", "findings": [unknown, torque]}
+    problem = explained.problem
+    result = Diagnosis(content, problem.model, problem, explained.selection, explained.judged, [])
+    checked = _Checked(diagnosis_page.render(result, "m.yaml"))
+    assert checked.open == []
+    plots = {plot["name"]: plot for plot in _plots(checked)}
+    assert {"unknown", "unknown-apart"} <= set(plots)
+    assert plots["unknown-apart"]["y_label"] == "φ − i·x, mrad"
+    assert plots["unknown-apart"]["data"][-1] == [-50.0, 50.0]
+    assert "up to 0.0199 mm" in checked.text
