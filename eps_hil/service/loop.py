@@ -12,7 +12,6 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import astuple
-from typing import Any
 
 from eps_hil.bus.codec import FrameEncoder
 from eps_hil.bus.frame import Frame
@@ -21,6 +20,7 @@ from eps_hil.errors import BusError
 from eps_hil.estimation.validity import Reason
 from eps_hil.service import realtime
 from eps_hil.service.core import Status, silent_values
+from eps_hil.service.ending import Ending
 from eps_hil.service.estimate_log import EstimateLog
 from eps_hil.service.health import Lateness, Loss, StepRate, Summary, health_values
 from eps_hil.service.level_desk import LevelDesk
@@ -69,7 +69,7 @@ class Service:
         self._levels = levels or LevelDesk(parts, say)
         self._say, self._show, self._log, self._opener = say, show, log, opener
         self.ready = False
-        self._done = asyncio.Event()
+        self._ending = Ending()
         self._port: Port | None = None
         self._past = PortCounts()
         self._publishing = False
@@ -78,7 +78,6 @@ class Service:
         self._period_ns = round(parts.sync_period_s * 1e9)
         self._last_sync_s = 0.0
         self._silent = True
-        self._failure: BaseException | None = None
         self._memory_locked = False
         self._began_s = time.monotonic()
 
@@ -88,7 +87,7 @@ class Service:
         Once it has begun to publish, its last frame says status "off", however the run ends.
         """
         self._loop = asyncio.get_running_loop()
-        self._loop.set_exception_handler(self._on_exception)
+        self._ending.watch_over(self._loop)
         self._memory_locked = realtime.quieten(self._parts.config.service.realtime)
         self._began_s = time.monotonic()
         try:
@@ -98,18 +97,16 @@ class Service:
                 await self._serve(duration_s)
         finally:
             self._disconnect()
-        if self._failure is not None:
-            raise self._failure
+        self._ending.raise_failure()
         return self.summary()
 
     def stop(self) -> None:
         """End the run cleanly; to be called in the loop's thread."""
-        self._done.set()
+        self._ending.ask()
 
     def take_levels(self) -> None:
         """Friction levels anew from the model file; to be called in the loop's thread."""
-        self._rereading = self._loop.create_task(self._levels.reread())
-        self._rereading.add_done_callback(self._on_task_done)
+        self._rereading = self._ending.task(self._loop, self._levels.reread())
 
     def summary(self) -> Summary:
         """What the run came to so far."""
@@ -118,7 +115,7 @@ class Service:
         return Summary.of(self._core, self._lateness, loss, spent_s, self._published)
 
     async def _serve(self, duration_s: float | None) -> None:
-        if self._done.is_set():
+        if self._ending.asked_for:
             return
         runtime = self._parts.config.service
         locked = ", memory locked" if self._memory_locked else ""
@@ -129,14 +126,11 @@ class Service:
         jobs += [self._tell_levels()] if self._levels.period_s < math.inf else []
         jobs += [] if self._show is None else [self._show_status(self._show)]
         jobs += [] if self._log is None else [self._log.keep(self._core)]
-        tasks = [self._loop.create_task(job) for job in jobs]
-        for task in tasks:
-            task.add_done_callback(self._on_task_done)
+        tasks = [self._ending.task(self._loop, job) for job in jobs]
         self.ready = True
         self._say("READY")
         try:
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._done.wait(), duration_s)
+            await self._ending.wait(duration_s)
         finally:
             self._publishing = False
             for task in tasks:
@@ -219,8 +213,7 @@ class Service:
         listen_s = self._parts.config.publish.listen_first_s
         if not self._parts.send_ids or not listen_s:
             return
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._done.wait(), listen_s)
+        await self._ending.wait(listen_s)
         if self._core.foreign:
             ids = ", ".join(f"0x{can_id:X}" for can_id in self._parts.send_ids)
             raise BusError(
@@ -233,16 +226,15 @@ class Service:
             return
         self._disconnect()
         if not self._parts.config.bus.reconnect:
-            self._fail(BusError(f"{self._parts.config.bus}: the bus is lost: {reason}"))
+            self._ending.fail(BusError(f"{self._parts.config.bus}: the bus is lost: {reason}"))
             return
         self._say(f"bus lost   {reason}; waiting for it (bus.reconnect)")
         self._reconnecting = self._loop.create_task(self._reconnect())
 
     async def _reconnect(self) -> None:
-        while not self._done.is_set():
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._done.wait(), self._parts.config.service.reconnect_s)
-            if self._done.is_set():
+        while not self._ending.asked_for:
+            await self._ending.wait(self._parts.config.service.reconnect_s)
+            if self._ending.asked_for:
                 return
             with contextlib.suppress(BusError):
                 self._connect()
@@ -259,18 +251,6 @@ class Service:
         return self._past if self._port is None else _sum(self._past, self._port.counts)
 
     # Ends.
-
-    def _fail(self, error: BaseException) -> None:
-        self._failure = self._failure or error
-        self._done.set()
-
-    def _on_exception(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        self._fail(context.get("exception") or RuntimeError(context["message"]))
-
-    def _on_task_done(self, task: asyncio.Task[None]) -> None:
-        error = None if task.cancelled() else task.exception()
-        if error is not None:
-            self._fail(error)
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:

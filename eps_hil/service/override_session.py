@@ -12,12 +12,12 @@ import math
 import signal
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
 
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import Port, open_port
 from eps_hil.errors import BusError
 from eps_hil.service import realtime
+from eps_hil.service.ending import Ending
 from eps_hil.service.guard import Trip
 from eps_hil.service.journal import Journal
 from eps_hil.service.listening import silent
@@ -79,10 +79,9 @@ class OverrideSession:
         self.core = OverrideCore(parts, source, dry_run=self._dry_run)
         self.fault: Transition | None = None
         """The last transition into the state fault, if there was one."""
-        self._done = asyncio.Event()
+        self._ending = Ending(self._on_error)
         self._port: Port | None = None
         self._lost_frames = 0
-        self._failure: BaseException | None = None
         self._why, self._abnormal = "done", False
         self._silence_s = silence_s
 
@@ -92,7 +91,7 @@ class OverrideSession:
         :class:`BusError` for the last; whatever else went wrong is raised after the teardown.
         """
         self._loop = asyncio.get_running_loop()
-        self._loop.set_exception_handler(self._on_exception)
+        self._ending.watch_over(self._loop)
         runtime = self._parts.config.service
         realtime.quieten(runtime.realtime)
         try:
@@ -104,8 +103,7 @@ class OverrideSession:
             raise
         finally:
             self._tear_down()
-        if self._failure is not None:
-            raise self._failure
+        self._ending.raise_failure()
 
     # The desk of the operator.
 
@@ -128,7 +126,7 @@ class OverrideSession:
     def finish(self, why: str) -> None:
         """End the session; a torque that is still on is a fault then."""
         self._why, self._abnormal = why, self.core.state is State.INJECTING
-        self._done.set()
+        self._ending.ask()
 
     # Running.
 
@@ -138,26 +136,22 @@ class OverrideSession:
         self.core.start(time.monotonic_ns())
         self._port.start(self._loop, self._deliver, self._lost)
         listen_s = self._parts.config.publish.listen_first_s
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._done.wait(), listen_s)
+        await self._ending.wait(listen_s)
         if self.core.foreign and not self._dry_run:
             ids = ", ".join(f"0x{can_id:X}" for can_id in self._parts.send_ids)
             raise BusError(f"{self._parts.config.bus}: somebody else sends our ids ({ids}); end it")
 
     async def _serve(self, duration_s: float | None) -> None:
-        if self._done.is_set():
+        if self._ending.asked_for:
             return
         runtime = self._parts.config.service
         self._say(f"run        {realtime.hurry(runtime.realtime, runtime.priority)}")
-        tasks = [self._loop.create_task(job) for job in (self._time(), self._look())]
-        for task in tasks:
-            task.add_done_callback(self._on_task_done)
+        tasks = [self._ending.task(self._loop, job) for job in (self._time(), self._look())]
         if self._operator is not None:
             self._operator.start(self._loop, self)
         self._say("READY")
         try:
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._done.wait(), duration_s)
+            await self._ending.wait(duration_s)
         finally:
             if self._operator is not None:
                 self._operator.stop()
@@ -189,13 +183,13 @@ class OverrideSession:
                 syncs, heard_s = self.core.syncs, self._loop.time()
             elif self._loop.time() - heard_s > self._silence_s:
                 parts = self._parts
-                self._fail(
+                self._ending.fail(
                     BusError(silent(parts.config, parts.mapping.sync_message, self._silence_s))
                 )
             if self._show is not None:
                 self._show(self.core)
             if self.fault is not None or self._over():
-                self._done.set()
+                self._ending.ask()
 
     def _send(self, frames: list[Frame], decided_ns: int) -> None:
         """One by one, now or never."""
@@ -230,12 +224,12 @@ class OverrideSession:
         self.core.override.trip(time.monotonic_ns(), Trip.BUS, reason)
         port, self._port = self._port, None
         port.close()
-        self._fail(BusError(f"{self._parts.config.bus}: the bus is lost: {reason}"))
+        self._ending.fail(BusError(f"{self._parts.config.bus}: the bus is lost: {reason}"))
 
     def _tear_down(self) -> None:
         """Release, say so on the bus, and write it down; in this order."""
         try:
-            fault = self._abnormal or self._failure is not None
+            fault = self._abnormal or self._ending.failure is not None
             now_ns = time.monotonic_ns()
             self._send(self.core.end(now_ns, self._why, fault=fault), now_ns)
         finally:
@@ -244,18 +238,8 @@ class OverrideSession:
                 self._port = None
             self._record()
 
-    def _fail(self, error: BaseException) -> None:
-        self._failure = self._failure or error
+    def _on_error(self, error: BaseException) -> None:
         self._why = f"{type(error).__name__}: {error}"
-        self._done.set()
-
-    def _on_exception(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        self._fail(context.get("exception") or RuntimeError(context["message"]))
-
-    def _on_task_done(self, task: asyncio.Task[None]) -> None:
-        error = None if task.cancelled() else task.exception()
-        if error is not None:
-            self._fail(error)
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
@@ -264,7 +248,7 @@ class OverrideSession:
 
         def stop(number: signal.Signals) -> None:
             self._why, self._abnormal = f"{number.name}", True
-            self._done.set()
+            self._ending.ask()
             self._loop.remove_signal_handler(number)
             signal.signal(number, signal.SIG_DFL)
 
