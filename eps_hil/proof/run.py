@@ -20,8 +20,8 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -105,15 +105,36 @@ def run(out: Path, setting: Setting, desk: Desk, *, resume: bool = False) -> lis
     plans = setting.plans()
     batches = [plans[k : k + BATCH] for k in range(0, len(plans), BATCH)]
     with desk.workers(desk.jobs) as pool:
-        for number, batch in enumerate(batches, 1):
-            if not (_folder(out, number) / "lines.jsonl").exists():
-                _Batch(out, number, len(batches), batch, desk, pool).run()
-            _gather(out, number)
-            desk.part(number / len(batches))
+        every = [
+            _Batch(out, number, len(batches), batch, desk, pool)
+            for number, batch in enumerate(batches, 1)
+        ]
+        for batch in _hidden_ahead(every):
+            if not batch.done:
+                batch.run()
+            _gather(out, batch.number)
+            desk.part(batch.number / len(batches))
     if len(plans) >= LEAST_FOR_LONG and not (out / LONG).exists():
         taken = desk.time_long(setting.seed)
         (out / LONG).write_text(json.dumps({"seconds": taken}) + "\n")
     return read_lines(out)
+
+
+def _hidden_ahead(batches: Sequence["_Batch"]) -> Iterator["_Batch"]:
+    """The batches in turn, each hidden and sealed while the one before is being diagnosed.
+
+    A batch's last case may take a minute alone; no core has to wait for it.
+    """
+    with ThreadPoolExecutor(1) as ahead:
+        coming = ahead.submit(batches[0].hide) if batches else None
+        try:
+            for number, batch in enumerate(batches, 1):
+                if coming is not None:
+                    coming.result()
+                coming = ahead.submit(batches[number].hide) if number < len(batches) else None
+                yield batch
+        finally:  # an interruption does not wait for what has not begun
+            ahead.shutdown(wait=False, cancel_futures=True)
 
 
 def read_lines(out: Path) -> list[dict[str, Any]]:
@@ -172,12 +193,20 @@ class _Batch:
     def folder(self) -> Path:
         return _folder(self.out, self.number)
 
+    @property
+    def done(self) -> bool:
+        """Whether every case is noted down."""
+        return (self.folder / "lines.jsonl").exists()
+
+    def hide(self) -> None:
+        """Make the cases, seal their answers, publish the hash; unless that is done."""
+        if not self.done and self._published() is None:
+            self._hide()
+
     def run(self) -> None:
-        published = self._published()
-        if published is None:
-            published = self._hide()
+        """Diagnose a batch that is hidden, open the seal, judge."""
         examined = self._examine()
-        self._open(published, examined)
+        self._open(self._published() or "", examined)
 
     def _say(self, words: str) -> None:
         self.desk.say(f"batch {self.number}/{self.batches}: {words}")
@@ -192,8 +221,7 @@ class _Batch:
         )
         return known.get(str(self.number))
 
-    def _hide(self) -> str:
-        """Make the cases, seal their answers, publish the hash."""
+    def _hide(self) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)
         (self.folder / "truth").mkdir(parents=True)
         making = [self.pool.submit(hide, plan, self.folder, opaque_id()) for plan in self.plans]
@@ -201,18 +229,16 @@ class _Batch:
         for done in as_completed(making):
             id, answer = done.result()
             answers[id] = answer
-            self._progress(0.25 * len(answers) / len(making))
         value = seal(self.folder / "answers.json", answers)
         with (self.out / SEALS).open("a") as file:
             file.write(f"{self.number} {value}\n")
         self._say(f"{len(answers)} cases hidden, answers sealed: sha256 {value}")
-        return value
 
     def _examine(self) -> dict[str, Examined]:
         done = {}
         for one in examine(self.folder / "cases", self.folder / "results", self.desk.jobs):
             done[one.id] = one
-            self._progress(0.25 + 0.7 * len(done) / len(self.plans))
+            self._progress(0.95 * len(done) / len(self.plans))
         return done
 
     def _open(self, published: str, examined: Mapping[str, Examined]) -> None:
