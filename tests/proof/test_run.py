@@ -125,6 +125,25 @@ def test_the_hash_is_published_before_a_diagnosis_begins(
     assert len(run(out, SETTING, _desk(said))) == len(examined)
 
 
+def test_the_next_batch_is_hidden_while_one_is_diagnosed(
+    tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "proof"
+    diagnose = vars(module)["examine"]
+
+    def slow(cases: Path, results: Path, jobs: int) -> Iterator[Examined]:
+        number = int(cases.parent.name.removeprefix("batch_"))
+        end = time.monotonic() + 20.0
+        while number < 3 and f"\n{number + 1} " not in "\n" + (out / "seals.txt").read_text():
+            assert time.monotonic() < end, "the next batch was never sealed"
+            time.sleep(0.01)
+        return diagnose(cases, results, jobs)
+
+    monkeypatch.setattr(module, "examine", slow)
+    assert len(run(out, SETTING, _desk([]))) == 5
+    assert len(set(examined)) == 5
+
+
 def test_a_killed_run_goes_on_where_it_stopped(
     tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,64 @@
+"""The process that diagnoses case after case: it does not outlive whoever started it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+STARTER = """
+import os, subprocess, sys
+warm = subprocess.Popen(
+    [sys.executable, "-m", "eps_hil.cli._warm"], stdin=int(sys.argv[1]), stdout=subprocess.DEVNULL
+)
+print(warm.pid, flush=True)
+warm.wait()
+"""
+
+
+def children(pid: int) -> list[int]:
+    return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def alive(pid: int) -> bool:
+    try:
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux' /proc")
+def test_it_ends_with_its_parent_and_takes_the_case_in_work_along(tmp_path: Path) -> None:
+    """The case here waits for a pipe that nobody writes to."""
+    os.mkfifo(tmp_path / "train.csv")
+    (tmp_path / "model.yaml").write_text("model: {}\n")
+    reading, writing = os.pipe()
+    parent = subprocess.Popen(
+        [sys.executable, "-c", STARTER, str(reading)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        pass_fds=(reading,),
+    )
+    os.close(reading)
+    assert parent.stdout is not None
+    warm = int(parent.stdout.readline())
+    words = ["convert", "train.csv", "out.csv"]
+    os.write(writing, (json.dumps([str(tmp_path), 600.0, words]) + "\n").encode())
+    end = time.monotonic() + 60.0
+    while not (found := children(warm)) or not (tmp_path / "stderr.txt").exists():
+        assert time.monotonic() < end, "it never began"
+        time.sleep(0.05)
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    end = time.monotonic() + 10.0
+    while alive(warm) or any(map(alive, found)):
+        assert time.monotonic() < end, "it goes on without anybody to tell"
+        time.sleep(0.05)
+    os.close(writing)
+    assert parent.stderr is not None
+    assert parent.stderr.read() == ""
