@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.physics.effects import added
-from eps_hil.physics.effects.effect import Instant
 from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
     bristle_step,
@@ -50,51 +49,57 @@ def residual_nm(model: Model, motion: Motion) -> tuple[Floats, Floats]:
 
     Residual = T_1m − F/i_APA − J ω̇ − T_f − added torques; zero for the right model.
     """
-    out = np.empty((len(motion.time_s), 2))
-    drive = drive_of(model)
-    _balance(drive, added.in_use(drive.effects), motion, out)
+    drive, out = drive_of(model), np.empty((len(motion.time_s), 2))
+    effects, to_rotor = drive.effects, drive.sensor_to_rotor
+    use = added.in_use(effects)
+    motor, sensor = motion.motor_torque_nm, motion.torque_sensor_nm
+    more = np.zeros(len(out)) if use.torque else _NOTHING
+    if use.motor:
+        motor = motor.copy()
+        added.motor_along(effects, motion, to_rotor, motor)
+    if use.sensor:
+        sensor = sensor.copy()
+        added.sensor_along(effects, motion, to_rotor, sensor)
+    if use.torque:
+        added.torque_along(effects, motion, to_rotor, more)
+    _balance(drive, use, motion, motor, sensor, more, out)
     return out[:, 0], out[:, 1]
 
 
+_NOTHING = np.zeros(0)
+
+
 @njit
-def _balance(drive: Drive, use: added.InUse, m: Motion, out: Floats) -> None:
+def _balance(
+    drive: Drive,
+    use: added.InUse,
+    m: Motion,
+    motor: Floats,
+    sensor: Floats,
+    more: Floats,
+    out: Floats,
+) -> None:
+    """``motor``, ``sensor``: with their effects; ``more``: added torque, empty where none is."""
     law = drive.law
     bristle = 0.0
     step = m.time_s[1] - m.time_s[0] if len(m.time_s) > 1 else 1e-3
     for k in range(len(m.time_s)):
         speed, force = m.speed_rad_s[k], m.rack_force_n[k]
-        motor, sensor, more = m.motor_torque_nm[k], m.torque_sensor_nm[k], 0.0
         direction = speed if speed != 0.0 else m.travel_rad[k]
         if direction == 0.0:
             direction = bristle
         level = static_level_nm(direction, force, law)
-        if use.any:  # a call for every slot and sample is most of the time, so only where needed
-            u = Instant(
-                m.time_s[k],
-                speed,
-                m.angle_rad[k],
-                m.position_m[k],
-                force,
-                m.angle_rad[k] * drive.sensor_to_rotor,
-                motor,
-                sensor,
-            )
-            if use.motor:
-                motor = added.motor_nm(drive.effects, u, motor)
-            if use.sensor:
-                sensor = added.sensor_nm(drive.effects, u, sensor)
-            if use.level:
-                level = max(added.level_nm(drive.effects, u, level), SMALLEST_LEVEL_NM)
-            if use.torque:
-                more = added.torque_nm(drive.effects, u, 0.0)
-            if use.memory:  # a resting rotor still creeps, and what remembers rest wants to know
-                creep = speed if speed != 0.0 else m.travel_rad[k] / step
-                crept = Instant(u[0], creep, u[2], u[3], u[4], u[5], u[6], u[7])
-                added.advance(drive.effects, crept, step)
+        if use.level:  # a call for every sample is most of the time, so only where needed
+            u = added.instant(m, k, drive.sensor_to_rotor)
+            level = max(added.level_nm(drive.effects, u, level), SMALLEST_LEVEL_NM)
+            if use.memory:
+                added.advance_levels(drive.effects, added.crept(m, k, u, step), step)
         bristle = bristle_step(
             bristle, m.travel_rad[k], m.slip_rad[k], level, law.sigma0_nm_per_rad
         )
-        friction = friction_torque_nm(bristle, speed, level, law) + more
-        drive_torque = motor + drive.sensor_to_rotor * sensor - force / drive.ratio
+        friction = friction_torque_nm(bristle, speed, level, law)
+        if use.torque:
+            friction += more[k]
+        drive_torque = motor[k] + drive.sensor_to_rotor * sensor[k] - force / drive.ratio
         out[k, 0] = drive_torque - drive.inertia * m.acceleration_rad_s2[k] - friction
         out[k, 1] = friction + force / drive.ratio

@@ -58,9 +58,11 @@ def added(model: Model) -> Added:
 
 
 class InUse(NamedTuple):
-    """Which slots have an effect that is on, so that the others need not be called at all."""
+    """Which slots have an effect that is on, so that the others need not be called at all.
 
-    any: bool
+    ``memory``: an effect on the friction's level that remembers something.
+    """
+
     level: bool
     torque: bool
     motor: bool
@@ -75,12 +77,11 @@ def in_use(table: Added) -> InUse:
         return any(bool(table.terms[_ROW[effect.id]] > 0) for effect in effects)
 
     return InUse(
-        bool(np.any(table.terms)),
-        on(_of(Slot.LEVEL) + _of(Slot.LEVEL_FACTOR)),
+        on(_LEVELS),
         on(_of(Slot.TORQUE)),
         on(_of(Slot.MOTOR)),
         on(_of(Slot.SENSOR)),
-        on([effect for effect in _KERNELS if effect.advance is not None]),
+        on(_remembering(_LEVELS)),
     )
 
 
@@ -127,14 +128,14 @@ def _fused(slot: str, effects: list[Effect]) -> Callable[[Added, Instant, float]
     return build(len(effects) - 1)
 
 
-def _fused_advance(effects: list[Effect]) -> Callable[[Added, Instant, float], None]:
+def _fused_advance(name: str, effects: list[Effect]) -> Callable[[Added, Instant, float], None]:
     def build(k: int) -> Callable[[Added, Instant, float], None]:
         if k < 0:
 
             def nothing(_a: Added, _u: Instant, _dt: float) -> None:
                 return None
 
-            return _compiled(nothing, "advance_nothing")
+            return _compiled(nothing, f"{name}_nothing")
         before, move, row = build(k - 1), effects[k].advance, _ROW[effects[k].id]
         assert move is not None
 
@@ -143,16 +144,83 @@ def _fused_advance(effects: list[Effect]) -> Callable[[Added, Instant, float], N
             for term in range(a.terms[row]):
                 move(a.parameters[row, term], a.state[row, term], u, dt)
 
-        return _compiled(through, f"advance_through_{effects[k].id}")
+        return _compiled(through, f"{name}_through_{effects[k].id}")
 
     return build(len(effects) - 1)
+
+
+@njit(inline="always")
+def instant(motion: Any, k: int, sensor_to_rotor: float) -> Instant:
+    """Sample ``k`` of a measured motion (``balance.Motion``) as a kernel is given it."""
+    angle = motion.angle_rad[k]
+    return Instant(
+        motion.time_s[k],
+        motion.speed_rad_s[k],
+        angle,
+        motion.position_m[k],
+        motion.rack_force_n[k],
+        angle * sensor_to_rotor,
+        motion.motor_torque_nm[k],
+        motion.torque_sensor_nm[k],
+    )
+
+
+@njit(inline="always")
+def crept(motion: Any, k: int, u: Instant, step_s: float) -> Instant:
+    """The same with the speed of a resting rotor's creep: what remembers rest wants to know."""
+    speed = u.speed_rad_s if u.speed_rad_s != 0.0 else motion.travel_rad[k] / step_s
+    return Instant(u[0], speed, u[2], u[3], u[4], u[5], u[6], u[7])
+
+
+def _fused_along(slot: str, effects: list[Effect]) -> Callable[[Added, Any, float, Floats], None]:
+    """As :func:`_fused`, for a whole motion: effect by effect, each through all samples.
+
+    The same operations in the same order for every sample, and several times as fast: what a
+    kernel is given is looked up once an effect, not once a sample.
+    """
+
+    def build(k: int) -> Callable[[Added, Any, float, Floats], None]:
+        if k < 0:
+
+            def nothing(_a: Added, _m: Any, _to_rotor: float, _values: Floats) -> None:
+                return None
+
+            return _compiled(nothing, f"{slot}_along_nothing")
+        before, kernel, row = build(k - 1), effects[k].kernel, _ROW[effects[k].id]
+        move = effects[k].advance or _stay
+        assert kernel is not None
+
+        def along(a: Added, m: Any, to_rotor: float, values: Floats) -> None:
+            before(a, m, to_rotor, values)
+            step = m.time_s[1] - m.time_s[0] if len(values) > 1 else 1e-3
+            for term in range(a.terms[row]):
+                p, s = a.parameters[row, term], a.state[row, term]
+                for i in range(len(values)):
+                    u = instant(m, i, to_rotor)
+                    values[i] = kernel(p, s, u, values[i])
+                    move(p, s, crept(m, i, u, step), step)
+
+        return _compiled(along, f"{slot}_along_{effects[k].id}")
+
+    return build(len(effects) - 1)
+
+
+@njit(inline="always")
+def _stay(_p: Floats, _s: Floats, _u: Instant, _dt: float) -> None:
+    return None
 
 
 def _of(slot: Slot) -> list[Effect]:
     return [effect for effect in _KERNELS if effect.slot is slot]
 
 
-level_nm = _fused("level", _of(Slot.LEVEL) + _of(Slot.LEVEL_FACTOR))
+def _remembering(effects: list[Effect]) -> list[Effect]:
+    return [effect for effect in effects if effect.advance is not None]
+
+
+_LEVELS = _of(Slot.LEVEL) + _of(Slot.LEVEL_FACTOR)
+
+level_nm = _fused("level", _LEVELS)
 """T_fs (Nm) with the added terms: ``level_nm(added, instant, level of eq. 3)``."""
 torque_nm = _fused("torque", _of(Slot.TORQUE))
 """Torque that opposes the drive beside friction and load: ``torque_nm(added, instant, 0.0)``."""
@@ -160,5 +228,12 @@ motor_nm = _fused("motor", _of(Slot.MOTOR))
 """Shaft torque of the motor from the reported one."""
 sensor_nm = _fused("sensor", _of(Slot.SENSOR))
 """True torsion-bar torque from the reported one, at the column."""
-advance = _fused_advance([effect for effect in _KERNELS if effect.advance is not None])
+advance = _fused_advance("advance", _remembering(_KERNELS))
 """Moves what effects remember (rest times, …) on by one step."""
+advance_levels = _fused_advance("advance_levels", _remembering(_LEVELS))
+"""The same for effects on the friction's level alone."""
+torque_along = _fused_along("torque", _of(Slot.TORQUE))
+motor_along = _fused_along("motor", _of(Slot.MOTOR))
+sensor_along = _fused_along("sensor", _of(Slot.SENSOR))
+"""``(added, motion, i_pi/i_APA, values (n,))``: the slots' values of a whole motion, in place; what
+the effects of the slot remember is moved on with it."""
