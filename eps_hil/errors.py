@@ -21,6 +21,10 @@ class InputError(EpsHilError):
         super().__init__(" ".join(text.split()))
         self.file, self.place, self.problem, self.remedy = str(file), place, problem, remedy
 
+    def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str, str]]:
+        """So that a worker process can hand it to whoever asked."""
+        return type(self), (self.file, self.place, self.problem, self.remedy)
+
 
 class BusError(EpsHilError):
     """The CAN bus refused what we need from it (no interface, an option refused, gone)."""

@@ -268,7 +268,7 @@ class _Batch:
         results = self.folder / "results"
         diagnosis = _json(results / f"{id}.json")
         problem = results / f"{id}{PROBLEM}"
-        wrong = failed(judge(id, answer, diagnosis))
+        wrong = failed(judge(id, answer, diagnosis)) or problem.exists()
         page = results / f"{id}.html"
         report = ""
         if page.exists() and (wrong or self.desk.keep):
@@ -311,7 +311,16 @@ def measured(folder: Path, id: str, answer: Mapping[str, Any], measure: Measure)
     if answer["oracle"]:
         models["oracle"] = folder / "truth" / f"{id}.yaml"
         models["oracle"].write_text(answer["oracle"])
-    worths = measure(case, force_n, models)
+    try:
+        worths = measure(case, force_n, models)
+    except InputError as error:  # a model that cannot be read gains nothing, and is a failure
+        if "augmented" not in models:
+            raise
+        problem = folder / "results" / f"{id}{PROBLEM}"
+        problem.write_text(f"the model that it wrote: {error}\n")
+        del models["augmented"]
+        worths = measure(case, force_n, models)
+        worths["augmented"] = worths["baseline"]
     return {
         model: {name: v if v is not None and math.isfinite(v) else None for name, v in one.items()}
         for model, one in worths.items()
