@@ -30,8 +30,10 @@ class Knob:
 
 
 def _friction(name: str, width: Callable[[Model], float]) -> Knob:
+    """A number that a model file holds only from zero up."""
+
     def turn(model: Model, value: float) -> Model:
-        moved = getattr(model.friction, name) + value * width(model)
+        moved = max(getattr(model.friction, name) + value * width(model), 0.0)
         return replace(model, friction=replace(model.friction, **{name: moved}))
 
     return Knob(name, turn)

@@ -243,6 +243,8 @@ def _judged(
     if effect == "backlash" and entry["gap_rad"] < _CLEAR * 2.0 * half["half_gap"]:
         return None
     gain = robust_cost(without) - robust_cost(with_it)
+    if gain < LEAST_GAIN:
+        return None
     total = max(robust_cost(without) - len(without), 1.0)
     force = np.concatenate([one.force for one in rows])
     low, high = (float(v) for v in np.percentile(force, [2, 98]))

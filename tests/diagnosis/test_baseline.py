@@ -1,0 +1,33 @@
+"""The model's own numbers as knobs: whatever is turned, a model file can hold it."""
+
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eps_hil.diagnosis.baseline import HOLD, KNOBS, turned
+from eps_hil.physics.model import dump_model, load_model
+
+REFERENCE = load_model(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from([knob.name for knob in KNOBS if knob.name != HOLD]), st.floats(-8.0, 8.0)
+    )
+)
+def test_no_turn_makes_a_model_that_no_file_may_hold(values: dict[str, float]) -> None:
+    moved = turned(REFERENCE, values)
+    friction = moved.friction
+    assert moved.inertia_kg_m2 > 0.0
+    for name in ("offset", "viscous", "load"):
+        for side in ("pos", "neg"):
+            unit = {"offset": "nm", "viscous": "nm_s_per_rad", "load": "nm_per_n"}[name]
+            assert getattr(friction, f"{name}_{side}_{unit}") >= 0.0
+    assert friction.sigma0_nm_per_rad > 0.0
+
+
+def test_the_written_model_can_be_read(tmp_path: Path) -> None:
+    names = (knob.name for knob in KNOBS if knob.name != HOLD)
+    (tmp_path / "m.yaml").write_text(dump_model(turned(REFERENCE, dict.fromkeys(names, -8.0))))
+    assert load_model(tmp_path / "m.yaml").friction.offset_pos_nm == 0.0
