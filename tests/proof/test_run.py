@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -142,6 +142,31 @@ def test_the_next_batch_is_hidden_while_one_is_diagnosed(
     monkeypatch.setattr(module, "examine", slow)
     assert len(run(out, SETTING, _desk([]))) == 5
     assert len(set(examined)) == 5
+
+
+def test_a_written_model_that_cannot_be_read_is_a_failure_and_no_end(
+    tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It gains nothing over the model file as it was."""
+    diagnose = vars(module)["examine"]
+
+    def writing(cases: Path, results: Path, jobs: int) -> Iterator[Examined]:
+        for one in diagnose(cases, results, jobs):
+            (results / f"{one.id}.yaml").write_text("model: {}\n")
+            yield one
+
+    def measure(case: Path, _force: Any, models: Mapping[str, Path]) -> dict[str, Any]:
+        if "augmented" in models:
+            raise InputError(models["augmented"], "model", "is empty", "write one")
+        return {name: {"rack_force_rmse_n": 2.0, "residual_nm": 1.0} for name in models}
+
+    monkeypatch.setattr(module, "examine", writing)
+    lines = run(tmp_path / "proof", SETTING, Desk(measure, workers=ThreadPoolExecutor))
+    assert len(lines) == 5
+    for line in lines:
+        assert line["failed"]
+        assert line["problem"].endswith(".yaml: model: is empty; write one")
+        assert line["worth"]["augmented"] == line["worth"]["baseline"]
 
 
 def test_a_killed_run_goes_on_where_it_stopped(
