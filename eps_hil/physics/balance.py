@@ -50,18 +50,11 @@ def residual_nm(model: Model, motion: Motion) -> tuple[Floats, Floats]:
     Residual = T_1m − F/i_APA − J ω̇ − T_f − added torques; zero for the right model.
     """
     drive, out = drive_of(model), np.empty((len(motion.time_s), 2))
-    effects, to_rotor = drive.effects, drive.sensor_to_rotor
-    use = added.in_use(effects)
+    use = added.in_use(drive.effects)
     motor, sensor = motion.motor_torque_nm, motion.torque_sensor_nm
+    motor = motor.copy() if use.motor else motor
+    sensor = sensor.copy() if use.sensor else sensor
     more = np.zeros(len(out)) if use.torque else _NOTHING
-    if use.motor:
-        motor = motor.copy()
-        added.motor_along(effects, motion, to_rotor, motor)
-    if use.sensor:
-        sensor = sensor.copy()
-        added.sensor_along(effects, motion, to_rotor, sensor)
-    if use.torque:
-        added.torque_along(effects, motion, to_rotor, more)
     _balance(drive, use, motion, motor, sensor, more, out)
     return out[:, 0], out[:, 1]
 
@@ -79,7 +72,18 @@ def _balance(
     more: Floats,
     out: Floats,
 ) -> None:
-    """``motor``, ``sensor``: with their effects; ``more``: added torque, empty where none is."""
+    """``motor``, ``sensor``: as reported, changed in place by effects; ``more``: zeros, or empty
+    where nothing adds torque.
+
+    The slots' functions are called in here because compiled code out of the disk cache may call
+    closures, and Python may not: there, each process would compile them again.
+    """
+    if use.motor:
+        added.motor_along(drive.effects, m, drive.sensor_to_rotor, motor)
+    if use.sensor:
+        added.sensor_along(drive.effects, m, drive.sensor_to_rotor, sensor)
+    if use.torque:
+        added.torque_along(drive.effects, m, drive.sensor_to_rotor, more)
     law = drive.law
     bristle = 0.0
     step = m.time_s[1] - m.time_s[0] if len(m.time_s) > 1 else 1e-3
