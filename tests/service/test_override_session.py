@@ -97,7 +97,7 @@ class Stage:
 
     def run(self, then: Callable[[], None], operator: Operator | None = None) -> None:
         """Where the machine keeps no time (User-Mode Linux), a limit may end it early: again."""
-        end = time.monotonic() + 150.0
+        end = time.monotonic() + 300.0
         while time.monotonic() < end:
             if self._once(then, operator):
                 return
