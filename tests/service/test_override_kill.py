@@ -33,6 +33,7 @@ from eps_hil.service.config import load_config
 from eps_hil.service.override_setup import prepare_override
 
 from . import override_process
+from .patience import PATIENT, slow_dbc
 
 ROOT = Path(__file__).parents[2]
 DATABASE = load_database([ROOT / "dbc" / "eps_rig.dbc"])
@@ -54,18 +55,6 @@ class Pace:
 
 
 UDP, VCAN = Pace(0.02, 0.02, 1000), Pace(0.2, 0.1, 200)
-PATIENT = {
-    "max_frame_gap_s": 0.05,
-    "max_input_age_s": 0.1,
-    "torque_response_s": 0.05,
-    "max_torque_error_nm": 0.3,
-    "ecu_status_timeout_s": 0.2,
-    "heartbeat_timeout_s": 1.0,
-    "motor_torque_frozen_s": "null",
-    "torque_sensor_frozen_s": "null",
-    "motor_speed_frozen_s": "null",
-    "rack_position_frozen_s": "null",
-}
 CHANNEL = "239.74.163.81"
 
 
@@ -265,17 +254,10 @@ class Scene:
 
 def slower(folder: Path) -> str:
     """A configuration for a machine that is slow and keeps no time; its DBC beside it."""
-    dbc = (ROOT / "dbc" / "eps_rig.dbc").read_text()
-    for can_id in (0x100, 0x101, 0x110):
-        assert f'"GenMsgCycleTime" BO_ {can_id} 1;' in dbc
-        dbc = dbc.replace(
-            f'"GenMsgCycleTime" BO_ {can_id} 1;', f'"GenMsgCycleTime" BO_ {can_id} 5;'
-        )
-    (folder / "slow.dbc").write_text(dbc)
     text = config_text("{interface: socketcan, channel: vcan0}")
-    text = text.replace(f"{ROOT}/dbc/eps_rig.dbc", "slow.dbc")
+    text = text.replace(f"{ROOT}/dbc/eps_rig.dbc", slow_dbc(folder).name)
     for name, value in PATIENT.items():
-        text = re.sub(rf"(\b{name}:) \S+", rf"\1 {value}", text)
+        text = re.sub(rf"(\b{name}:) \S+", rf"\1 {json.dumps(value)}", text)
     text = text.replace(
         "loop: true}", f"loop: true, realtime: false, override_timeout_s: {VCAN.timeout_s}}}"
     )
