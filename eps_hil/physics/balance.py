@@ -51,6 +51,8 @@ def residual_nm(model: Model, motion: Motion) -> tuple[Floats, Floats]:
     """
     drive, out = drive_of(model), np.empty((len(motion.time_s), 2))
     use = added.in_use(drive.effects)
+    # read-only arrays are another type: compiled anew, where they can be compiled at all
+    motion = Motion(*(np.require(column, requirements="W") for column in motion))
     motor, sensor = motion.motor_torque_nm, motion.torque_sensor_nm
     motor = motor.copy() if use.motor else motor
     sensor = sensor.copy() if use.sensor else sensor
