@@ -57,13 +57,25 @@ def njit(function: F, /) -> F: ...
 
 
 @overload
-def njit(*, inline: Literal["never", "always"] = "never") -> Callable[[F], F]: ...
+def njit(
+    *,
+    inline: Literal["never", "always"] = "never",
+    error_model: Literal["python", "numpy"] = "python",
+) -> Callable[[F], F]: ...
 
 
 def njit(
-    function: F | None = None, /, *, inline: Literal["never", "always"] = "never"
+    function: F | None = None,
+    /,
+    *,
+    inline: Literal["never", "always"] = "never",
+    error_model: Literal["python", "numpy"] = "python",
 ) -> F | Callable[[F], F]:
-    """:func:`numba.njit`, cached on disk in the folder that this package's sources name."""
-    decorate: Any = numba.njit(cache=True, nogil=True, inline=inline)
+    """:func:`numba.njit`, cached on disk in the folder that this package's sources name.
+
+    ``error_model``: what a division by zero does; only "numpy" (an infinity, no exception) lets
+    a loop with divisions run on several numbers at once.
+    """
+    decorate: Any = numba.njit(cache=True, nogil=True, inline=inline, error_model=error_model)
     chosen: F | Callable[[F], F] = decorate if function is None else decorate(function)
     return chosen

@@ -16,17 +16,24 @@ _LEAST_LEVEL_NM = 1.0e-3
 def sliding_level(
     d: Drive, h: Hidden, side: float, speed: float, load: float, place: float, aged: float, t: float
 ) -> float:
-    """T_fs (Nm) of eq. 3 for sliding towards ``side`` (±1), with all that is hidden in it."""
+    """T_fs (Nm) of eq. 3 for sliding towards ``side`` (±1), with all that is hidden in it.
+
+    Here and below, what is not hidden is not computed: most of a run's time would go into
+    exponentials and sines that are then multiplied by zero.
+    """
     w, f = abs(speed), abs(load)
     if side > 0:
         level = d.k0_pos * h.coulomb_scale + d.kw_pos * w + d.kr_pos * f
     else:
         level = d.k0_neg * h.coulomb_scale + d.kw_neg * w + d.kr_neg * f
     level += side * h.half_difference_nm + h.load_gain * f
-    level += h.stribeck_nm * math.exp(-((w / h.stribeck_speed) ** 2))
-    level += h.place_nm * math.exp(-(((place - h.place_centre_m) / h.place_width_m) ** 2))
+    if h.stribeck_nm != 0.0:
+        level += h.stribeck_nm * math.exp(-((w / h.stribeck_speed) ** 2))
+    if h.place_nm != 0.0:
+        level += h.place_nm * math.exp(-(((place - h.place_centre_m) / h.place_width_m) ** 2))
     level += h.dwell_nm * aged
-    level *= 1.0 + h.warmup * math.exp(-t / h.warmup_time_s)
+    if h.warmup != 0.0:
+        level *= 1.0 + h.warmup * math.exp(-t / h.warmup_time_s)
     return max(level, _LEAST_LEVEL_NM)
 
 
@@ -51,6 +58,8 @@ def slip_friction(
             sticking += s.stiffness[i]
         state[i] = trial
         torque += trial
+    if sticking == 0.0:
+        return torque
     return torque + _damping(d, speed) * speed * sticking
 
 
@@ -73,12 +82,17 @@ def beside_friction(
 ) -> float:
     """Torque that opposes the drive and is neither load nor dry friction."""
     torque = h.viscous * speed + h.quadratic * speed * abs(speed) + h.spring * angle
-    torque += h.screw_nm * math.sin(h.screw_harmonic * angle / d.belt_ratio + h.screw_phase)
-    torque += h.cogging_nm * math.sin(h.cogging_order * angle + h.cogging_phase)
-    torque += h.static_nm * math.exp(-(((place - h.static_centre_m) / h.static_width_m) ** 2))
-    relative = speed / h.alien_eddy_speed
-    torque += h.alien_eddy_nm * 2.0 * relative / (1.0 + relative * relative)
-    torque += h.alien_load_ripple * load * math.sin(h.alien_load_ripple_order * angle)
+    if h.screw_nm != 0.0:
+        torque += h.screw_nm * math.sin(h.screw_harmonic * angle / d.belt_ratio + h.screw_phase)
+    if h.cogging_nm != 0.0:
+        torque += h.cogging_nm * math.sin(h.cogging_order * angle + h.cogging_phase)
+    if h.static_nm != 0.0:
+        torque += h.static_nm * math.exp(-(((place - h.static_centre_m) / h.static_width_m) ** 2))
+    if h.alien_eddy_nm != 0.0:
+        relative = speed / h.alien_eddy_speed
+        torque += h.alien_eddy_nm * 2.0 * relative / (1.0 + relative * relative)
+    if h.alien_load_ripple != 0.0:
+        torque += h.alien_load_ripple * load * math.sin(h.alien_load_ripple_order * angle)
     if place > 0.0:
         torque += h.alien_one_way_drag * min(place / 0.01, 1.0) * speed
     return torque
@@ -89,7 +103,8 @@ def on_the_shaft(d: Drive, h: Hidden, reported: float, angle: float, heat: float
     """Shaft torque (Nm) from what the ECU reports; ``heat`` in Nm² is T² averaged over time."""
     torque = h.motor_gain * reported + h.motor_offset_nm
     torque /= 1.0 + h.saturation * torque * torque
-    torque *= 1.0 + h.ripple * math.sin(6.0 * d.pole_pairs * angle + h.ripple_phase)
+    if h.ripple != 0.0:
+        torque *= 1.0 + h.ripple * math.sin(6.0 * d.pole_pairs * angle + h.ripple_phase)
     return torque * (1.0 - h.alien_heat_loss * heat)
 
 

@@ -112,7 +112,9 @@ def _integrate(  # noqa: PLR0915
             hand = arm
             if c.wheel_inertia > 0.0:
                 hand = c.bar_stiffness * twist + c.bar_damping * twist_rate
-            handed = hand * (1.0 + h.cardan * math.cos(2.0 * pinion + h.cardan_phase))
+            handed = hand
+            if h.cardan != 0.0:
+                handed *= 1.0 + h.cardan * math.cos(2.0 * pinion + h.cardan_phase)
             # motor: current loop, dead time, iron, and what becomes of the torque on the shaft
             reported += (command - reported) * _DT_S / (c.motor_lag_s + _DT_S)
             past[tick % _BUFFER] = reported
