@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.binned import gain_elsewhere, means, places, points
 from eps_hil.diagnosis.locate import BINS
 from eps_hil.diagnosis.rotor_and_rack import (
     LEAST_COMPLIANCE,
@@ -116,22 +117,11 @@ def _curve(rows: Sequence[Rows], name: str, left: Floats) -> Apart | None:
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
     if len(edges) <= _FEWEST_BINS:
         return None
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
-    gain = 0.0
-    for part in (0, 1):
-        drawn, judged = block % 2 == part, block % 2 != part
-        guess = _means(place[drawn], left[drawn], len(edges) - 1)[place[judged]]
-        gain += float(np.sum(left[judged] ** 2 - (left[judged] - guess) ** 2))
-    mean = _means(place, left * sigma, len(edges) - 1)
-    square = _means(place, (left * sigma) ** 2, len(edges) - 1)
-    count = np.maximum(np.bincount(place, minlength=len(edges) - 1), 1)
+    place, n = places(edges, x), len(edges) - 1
+    mean = means(place, left * sigma, n)
+    square = means(place, (left * sigma) ** 2, n)
+    count = np.maximum(np.bincount(place, minlength=n), 1)
     band = 2.0 * np.sqrt(np.maximum(square - mean**2, 0.0) / count)
-    centre = 0.5 * (edges[1:] + edges[:-1])
-    curve = tuple(zip(centre.tolist(), mean.tolist(), band.tolist(), strict=True))
     total = float(np.sum(left**2))
-    return Apart(name, curve, gain / max(total, 1e-300), total - len(left))
-
-
-def _means(place: npt.NDArray[np.int64], values: Floats, n: int) -> Floats:
-    total = np.bincount(place, weights=values, minlength=n)
-    return np.asarray(total / np.maximum(np.bincount(place, minlength=n), 1))
+    share = gain_elsewhere(place, left, block, n) / max(total, 1e-300)
+    return Apart(name, points(edges, mean, band), share, total - len(left))

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.baseline import HOLD, HOLD_S
+from eps_hil.diagnosis.binned import gain_elsewhere, means, places, points
 from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.locate import BINS, coordinates
 from eps_hil.diagnosis.problem import Problem, clipped, knee
@@ -27,6 +28,8 @@ BESIDE_UNKNOWN = 2.0
 _TAIL = (0.002, 0.005, 0.01, 0.02)
 _CUTS = np.unique([*np.linspace(0, 1, BINS + 1), *_TAIL, *(1.0 - one for one in _TAIL)])
 """Where bins end, as shares of the samples: finer where one is seldom, as at an end stop."""
+_FEWEST = 4
+"""Samples of a bin that count."""
 _MEDIAN_OF_SQUARE = 0.4549
 """Of a standard normal variable: outliers move the mean square, not this."""
 
@@ -145,29 +148,14 @@ def _curve(
     edges = np.unique(np.quantile(values[use], _CUTS))
     if len(edges) < 6:
         return None
-    index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-    total, gain = float(np.sum(residual[problem.sliding] ** 2)), 0.0
-    for part in (0, 1):
-        fitted = use & (problem.block % 2 == part)
-        judged = use & (problem.block % 2 != part)
-        mean = _means(index[fitted], residual[fitted], len(edges) - 1)
-        guess = mean[index[judged]]
-        gain += float(np.sum(residual[judged] ** 2 - (residual[judged] - guess) ** 2))
-    torque = residual * problem.scale
-    mean = _means(index[use], torque[use], len(edges) - 1)
-    spread = np.sqrt(_means(index[use], torque[use] ** 2, len(edges) - 1))
-    count = np.bincount(index[use], minlength=len(edges) - 1)
-    centre = 0.5 * (edges[1:] + edges[:-1])
-    curve = tuple(
-        (float(x), float(y), float(2 * s / np.sqrt(max(n, 1))))
-        for x, y, s, n in zip(centre, mean, spread, count, strict=True)
-    )
+    place, n = places(edges, values[use]), len(edges) - 1
+    total = float(np.sum(residual[problem.sliding] ** 2))
+    gain = gain_elsewhere(place, residual[use], problem.block[use], n, _FEWEST)
+    torque = (residual * problem.scale)[use]
+    mean = means(place, torque, n, _FEWEST)
+    spread = np.sqrt(means(place, torque**2, n, _FEWEST))
+    band = 2.0 * spread / np.sqrt(np.maximum(np.bincount(place, minlength=n), 1))
     strong = np.flatnonzero(np.abs(mean) > 0.5 * np.max(np.abs(mean)))
     low, high = float(edges[strong[0]]), float(edges[strong[-1] + 1])
+    curve = points(edges, mean, band)
     return Leftover(name, curve, low, high, gain / max(total, 1e-300), excess)
-
-
-def _means(index: npt.NDArray[np.int64], values: Floats, n: int) -> Floats:
-    total = np.bincount(index, weights=values, minlength=n)
-    count = np.bincount(index, minlength=n)
-    return np.asarray(total / np.maximum(count, 1) * (count > 3))

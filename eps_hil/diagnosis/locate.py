@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.binned import places
 from eps_hil.diagnosis.prepare import THIN
 from eps_hil.diagnosis.problem import Problem
 
@@ -66,7 +67,7 @@ def _interval(name: str, values: Floats, share: Floats) -> Region | None:
     edges = np.unique(np.quantile(values, np.linspace(0, 1, BINS + 1)))
     if len(edges) < 4:
         return None
-    index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    index = places(edges, values)
     inside = np.bincount(index, weights=share, minlength=len(edges) - 1)
     count = np.bincount(index, minlength=len(edges) - 1) / len(values)
     best: Region | None = None
