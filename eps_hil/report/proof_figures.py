@@ -12,6 +12,7 @@ from eps_hil.proof.plans import LEVELS
 from eps_hil.proof.score import Share
 from eps_hil.report import figures
 
+_BLUE = figures.COLOURS[0]
 _UNKNOWN, _NOTHING, _NO_ANSWER = "unknown", "nothing", "no answer"
 _GROUPS = {"decoys": "(decoys)", "aliens": "(aliens)", "missing": "(family withheld)"}
 
@@ -75,7 +76,7 @@ def reliability(table: Sequence[tuple[float, float, int]], path: Path) -> Path:
     axis.set_ylim(0, 1.03)
     axis.set_xlabel("stated confidence in the name")
     axis.set_ylabel("share of findings that are hidden effects")
-    axis.legend(loc="lower right")
+    axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
     return figures.save(figure, path)
 
 
@@ -132,7 +133,7 @@ def _named_first(axis: Any, judged: Sequence[Judgement]) -> None:
 
 
 def closed_loop(cases: Sequence[Scored], path: Path) -> Path:
-    """Rack-force error and torque residual of nominal and augmented model over the true one's."""
+    """Rack-force error and torque residual with augmented and true model over those before."""
     from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
     figure, axes = figures.subplots(1, 2, width_cm=28.0, height_cm=12.0)
@@ -148,27 +149,21 @@ def closed_loop(cases: Sequence[Scored], path: Path) -> Path:
     }
     for axis, (name, words) in zip(axes[0], titles.items(), strict=True):
         scale = 1e3 if name == "residual_nm" else 1.0
-        for k, (model, label) in enumerate(
-            (("augmented", "augmented by the diagnosis"), ("baseline", "as it was"))
+        for model, label, look in (
+            ("oracle", "with the true model", {"marker": "o", "color": "0.6", "fillstyle": "none"}),
+            ("augmented", "augmented by the diagnosis", {"marker": ".", "color": _BLUE}),
         ):
-            points = [(o.worth["oracle"][name], o.worth[model][name]) for o in known]
-            whole = np.array([p for p in points if None not in p], dtype=float).reshape(-1, 2)
-            axis.loglog(
-                scale * whole[:, 0],
-                scale * whole[:, 1],
-                ".",
-                color=figures.COLOURS[k],
-                label=label,
-                markersize=5,
-            )
-        low, high = axis.get_xlim()[0], axis.get_ylim()[1]
-        axis.plot([low, high], [low, high], color="0.6", linestyle="--", label="as the true model")
+            points = [(o.worth["baseline"][name], o.worth[model][name]) for o in known]
+            whole = scale * np.array([p for p in points if None not in p], float).reshape(-1, 2)
+            axis.loglog(whole[:, 0], whole[:, 1], linestyle="", label=label, markersize=5, **look)
+        low, high = axis.get_ylim()[0], axis.get_xlim()[1]
+        axis.plot([low, high], [low, high], color="0.6", linestyle="--", label="no gain")
         for direction in (axis.xaxis, axis.yaxis):
             direction.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             direction.set_major_formatter(ScalarFormatter())
             direction.set_minor_formatter(NullFormatter())
         axis.set_title(words, fontsize="medium")
-        axis.set_xlabel("with the true model")
-        axis.set_ylabel("with the model")
+        axis.set_xlabel("with the model file as it was")
+        axis.set_ylabel("with the better model")
         axis.legend(loc="upper left")
     return figures.save(figure, path)
