@@ -10,6 +10,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis import locate, regions
 from eps_hil.diagnosis.baseline import HOLD
 from eps_hil.diagnosis.curve import winds
+from eps_hil.diagnosis.excerpt import only_part
 from eps_hil.diagnosis.first_look import first_look
 from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
@@ -114,7 +115,11 @@ def diagnose(
     if model is not given or look.put_right:
         as_read = [Holdout(one, series) for one, series in spare]
         content["fit"]["holdout"]["baseline"] = measures(as_read, given, given)
-    content["limits"] = [*([] if load is None else [load.sentence]), *unseen(every)]
+    content["limits"] = [
+        *([] if load is None else [load.sentence]),
+        *unseen(every),
+        *only_part(problem, selection.part),
+    ]
     augmented = look.in_model(_augmented(problem, selection.found, findings))
     return Diagnosis(content, augmented, problem, selection, judged, findings)
 

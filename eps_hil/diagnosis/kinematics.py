@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.apart import Apart, apart
+from eps_hil.diagnosis.excerpt import evenly
 from eps_hil.diagnosis.leftover import BESIDE_UNKNOWN
 from eps_hil.diagnosis.prepare import Prepared
 from eps_hil.diagnosis.rotor_and_rack import (
@@ -99,7 +100,7 @@ def examine(
         seen += found if left is None else _beside(left, found)
         gap = next((s.entry["gap_rad"] for s in found if s.entry["effect"] == "backlash"), 0.0)
     twist = None
-    play = sensor_play(fitted, judged, model)
+    play = sensor_play(evenly(fitted), judged, model)
     if play is not None and play[0].entry["effect"] not in without:
         seen.append(play[0])
         twist = play[1]

@@ -62,6 +62,18 @@ class Prepared:
         """A copy with fields changed, and nothing remembered of the old ones."""
         return replace(self, _shifted={}, **values)
 
+    def cut(self, first: int, last: int) -> "Prepared":
+        """The window of samples ``first`` (a multiple of THIN) to ``last``, with their time."""
+        window = slice(first, min(last, len(self.time_s)))
+        cut = self.changed(
+            time_s=self.time_s[window],
+            raw={name: values[window] for name, values in self.raw.items()},
+        )
+        if self.barred is None:
+            return cut
+        start = first // THIN
+        return cut.changed(barred=self.barred[start : start + len(cut.thin_time_s)])
+
     def motion(self, model: Model) -> Motion:
         """The motion at physical instants under the delays of ``model`` (its effects included)."""
         delays = with_model_effects(model).delays_s

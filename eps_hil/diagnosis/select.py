@@ -2,7 +2,7 @@
 those numbers are off, then whether fewer names would do.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis.baseline import ALL, TIMING
 from eps_hil.diagnosis.curve import ID as CURVE
 from eps_hil.diagnosis.curve import has_curve, levelled, with_curve
+from eps_hil.diagnosis.excerpt import excerpt
 from eps_hil.diagnosis.exchange import bettered, exchanged
 from eps_hil.diagnosis.fit import Fit, ablated, deviation, fit, matters
 from eps_hil.diagnosis.numbers import SPANNED, levels_first, numbers_off
@@ -46,21 +47,50 @@ class Selection:
     """The accepted effects' fit, the null's, and for each effect what else was nearly as good.
 
     ``without``: for each accepted effect the fit that does without it, the others refitted.
+    ``pool`` and ``searched``, the fit it belongs to, are of the problem ``part`` that was searched.
     """
 
     null: Fit
     found: Fit
     pool: list[Candidate]
+    part: Problem
+    searched: Fit
     rivals: dict[str, list[tuple[str, float]]] = field(default_factory=dict)
     gains: dict[str, float] = field(default_factory=dict)
     without: dict[str, Fit] = field(default_factory=dict)
 
 
 def select(problem: Problem, say: Say | None = None, without: Collection[str] = ()) -> Selection:
+    """Effects that the recordings show, searched for in an excerpt if there are hours of them.
+
+    ``without``: ids of effects that are not considered.
+    """
+    part = excerpt(problem)
+    selection = _search(part, say, without)
+    return selection if part is problem else _on_all(problem, selection)
+
+
+def _on_all(problem: Problem, selection: Selection) -> Selection:
+    """What was found in a part, fitted to everything; what everything does not need is dropped."""
+    problem.at, found = selection.part.at, selection.found
+    found = fit(problem, found.entries, own=found.own)
+    problem.knee = knee(found.residual)
+    found = fit(problem, found.entries, own=found.own, like=found)
+    if has_curve(found):
+        found = _curved(problem, found) or found
+    selection.found = timed(problem, _backward(problem, found))
+    selection.null = fit(problem, [], own={**TIMING, **problem.tied})
+    rivals = selection.rivals
+    selection.gains, selection.without, selection.rivals = {}, {}, {}
+    for _, name in _ablations(problem, selection):
+        selection.rivals[name] = rivals.get(name, [])
+    return selection
+
+
+def _search(problem: Problem, say: Say | None, without: Collection[str]) -> Selection:
     """Structures beside a free baseline, then the baseline's own deviations by name.
 
     The regressors are taken once, at the refitted model without effects; each step's fit is exact.
-    ``without``: ids of effects that are not considered.
     """
     found = fit(problem, [], own={**ALL, **problem.tied})
     problem.at, problem.columns = found.own if _believable(found) else {}, {}
@@ -75,7 +105,7 @@ def select(problem: Problem, say: Say | None = None, without: Collection[str] = 
         here.own,
         without,
     )
-    selection = Selection(null, found, pool)
+    selection = Selection(null, found, pool, problem, found)
     structures = [one for one in pool if one.effect.id not in SPANNED]
     curves = any(is_curve(one) for one in structures)
     for step in range(MOST_EFFECTS):
@@ -102,7 +132,7 @@ def select(problem: Problem, say: Say | None = None, without: Collection[str] = 
     considered = {one.effect.id for one in pool}
     least = threshold(problem, found.residual, FORWARD_SHARE)
     found = _backward(problem, levels_first(problem, found, least, considered))
-    selection.found = timed(problem, found)
+    selection.found = selection.searched = timed(problem, found)
     _rivals(problem, selection)
     return selection
 
@@ -199,26 +229,33 @@ def timed(problem: Problem, found: Fit) -> Fit:
     return fit(problem, entries, own={**TIMING, **found.own}, like=found)
 
 
-def _rivals(problem: Problem, selection: Selection) -> None:
-    """For each accepted effect: what others reach in its place, as a share of its gain."""
+def _ablations(problem: Problem, selection: Selection) -> Iterator[tuple[Fit, str]]:
+    """Each accepted effect's fit without it, and its id; its gain is noted down."""
     found = selection.found
     for k, entry in enumerate(found.entries):
         if not matters(entry, problem):
             continue
         without = ablated(problem, found, k)
-        gain = without.cost - found.cost
-        selection.gains[entry["effect"]] = gain
+        selection.gains[entry["effect"]] = without.cost - found.cost
         selection.without[entry["effect"]] = without
+        yield without, entry["effect"]
+
+
+def _rivals(problem: Problem, selection: Selection) -> None:
+    """For each accepted effect: what others reach in its place, as a share of its gain."""
+    for without, effect in _ablations(problem, selection):
+        gain = selection.gains[effect]
         near: dict[str, float] = {}
         for one in score(problem, without, selection.pool):
             name = one.candidate.effect.id
-            if name == entry["effect"] or name in near or one.gain < NEAR * gain:
+            if name == effect or name in near or one.gain < NEAR * gain:
                 continue
             if is_curve(one.candidate):
                 continue  # by its definition what no other effect explains, so nobody's rival
-            refitted = fit(problem, [*without.entries, one.entry], own=found.own, like=without)
+            own = selection.found.own
+            refitted = fit(problem, [*without.entries, one.entry], own=own, like=without)
             near[name] = (without.cost - refitted.cost) / max(gain, 1e-9)
-        selection.rivals[entry["effect"]] = sorted(near.items(), key=lambda pair: -pair[1])
+        selection.rivals[effect] = sorted(near.items(), key=lambda pair: -pair[1])
 
 
 def entries_of(found: Fit) -> list[Mapping[str, Any]]:

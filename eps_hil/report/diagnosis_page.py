@@ -276,9 +276,12 @@ def _ablation(fitted: Evidence, held_out: Evidence, ratio: float) -> list[dict[s
 
 def _others(diagnosis: Diagnosis) -> dict[str, Any]:
     """What else was looked for: the best gains on unfitted blocks that were not accepted."""
-    selection, problem = diagnosis.selection, diagnosis.problem
+    selection = diagnosis.selection
+    problem, found = diagnosis.problem, selection.found
+    if selection.part is not problem:  # hours of recordings: the candidates saw an excerpt
+        problem, found = selection.part, selection.searched
     best: dict[str, float] = {}
-    for one in score(problem, selection.found, selection.pool):
+    for one in score(problem, found, selection.pool):
         best.setdefault(one.candidate.effect.id, one.gain)
     named = {one["effect"] for one in diagnosis.content["findings"]}
     small = {name for name in best if (p := catalogue()[name].probe) is not None and p.least > 0}
@@ -286,6 +289,6 @@ def _others(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "rows": rows[:MOST_OTHERS],
         "looked_for": len(best) + len(named & set(catalogue())),
-        "least": threshold(problem, selection.found.residual, FORWARD_SHARE),
-        "energy": selection.found.cost,
+        "least": threshold(problem, found.residual, FORWARD_SHARE),
+        "energy": found.cost,
     }
