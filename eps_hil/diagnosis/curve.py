@@ -137,7 +137,7 @@ def with_curve(problem: Problem, found: Fit) -> Fit:
     everything = np.column_stack([columns, -bare.jacobian])
     cut = _without_outliers(problem, bare.residual)
     normal = everything.T @ everything + np.diag(prior)
-    size = np.sqrt(np.diag(normal)) + 1e-300
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-30))  # a column may be all zero
     values = np.linalg.lstsq(normal / np.outer(size, size), everything.T @ cut / size, rcond=1e-9)
     torque = (values[0] / size)[: columns.shape[1]]
     torque = torque - _level(np.interp(np.linspace(*problem.visited_m, _WAY), places, torque))

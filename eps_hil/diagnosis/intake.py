@@ -7,6 +7,17 @@ import numpy as np
 from eps_hil.diagnosis.prepare import Prepared, prepare
 from eps_hil.series import Series
 
+BELIEVABLE = {
+    "motor_torque_nm": 1e4,
+    "torque_sensor_nm": 1e4,
+    "motor_speed_rad_s": 1e5,
+    "motor_angle_rad": 1e7,
+    "rack_force_n": 1e7,
+    "rack_position_m": 1e2,
+    "steering_wheel_angle_rad": 1e5,
+}
+"""Magnitudes beyond which a signal is no steering drive's, whatever the drive."""
+
 
 class RecordingError(ValueError):
     """What a diagnosis needs and one recording, by its name, lacks."""
@@ -18,11 +29,19 @@ class RecordingError(ValueError):
 
 def prepared(name: str, series: Mapping[str, Series], unexplained_nm: float) -> Prepared:
     """:func:`prepare`, with the recording's name and signals in what it refuses."""
+    for signal, most in BELIEVABLE.items():
+        if signal in series and (found := _largest(series[signal])) > most:
+            problem = f"{signal} reaches {found:.3g}, which no drive does; check unit and scaling"
+            raise RecordingError(name, problem)
     try:
         return prepare(name, series, unexplained_nm)
     except ValueError as error:
         there = ", ".join(sorted(series))
         raise RecordingError(name, f"{error} (it holds {there})") from None
+
+
+def _largest(one: Series) -> float:
+    return float(np.max(np.abs(one.value), initial=0.0, where=np.isfinite(one.value)))
 
 
 def same_load(recordings: Sequence[Prepared]) -> None:

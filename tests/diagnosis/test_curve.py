@@ -100,6 +100,19 @@ def test_a_strong_curve_is_not_cut_as_an_outlier(clean: Problem) -> None:
     assert np.max(np.abs(error[clean.sliding])) < 0.15 * 10.0 * PEAK_NM
 
 
+def test_a_number_that_nothing_depends_on_does_not_spoil_the_curve(clean: Problem) -> None:
+    """Sensitivities that have died out (a dwell without a level) are a column of zeros."""
+    place = coordinates(clean)["rack_position_m"]
+    rng = np.random.default_rng(5)
+    residual = rng.standard_normal(len(place)) + bump_nm(place) / clean.scale
+    base = replace(fit(clean, [], own=ALL), residual=residual)
+    dead = np.zeros((len(residual), 1))
+    beside = replace(base, jacobian=np.hstack([base.jacobian, dead]))
+    expected = np.array(with_curve(clean, base).entries[0]["curve"])
+    found = np.array(with_curve(clean, beside).entries[0]["curve"])
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
 def test_a_constant_is_the_level_of_a_curve_unless_the_curve_keeps_clear_of_zero(
     clean: Problem,
 ) -> None:
