@@ -1,7 +1,7 @@
 """Cases: a plan's effects at the strengths that it asks for, and the recordings that result."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,6 +28,8 @@ PARAMETERS = (
 )
 """What a rig whose parameters are merely off may rightly be said to have."""
 _ROUNDS, _DRAWS, _LEAST_KEPT = 7, 5, 0.4
+_RUNAWAY_RAD_S = 1e3
+"""A rotor that is faster has left its controller (a torque that comes too late): no recording."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +76,14 @@ def make(plan: Plan) -> Case:
         for name, ratio in plan.wanted
     ]
     drive = world.drive
-    for one in hidden:
-        world = one.effect.apply(world, one.strength, one.shape)
     last, kept = _judging(plan, same_form, hidden, last, noise, rng)
-    clean = [_clean(world, program) for program in (*train, last)]
+
+    def again(one: _Hidden) -> Strength:
+        changed = one.effect.apply(same_form, one.strength, one.shape)
+        return _beyond(_measure(changed, train, noise), base)
+
+    world, hidden, truth = _with_hidden(world, hidden, (*train, last), again)
+    clean = [_seen(world, one) for one in truth]
     noisy = [measured(one, world.instruments, rng) for one in clean]
     answer = _answer(plan, hidden, form, strength(Drive(), clean[:-1], noise))
     answer["holdout_to_noise"] = kept
@@ -86,6 +92,30 @@ def make(plan: Plan) -> Case:
         noisy = [{n: c for n, c in one.items() if n != "rack_force_n"} for one in noisy]
     recordings = dict(zip(("train_1", "train_2", "holdout"), noisy, strict=True))
     return Case(recordings, answer, clean[-1]["rack_force_n"], _oracle(drive, hidden))
+
+
+def _with_hidden(
+    world: World,
+    hidden: Sequence["_Hidden"],
+    programs: Sequence[Floats],
+    again: Callable[["_Hidden"], Strength],
+) -> tuple[World, list["_Hidden"], list[dict[str, Floats]]]:
+    """The world with all effects, these, and what is true in each programme.
+
+    If together they drive the rotor out of its controller's hands the last one is made weaker, and
+    measured ``again``: a loop that runs away is no recording of anything.
+    """
+    while True:
+        changed = world
+        for one in hidden:
+            changed = one.effect.apply(changed, one.strength, one.shape)
+        truth = [changed.run(program) for program in programs]
+        fastest = max(np.max(np.abs(one["motor_speed_rad_s"])) for one in truth)
+        if fastest < _RUNAWAY_RAD_S or not hidden or not hidden[-1].strength:
+            return changed, list(hidden), truth
+        strength = 0.7 * hidden[-1].strength
+        weaker = replace(hidden[-1], strength=strength if abs(strength) > 1e-9 else 0.0)
+        hidden = [*hidden[:-1], replace(weaker, measured=again(weaker))]
 
 
 def _judging(
@@ -125,7 +155,11 @@ def _oracle(drive: Drive, hidden: Sequence["_Hidden"]) -> str:
 
 
 def _clean(world: World, program: Floats) -> dict[str, Floats]:
-    columns = reported(world.run(program), world.instruments)
+    return _seen(world, world.run(program))
+
+
+def _seen(world: World, truth: Mapping[str, Floats]) -> dict[str, Floats]:
+    columns = reported(truth, world.instruments)
     if world.simple:  # without a steering wheel of its own there is no angle to measure
         return {name: c for name, c in columns.items() if not name.startswith("steering_wheel")}
     return columns

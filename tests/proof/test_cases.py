@@ -177,3 +177,15 @@ def test_a_holdout_shows_what_it_is_to_judge() -> None:
     reach = np.abs(case.recordings["holdout"]["rack_position_m"]).max()
     assert reach > told["parameters"]["position_m"]
     assert case.answer["holdout_to_noise"] > 0.1
+
+
+def test_a_loop_that_runs_away_is_no_case() -> None:
+    """A torque 20 ms late would drive the rotor out of its controller's hands."""
+    late = [one for one in plans("poor", 73, 27) if one.wanted[0][0] == "motor_torque_delay"]
+    case = make(late[0])
+    for columns in case.recordings.values():
+        assert np.max(np.abs(columns["motor_speed_rad_s"])) < 1e3
+    (told,) = case.answer["effects"]
+    assert told["parameters"]["delay_s"] < 0.015
+    assert not told["reached"]
+    assert told["effect_to_noise"] < 0.5
