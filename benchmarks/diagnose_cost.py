@@ -50,18 +50,21 @@ def write(path: Path, columns: dict[str, Floats]) -> None:
 
 
 def strung(parts: list[dict[str, Floats]]) -> dict[str, Floats]:
-    """One recording of several; angle and position go on where the one before ended."""
-    joined = {}
-    for name in parts[0]:
-        pieces, end = [], None
-        for part in parts:
-            piece = part[name]
-            if end is not None and name in ("motor_angle_rad", "rack_position_m"):
-                piece = piece + (end - piece[0])
-            pieces.append(piece)
-            end = float(piece[-1])
-        joined[name] = np.concatenate(pieces)
-    return joined
+    """One recording of several; angle and rack position go on where the one before ended."""
+    turned = np.zeros(len(parts))
+    for k in range(1, len(parts)):
+        end = turned[k - 1] + parts[k - 1]["motor_angle_rad"][-1]
+        turned[k] = end - parts[k]["motor_angle_rad"][0]
+    ratio = {"motor_angle_rad": 1.0, "rack_position_m": Drive().rack_rad_per_m}
+    return {
+        name: np.concatenate(
+            [
+                p[name] + (by / ratio[name] if name in ratio else 0.0)
+                for p, by in zip(parts, turned, strict=True)
+            ]
+        )
+        for name in parts[0]
+    }
 
 
 def case(folder: Path, minutes: float, one: bool) -> list[str]:
