@@ -11,7 +11,9 @@ from typing import Any
 
 from eps_hil.diagnosis import kinematics, quality
 from eps_hil.diagnosis.apart import Apart
+from eps_hil.diagnosis.belt import belt_of, with_belt
 from eps_hil.diagnosis.drift import Drift
+from eps_hil.diagnosis.excerpt import evenly
 from eps_hil.diagnosis.prepare import Prepared
 from eps_hil.diagnosis.seen import finding
 from eps_hil.physics.model import Model
@@ -19,8 +21,8 @@ from eps_hil.series import Series
 
 Signals = Mapping[str, Series]
 
-_PUT_RIGHT = ("clock_drift", "torque_sensor_hysteresis")
-"""Effects that are taken out of the recordings, not put into the model."""
+_PUT_RIGHT = ("clock_drift", "torque_sensor_hysteresis", "belt_compliance")
+"""Effects that are taken out of the recordings, not (or not only) put into the model."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,11 @@ def first_look(
         findings.append(finding(effect))
         if name == "rack_ratio":
             model = replace(model, effects=(*model.effects, effect.entry))
+        elif name == "belt_compliance" and "rack_force_n" in ready[0].raw:
+            belt = belt_of(evenly(ready[:n]), model, effect.entry["stiffness_nm_per_rad"])
+            if belt is not None:
+                ready = [with_belt(one, model, belt) for one in ready]
+            entries.append(dict(effect.entry))
         else:
             entries.append(dict(effect.entry))
     return FirstLook(

@@ -56,6 +56,8 @@ class Prepared:
     """Thinned samples that nothing may be concluded from (``first_look.py``); None: no such."""
     interval_s: float = STEP_S
     """Between samples of the slowest signal that the balance needs: no instant is known better."""
+    slack_rad_s2: Floats | None = None
+    """What a belt that gives adds to the acceleration of all inertia (``belt.py``), (n,)."""
     _shifted: dict[tuple[int, float], Floats] = field(default_factory=dict)
 
     def changed(self, **values: Any) -> "Prepared":
@@ -68,6 +70,7 @@ class Prepared:
         cut = self.changed(
             time_s=self.time_s[window],
             raw={name: values[window] for name, values in self.raw.items()},
+            slack_rad_s2=None if self.slack_rad_s2 is None else self.slack_rad_s2[window],
         )
         if self.barred is None:
             return cut
@@ -184,7 +187,8 @@ class Prepared:
             "angle": angle,
             "travel": travel,
             "slip": np.abs(travel),
-            "acceleration": np.gradient(speed, STEP_S),
+            "acceleration": np.gradient(speed, STEP_S)
+            + (0.0 if self.slack_rad_s2 is None else self.slack_rad_s2),
         }
 
     def _resting(self, speed: Floats) -> npt.NDArray[np.bool_]:
