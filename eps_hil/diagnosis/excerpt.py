@@ -20,8 +20,8 @@ Cut = tuple[Prepared, int]
 """A recording, and the sample at which a window of it begins."""
 
 LONG_S = 1800.0
-"""Recordings of no more than this, all together, are searched as a whole. An excerpt of a development
-set of 20 min brought a small drag that the whole did not: it is for what else would take too long."""
+"""Recordings of no more than this, all together, are searched as a whole: an excerpt of a
+development set of 20 min brought a small drag that the whole did not."""
 SEARCHED_S = 240.0
 WINDOW_S = 12.0
 
