@@ -3,10 +3,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from eps_hil.errors import InputError
+from eps_hil.recordings import csv_file
 from eps_hil.recordings.read import read_recording
 from eps_hil.recordings.recording import Recording
+
+
+@pytest.fixture(autouse=True, params=[0, 1 << 40], ids=["pyarrow", "numpy"])
+def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every file is read by both parsers: small ones would only go to one of them."""
+    monkeypatch.setattr(csv_file, "_WORTH_ARROW", request.param)
+
 
 HEADER = "time_s,motor_torque_nm,motor_speed_rad_s\n"
 
@@ -185,6 +195,33 @@ def test_epoch_time_is_exact_to_the_nanosecond(tmp_path: Path) -> None:
         1_757_617_431_822_276_000,
         1_757_617_432_000_000_000,
     ]
+
+
+_CELL = st.one_of(
+    st.floats(allow_nan=False).map(repr),
+    st.floats(allow_nan=False).map(lambda value: f"{value:.6e}"),
+    st.integers(-(10**30), 10**30).map(str),
+    st.from_regex(
+        r"[+-]?([0-9]{1,25}\.?[0-9]{0,25}|\.[0-9]{1,25})(e[+-]?[0-9]{1,3})?", fullmatch=True
+    ),
+    st.sampled_from(["", "inf", "-inf", "infinity"]),
+)
+
+
+@given(st.lists(st.tuples(_CELL, _CELL, _CELL), min_size=1, max_size=20), st.booleans())
+def test_both_parsers_read_the_same_to_the_last_bit(
+    rows: list[tuple[str, str, str]], blank: bool
+) -> None:
+    body = ("\n\n" if blank else "\n").join(",".join(row) for row in rows)
+    text, used = f"{body}\n".lower().encode(), [2, 0]
+    by_arrow = csv_file._by_arrow(text, used)
+    assert by_arrow is not None
+    columns = {"motor_torque_nm": 2, "time_s": 0}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(csv_file, "_WORTH_ARROW", 1 << 40)
+        by_numpy = csv_file._numbers(Path("ride.csv"), text, columns)
+    np.testing.assert_array_equal(by_arrow, by_numpy)
+    np.testing.assert_array_equal(np.signbit(by_arrow), np.signbit(by_numpy))
 
 
 @pytest.mark.slow
