@@ -8,10 +8,9 @@ nothing beside a gain that is seen.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, fields, replace
 
-from eps_hil.physics.model import Model
+from eps_hil.physics.model import Friction, Model
 
 OFFSET, HOLD, SPRING = "motor_torque_offset", "motor_torque_delay", "unmodelled_spring"
 _SPRING_NM_PER_RAD = 1e-3
@@ -35,6 +34,21 @@ def _friction(name: str, width: Callable[[Model], float]) -> Knob:
     def turn(model: Model, value: float) -> Model:
         moved = max(getattr(model.friction, name) + value * width(model), 0.0)
         return replace(model, friction=replace(model.friction, **{name: moved}))
+
+    return Knob(name, turn)
+
+
+def _difference(name: str, width: Callable[[Model], float]) -> Knob:
+    """Both directions of a number turned against each other: what their mean cannot do."""
+    pos, neg = (name.replace("difference", side) for side in ("pos", "neg"))
+
+    def turn(model: Model, value: float) -> Model:
+        change = value * width(model)
+        moved = {
+            pos: max(getattr(model.friction, pos) + change, 0.0),
+            neg: max(getattr(model.friction, neg) - change, 0.0),
+        }
+        return replace(model, friction=replace(model.friction, **moved))
 
     return Knob(name, turn)
 
@@ -95,19 +109,26 @@ KNOBS: Sequence[Knob] = (
     Knob(OFFSET, _raised(OFFSET, "offset_nm", OFFSET_NM)),
     Knob(HOLD, _hold, 0.25),
     Knob(SPRING, _raised(SPRING, "stiffness_nm_per_rad", _SPRING_NM_PER_RAD)),
+    _difference("viscous_difference_nm_s_per_rad", _DRAG),
+    _difference("load_difference_nm_per_n", _LOAD),
 )
-"""J, k0±, kω±, kr±, σ0, σ1, a constant torque, how the motor's torque is held; and a spring, which
-only stands for a load that nobody measured."""
+"""J, k0±, kω±, kr±, σ0, σ1, a constant torque, how the motor's torque is held. Then a spring, which
+only stands for a load that nobody measured, and differences, which only go with a name."""
 
 SIDES: Mapping[str, tuple[str, ...]] = {
-    "viscous_friction": ("viscous_pos_nm_s_per_rad", "viscous_neg_nm_s_per_rad"),
-    "load_dependent_friction": ("load_pos_nm_per_n", "load_neg_nm_per_n"),
+    "viscous_friction": ("viscous_difference_nm_s_per_rad",),
+    "load_dependent_friction": ("load_difference_nm_per_n",),
     HOLD: (HOLD,),
     "": ("sigma1_nm_s_per_rad",),
 }
-"""Numbers that no name of the contract describes alone: they go with a name, or unnamed."""
+"""Numbers that no name of the contract describes alone: they go with a name, or unnamed.
 
-ALL: Mapping[str, float] = {knob.name: 0.0 for knob in KNOBS if knob.name != SPRING}
+Never both directions beside their name: a drag in the bristle less the same drag outside it is
+nothing but a lag of the bristle, which fits the form of any other friction a little better.
+"""
+
+_BESIDE = (SPRING, *SIDES["viscous_friction"], *SIDES["load_dependent_friction"])
+ALL: Mapping[str, float] = {knob.name: 0.0 for knob in KNOBS if knob.name not in _BESIDE}
 TIMING: Mapping[str, float] = {HOLD: 0.0}
 """Fitted even where nothing else is: how a torque is sampled is no finding, and no other effect."""
 
@@ -126,17 +147,22 @@ def turned(model: Model, values: Mapping[str, float]) -> Model:
         if name == HOLD:
             model = _hold(model, value)
         elif name not in _TERMS and value != 0.0:
-            moved = _BY_NAME[name].turn(nominal, value)
-            model = _merged(model, moved, name)
+            model = _merged(model, nominal, _BY_NAME[name].turn(nominal, value))
     for name in _TERMS:
         if values.get(name, 0.0) != 0.0:
             model = _BY_NAME[name].turn(model, values[name])
     return model
 
 
-def _merged(model: Model, moved: Model, name: str) -> Model:
+def _merged(model: Model, nominal: Model, moved: Model) -> Model:
     """Each knob is measured from the nominal model, so they do not scale one another."""
-    if name == "inertia":
-        return replace(model, inertia_kg_m2=moved.inertia_kg_m2)
-    value: Any = getattr(moved.friction, name)
-    return replace(model, friction=replace(model.friction, **{name: value}))
+    friction = {}
+    for name in (one.name for one in fields(Friction)):
+        now, before, after = (getattr(each.friction, name) for each in (model, nominal, moved))
+        if after != before:
+            friction[name] = max(now + (after - before), 0.0)
+    return replace(
+        model,
+        inertia_kg_m2=model.inertia_kg_m2 + (moved.inertia_kg_m2 - nominal.inertia_kg_m2),
+        friction=replace(model.friction, **friction),
+    )

@@ -163,9 +163,8 @@ def _linear(
     for name, sides in SIDES.items():
         if name == HOLD or (name and name not in names):
             continue
-        tangents_of = [own_column(problem, side) for side in sides]
         names.append("±" + name)
-        columns.append(tangents_of[0] - tangents_of[1] if len(sides) > 1 else tangents_of[0])
+        columns += [own_column(problem, side) for side in sides]
     own = len(found.own)
     left = found.residual - found.jacobian[:, :own] @ np.array(list(found.own.values()))
     tangents, places, scales = found.jacobian[:, own:], [], 0
