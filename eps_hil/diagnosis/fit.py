@@ -253,4 +253,5 @@ def matters(entry: Mapping[str, Any], problem: Problem) -> bool:
     """Whether an entry is large enough to be a finding rather than how rigs are."""
     probe = catalogue()[entry["effect"]].probe
     assert probe is not None
-    return deviation(entry, problem) > max(probe.least, 1e-9)
+    of = neutral_value(probe, problem.model) if np.isnan(probe.neutral) else 1.0
+    return deviation(entry, problem) > max(probe.least * of, 1e-9)

@@ -94,7 +94,10 @@ class Probe:
     scan: str = ""
     """A parameter whose starting values come from the data: see ``diagnosis/probes.py``."""
     least: float = 0.0
-    """A smaller change than this is how rigs are built and sampled: fitted, but no finding."""
+    """A smaller change than this is how rigs are built and sampled: fitted, but no finding.
+
+    A share of the model file's own value where that is the neutral one.
+    """
     one_sided: bool = False
     """Whether only values above the neutral one are this effect: what bends the other way is
     something else, and must not go under its name."""

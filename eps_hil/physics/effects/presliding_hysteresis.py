@@ -27,5 +27,5 @@ EFFECT = Effect(
         "stribeck": "reversals at several speeds",
     },
     change=_change,
-    probe=Probe("sigma0_nm_per_rad", OF_MODEL, 0.1, least=0.9),
+    probe=Probe("sigma0_nm_per_rad", OF_MODEL, 0.1, least=0.1),
 )
