@@ -27,6 +27,9 @@ LEAST_COMPLIANCE = 1.0 / 60.0
 LEAST_GAP_RAD = 0.005
 """Beside a belt that is free to give, noise alone shows gaps of less than a tenth of this."""
 LEAST_RATIO = 0.004
+LEAST_BEND = 1e-3
+"""Of the ratio, between the places that were visited: many minutes show much less, and it is how
+stiff joints are."""
 _OPEN_NM, _WIDE = 0.03, 9
 """Within so many thinned samples of a smaller transmitted torque a gap may be open."""
 _CLEAR = 2.0
@@ -123,24 +126,38 @@ def transmitted(one: Prepared, model: Model) -> Floats:
     return np.asarray(load - hand + share * low_pass(motion.acceleration_rad_s2, _SMOOTH_HZ))
 
 
-def _design(rows: Sequence[Rows], names: Sequence[str]) -> tuple[Floats, Floats]:
-    """(columns, residual), both in noise deviations; one constant a recording."""
-    parts = []
-    for k, one in enumerate(rows):
-        constants = np.zeros((len(one.e), len(rows)))
-        constants[:, k] = 1.0
-        columns = np.column_stack([one.columns[name] for name in names])
-        parts.append(np.column_stack([constants, columns]) / one.sigma)
-    return np.concatenate(parts), np.concatenate([one.e / one.sigma for one in rows])
+def _level(values: Floats, chosen: Flags | slice = slice(None)) -> Floats:
+    """Without the mean of the ``chosen`` samples, which is 0 where there are none."""
+    some = values[chosen]
+    return values - np.mean(some, axis=0) if len(some) else values
+
+
+def _design(
+    rows: Sequence[Rows], names: Sequence[str], part: int | None = None
+) -> tuple[Floats, Floats]:
+    """(columns, residual), both in noise deviations, without each recording's own constant.
+
+    That is fitted to the blocks of one ``part`` (0 or 1), or to all; least squares with a constant
+    for each recording gives the same numbers (Frisch and Waugh's theorem).
+    """
+    columns, residuals = [], []
+    for one in rows:
+        chosen = slice(None) if part is None else one.block % 2 == part
+        columns.append(_level(np.column_stack([one.columns[n] for n in names]), chosen) / one.sigma)
+        residuals.append(_level(one.e, chosen) / one.sigma)
+    return np.concatenate(columns), np.concatenate(residuals)
+
+
+def _least_squares(a: Floats, b: Floats) -> Floats:
+    size = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
+    return np.asarray(np.linalg.lstsq(a / size, b, rcond=1e-9)[0] / size)
 
 
 def solved(rows: Sequence[Rows], names: Sequence[str]) -> tuple[dict[str, float], Floats]:
     """(coefficients by name, their residual in noise deviations)."""
     a, b = _design(rows, names)
-    size = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
-    best = np.linalg.lstsq(a / size, b, rcond=1e-9)[0] / size
-    values = (float(value) for value in best[len(rows) :])
-    return dict(zip(names, values, strict=True)), b - a @ best
+    best = _least_squares(a, b)
+    return dict(zip(names, best.tolist(), strict=True)), b - a @ best
 
 
 def columns_of(effects: Sequence[str]) -> list[str]:
@@ -151,17 +168,14 @@ def columns_of(effects: Sequence[str]) -> list[str]:
 
 def _held_out_gain(rows: Sequence[Rows], names: Sequence[str], group: Sequence[str]) -> float:
     """What ``group`` gains beside ``names`` on blocks that were not fitted."""
-    a, b = _design(rows, [*names, *group])
-    block = np.concatenate([one.block + 1000 * k for k, one in enumerate(rows)])
-    size = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
+    even = np.concatenate([one.block % 2 == 0 for one in rows])
     gain = 0.0
-    for part in (0, 1):
-        fitted, judged = block % 2 == part, block % 2 != part
+    for part, fitted in enumerate((even, ~even)):
+        a, b = _design(rows, [*names, *group], part)
         costs = []
-        for columns in (a[:, : len(rows) + len(names)], a):
-            scale = size[: columns.shape[1]]
-            solved = np.linalg.lstsq(columns[fitted] / scale, b[fitted], rcond=1e-9)[0] / scale
-            costs.append(robust_cost(b[judged] - columns[judged] @ solved))
+        for columns in (a[:, : len(names)], a):
+            best = _least_squares(columns[fitted], b[fitted])
+            costs.append(robust_cost(b[~fitted] - columns[~fitted] @ best))
         gain += costs[0] - costs[1]
     return gain
 
@@ -233,7 +247,7 @@ def _judged(
     entry = _entry(effect, values, constant=constant)
     if entry is None:
         return None
-    if effect == "clock_drift" and not drift_matters(values["drift"], [one.one for one in rows]):
+    if not constant and not _matters(effect, rows, values):
         return None
     if kept and not _helps(kept, names, values, group):
         return None
@@ -273,6 +287,16 @@ def _entry(effect: str, values: Mapping[str, float], *, constant: bool) -> dict[
     if compliance < LEAST_COMPLIANCE:
         return None
     return {"effect": effect, "stiffness_nm_per_rad": 1.0 / compliance}
+
+
+def _matters(effect: str, rows: Sequence[Rows], values: Mapping[str, float]) -> bool:
+    """Whether a clock drifts, or a ratio changes over the places that were visited, by enough."""
+    if effect == "clock_drift":
+        return drift_matters(values["drift"], [one.one for one in rows])
+    if effect != "rack_ratio":
+        return True
+    x = np.linspace(*np.percentile(np.concatenate([one.x for one in rows]), [2, 98]))
+    return float(np.ptp(values["ratio_slope"] * x + values["ratio_bend"] * x**2)) > LEAST_BEND
 
 
 def _own(effect: str, values: Mapping[str, float], half: Mapping[str, float]) -> dict[str, float]:
@@ -319,4 +343,4 @@ def _half_widths(rows: Sequence[Rows], names: Sequence[str], residual: Floats) -
         blocks.append(one.block + (blocks[-1][-1] + 1 if blocks else 0))
         stretches.append(one.block // _IN_STRETCH + (stretches[-1][-1] + 1 if stretches else 0))
     wide = half_widths(a, residual, (np.concatenate(blocks), np.concatenate(stretches)))
-    return dict(zip(names, (float(one) for one in wide[len(rows) :]), strict=True))
+    return dict(zip(names, wide.tolist(), strict=True))
