@@ -1,4 +1,4 @@
-"""Where the search looks in hours of recordings: windows that show most, and some of everything.
+"""Where the search looks in long recordings: windows that show most, and some of everything.
 
 What an effect is called takes minutes of recording, and every candidate costs as much as there is
 to look at. Of more than :data:`LONG_S`, the search sees half its time where the model fits worst
@@ -19,9 +19,8 @@ Floats = npt.NDArray[np.float64]
 Cut = tuple[Prepared, int]
 """A recording, and the sample at which a window of it begins."""
 
-LONG_S = 1800.0
-"""Recordings of no more than this, all together, are searched as a whole: an excerpt of a
-development set of 20 min brought a small drag that the whole did not."""
+LONG_S = 400.0
+"""Recordings of no more than this, all together, are searched as a whole."""
 SEARCHED_S = 240.0
 WINDOW_S = 12.0
 

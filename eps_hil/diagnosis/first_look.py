@@ -16,6 +16,7 @@ from eps_hil.diagnosis.drift import Drift
 from eps_hil.diagnosis.excerpt import evenly
 from eps_hil.diagnosis.prepare import Prepared
 from eps_hil.diagnosis.seen import finding
+from eps_hil.diagnosis.side_by_side import each
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -82,7 +83,7 @@ def first_look(
     without: Collection[str] = (),
 ) -> FirstLook:
     """Look at recordings, each prepared and as it was read; those ``kept`` only judge."""
-    looks = [quality.look_at(one.name, series) for one, series in (*fitted, *kept)]
+    looks = each(lambda given: quality.look_at(given[0].name, given[1]), (*fitted, *kept))
     ready = [
         one.changed(barred=look.barred(one))
         for look, (one, _) in zip(looks, (*fitted, *kept), strict=True)

@@ -26,6 +26,7 @@ from eps_hil.diagnosis.rotor_and_rack import (
     transmitted,
 )
 from eps_hil.diagnosis.seen import Seen
+from eps_hil.diagnosis.side_by_side import each
 from eps_hil.diagnosis.torsion_bar import has_twist, sensor_play, torque_of_twist, twist_noise
 from eps_hil.physics.model import Model
 
@@ -92,8 +93,12 @@ def examine(
     seen: list[Seen] = []
     content: dict[str, Any] = {}
     gap, left = 0.0, None
-    rows = [Rows(one, model) for one in fitted if has_rack(one, model)]
-    kept = [Rows(one, model) for one in judged if has_rack(one, model)]
+
+    def rows_of(recordings: Sequence[Prepared]) -> list[Rows]:
+        measured = [one for one in recordings if has_rack(one, model)]
+        return each(lambda one: Rows(one, model), measured)
+
+    rows, kept = rows_of(fitted), rows_of(judged)
     if rows:
         found, content, accepted = rotor_against_rack(rows, kept, without)
         left = apart(rows, accepted, without)

@@ -61,8 +61,14 @@ class Prepared:
     _shifted: dict[tuple[int, float], Floats] = field(default_factory=dict)
 
     def changed(self, **values: Any) -> "Prepared":
-        """A copy with fields changed, and nothing remembered of the old ones."""
-        return replace(self, _shifted={}, **values)
+        """A copy with fields changed; what is remembered of the signals goes with them."""
+        if values.keys() - {"barred", "unexplained_nm", "interval_s"}:
+            return replace(self, _shifted={}, **values)
+        if "_kinematics" not in self.__dict__:
+            return replace(self, _shifted={}, **values)
+        copy = replace(self, **values)
+        copy.__dict__["_kinematics"] = self._kinematics
+        return copy
 
     def cut(self, first: int, last: int) -> "Prepared":
         """The window of samples ``first`` (a multiple of THIN) to ``last``, with their time."""
@@ -159,12 +165,14 @@ class Prepared:
         if delay_s == 0.0:
             return values
         key = (id(values), delay_s)
-        if key not in self._shifted:
+        shifted = self._shifted.get(key)  # other threads may clear them at any time
+        if shifted is None:
             most = _MOST_SHIFTED_BYTES // values.nbytes
             if len(self._shifted) > min(_MOST_SHIFTED, max(most, _LEAST_SHIFTED)):
                 self._shifted.clear()
-            self._shifted[key] = np.interp(self.time_s + delay_s, self.time_s, values)
-        return self._shifted[key]
+            shifted = np.interp(self.time_s + delay_s, self.time_s, values)
+            self._shifted[key] = shifted
+        return shifted
 
     @cached_property
     def _kinematics(self) -> Mapping[str, Floats]:
@@ -281,10 +289,22 @@ def _noise_of(values: Floats, order: int) -> float:
 
 
 def low_pass(values: Floats, cutoff_hz: float) -> Floats:
-    """Fourth-order Butterworth forward and backward at 1 kHz: no phase."""
-    from scipy.signal import sosfiltfilt
+    """Fourth-order Butterworth forward and backward at 1 kHz: no phase.
 
-    return np.asarray(sosfiltfilt(_filter(cutoff_hz), values))
+    As ``scipy.signal.sosfiltfilt``, which works its starting state out anew for every call.
+    """
+    from scipy.signal import sosfilt
+
+    sos, settled = _settled(cutoff_hz)
+    edge = 3 * (2 * len(sos) + 1)
+    if len(values) <= edge:
+        raise ValueError("is too short for its filters")
+    ends = 2 * values[0] - values[edge:0:-1], 2 * values[-1] - values[-2 : -edge - 2 : -1]
+    there = np.concatenate([ends[0], values, ends[1]])
+    there, _ = sosfilt(sos, there, zi=settled * there[0])
+    back = there[::-1]
+    back, _ = sosfilt(sos, back, zi=settled * back[0])
+    return np.asarray(back[::-1][edge:-edge])
 
 
 @njit
@@ -309,6 +329,14 @@ def _passed(cutoff_hz: float, power: int) -> float:
     frequency, response = sosfreqz(_filter(cutoff_hz), 4096, fs=1 / STEP_S)
     gain = np.abs(response) ** 4  # forward and backward
     return float(np.mean(gain * (2 * np.pi * frequency) ** power))
+
+
+@cache
+def _settled(cutoff_hz: float) -> tuple[Floats, Floats]:
+    """The filter, and its state after a constant of one."""
+    from scipy.signal import sosfilt_zi
+
+    return _filter(cutoff_hz), np.asarray(sosfilt_zi(_filter(cutoff_hz)))
 
 
 @cache

@@ -210,17 +210,19 @@ def _orders(problem: Problem, residual: Floats) -> list[float]:
         index = at.astype(int)
         angle.append(motion.angle_rad[index])
         speed.append(np.abs(motion.speed_rad_s[index]))
-    phi, omega = np.concatenate(angle), np.concatenate(speed)
     use = problem.sliding
-    power = np.zeros(len(_ORDERS))
+    phi, omega = np.concatenate(angle)[use], np.concatenate(speed)[use]
+    left, power = residual[use], np.zeros(len(_ORDERS))
+    wave, next_order = (
+        np.exp(-1j * order * phi) for order in (_ORDERS[0], _ORDERS[1] - _ORDERS[0])
+    )
     for k, order in enumerate(_ORDERS):
-        inside = use & (omega * order / (2 * np.pi) < _FILTER_HZ)
+        inside = omega * order / (2 * np.pi) < _FILTER_HZ
         n = int(np.sum(inside))
-        if n < 200:
-            continue
-        wave = np.exp(-1j * order * phi[inside])
-        values = residual[inside] - np.mean(residual[inside])
-        power[k] = np.abs(np.dot(wave, values)) ** 2 / n
+        if n >= 200:
+            values = left[inside] - np.mean(left[inside])
+            power[k] = np.abs(np.dot(wave[inside], values)) ** 2 / n
+        wave *= next_order
     found: list[float] = []
     for k in np.argsort(power)[::-1]:
         if all(abs(_ORDERS[k] - known) > 0.3 for known in found):

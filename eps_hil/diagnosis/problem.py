@@ -1,8 +1,6 @@
 """All recordings of a diagnosis as one weighted residual vector, a function of the model."""
 
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,6 +10,7 @@ import numpy.typing as npt
 from eps_hil.compiled import njit
 from eps_hil.diagnosis.baseline import turned
 from eps_hil.diagnosis.prepare import SMOOTH_HZ, STEP_S, THIN, Prepared
+from eps_hil.diagnosis.side_by_side import each
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -25,7 +24,7 @@ SETTLED_RAD = 0.2
 PRESLIDING_SIGMA_NM = 0.03
 """What rest and presliding leave even in a right model, at 0.2 rad/s of speed noise or less and
 at 1 kHz: a reversal's instant is known no better than a sample."""
-_MANY = 50_000
+_MANY = 20_000
 """Thinned samples from which it is worth while to work on several recordings at once."""
 NOTHING_NM = 1e3
 """Deviation of a sample that says nothing."""
@@ -107,8 +106,7 @@ class Problem:
 
         if len(self.scale) < _MANY:
             return np.concatenate([left(one) for one in self.recordings]) / self.scale
-        with ThreadPoolExecutor(os.cpu_count()) as pool:  # compiled code and filters free the GIL
-            return np.concatenate(list(pool.map(left, self.recordings))) / self.scale
+        return np.concatenate(each(left, self.recordings)) / self.scale
 
     def cost(self, residual: Floats) -> float:
         """Twice Huber's loss at the common knee: the sum of squares but for outliers."""

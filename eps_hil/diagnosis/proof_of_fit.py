@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.prepare import STEP_S, Prepared
 from eps_hil.diagnosis.problem import sliding
+from eps_hil.diagnosis.side_by_side import each
 from eps_hil.estimation import batch
 from eps_hil.estimation.score import score
 from eps_hil.physics.effects.catalogue import with_model_effects
@@ -73,18 +74,18 @@ def free_runs(prepared: Prepared, model: Model) -> tuple[Floats, Floats, Floats]
     model = with_model_effects(model)
     motion = prepared.motion(model)
     law = friction_law(model.friction)
-    time, simulated, measured = [], [], []
     n = round(WINDOW_S / STEP_S)
     starts = [
         first
         for first in range(0, len(motion.time_s) - n, n)
         if abs(motion.speed_rad_s[first]) >= 5.0
     ]
-    for first in starts[:: 1 + len(starts) // MOST_RUNS]:
+
+    def run(first: int) -> Floats:
         speed = motion.speed_rad_s[first]
         part = slice(first, first + n)
         level = static_level_nm(speed, motion.rack_force_n[first], law)
-        run = simulate(
+        return simulate(
             model,
             motion.time_s[part],
             motion.motor_torque_nm[part],
@@ -93,13 +94,13 @@ def free_runs(prepared: Prepared, model: Model) -> tuple[Floats, Floats, Floats]
             speed_rad_s=float(speed),
             angle_rad=float(motion.angle_rad[first]),
             bristle_rad=float(np.sign(speed) * level / law.sigma0_nm_per_rad),
-        )
-        time.append(motion.time_s[part])
-        simulated.append(run.speed_rad_s)
-        measured.append(motion.speed_rad_s[part])
-    if not simulated:
+        ).speed_rad_s
+
+    starts = starts[:: 1 + len(starts) // MOST_RUNS]
+    if not starts:
         return np.zeros(0), np.zeros(0), np.zeros(0)
-    return np.concatenate(time), np.concatenate(simulated), np.concatenate(measured)
+    kept = np.concatenate([np.arange(first, first + n) for first in starts])
+    return motion.time_s[kept], np.concatenate(each(run, starts)), motion.speed_rad_s[kept]
 
 
 def _rms(parts: Sequence[Floats]) -> float:

@@ -149,23 +149,32 @@ def _map(
     for one, edge in zip(values, edges, strict=True):
         place = np.clip(np.searchsorted(edge, one, side="right") - 1, 0, len(edge) - 2)
         index = index * (len(edge) - 1) + place
+    cells, shape = np.prod([len(one) - 1 for one in edges]), (-1, int(np.max(block)) + 1)
+    both = index * shape[1] + block
+
+    def summed(weights: Floats | None = None) -> Floats:
+        """Over each cell's samples of each block, (cells, blocks)."""
+        found = np.bincount(both, weights, int(cells) * shape[1]).reshape(shape)
+        return np.asarray(found, dtype=np.float64)
+
     overall = total / len(energy)
+    samples, energies = summed(), summed(energy)
     found = []
-    for k in np.unique(index):
-        inside = index == k
-        blocks = np.unique(block[inside])
-        if np.sum(inside) < LEAST_SAMPLES or len(blocks) < LEAST_BLOCKS:
+    for k in np.flatnonzero(np.sum(samples, axis=1) >= LEAST_SAMPLES):
+        visited = samples[k] > 0
+        blocks, count = int(np.sum(visited)), int(np.sum(samples[k]))
+        if blocks < LEAST_BLOCKS:
             continue
-        above = energy[inside] - overall
-        groups = np.bincount(np.searchsorted(blocks, block[inside]), weights=above - np.mean(above))
-        error = float(np.sqrt(np.sum(groups**2) * len(blocks) / (len(blocks) - 1))) + 1e-300
+        above = float(np.sum(energies[k])) - count * overall
+        groups = energies[k] - samples[k] * np.sum(energies[k]) / count
+        error = float(np.sqrt(np.sum(groups**2) * blocks / (blocks - 1))) + 1e-300
         sides, rest = [], int(k)
         for name, edge in reversed(list(zip(names, edges, strict=True))):
             rest, i = divmod(rest, len(edge) - 1)
             sides.append((name, float(edge[i]), float(edge[i + 1])))
-        share = float(np.sum(energy[inside])) / total
-        p = _tail(float(np.sum(above)) / error, len(blocks) - 1)
-        found.append(Cell(tuple(reversed(sides)), share, float(np.mean(inside)), p))
+        share = float(np.sum(energies[k])) / total
+        p = _tail(above / error, blocks - 1)
+        found.append(Cell(tuple(reversed(sides)), share, count / len(energy), p))
     return found
 
 

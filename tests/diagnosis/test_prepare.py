@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import butter, sosfiltfilt
 
 from eps_hil.diagnosis.prepare import low_pass, noise_of, prepare
 from eps_hil.diagnosis.problem import Problem
@@ -32,6 +33,40 @@ def test_the_filter_has_no_phase() -> None:
     t = np.arange(4000) * 1e-3
     slow = np.sin(2 * np.pi * 3 * t)
     assert np.max(np.abs(low_pass(slow, 40.0) - slow)[500:-500]) < 1e-3
+
+
+@pytest.mark.parametrize("samples", [16, 17, 40, 5000])
+def test_the_filter_is_scipys(samples: int) -> None:
+    """To the last bit: only the starting state is not worked out anew."""
+    values = np.random.default_rng(samples).normal(size=samples)
+    sos = butter(4, 40.0, fs=1000.0, output="sos")
+    np.testing.assert_array_equal(low_pass(values, 40.0), sosfiltfilt(sos, values))
+
+
+def test_too_short_for_the_filter_is_said() -> None:
+    with pytest.raises(ValueError, match="too short"):
+        low_pass(np.zeros(15), 40.0)
+
+
+def test_a_copy_keeps_what_is_remembered_of_its_signals_only(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    """Barred samples change no signal; another signal leaves nothing of the old one behind."""
+    (series,) = record({}, ("weave",), seconds=5.0).values()
+    one = prepare("weave", series)
+    before = one.left_over(reference_model)
+    barred = one.changed(barred=np.ones(len(one.thin_time_s), dtype=bool))
+    np.testing.assert_array_equal(barred.left_over(reference_model), before)
+    assert barred.motion(reference_model).speed_rad_s is one.motion(reference_model).speed_rad_s
+    halved = {**one.raw, "motor_torque_nm": 0.5 * one.raw["motor_torque_nm"]}
+    anew = prepare("weave", {**series, "motor_torque_nm": _half(series["motor_torque_nm"])})
+    np.testing.assert_array_equal(
+        barred.changed(raw=halved).left_over(reference_model), anew.left_over(reference_model)
+    )
+
+
+def _half(one: Series) -> Series:
+    return Series(one.t_ns, 0.5 * one.value)
 
 
 def test_the_floor_is_what_noise_leaves(record: Callable[..., Any], reference_model: Model) -> None:
