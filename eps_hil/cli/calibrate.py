@@ -39,7 +39,7 @@ OutsideBand = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the verb."""
-    verb = typer.Typer(help="Adapt the friction levels of a rig on the bus.")
+    verb = typer.Typer(no_args_is_help=True, help="Adapt the friction levels of a rig on the bus.")
     verb.command("torque-injection")(torque_injection)
     verb.command("error-injection")(error_injection)
     verb.command("reversals")(reads_recordings(reversals))

@@ -85,10 +85,15 @@ def _explain(error: BaseException, debug: bool) -> int:
             message, status = "interrupted", INTERRUPTED
         case EpsHilError():
             message, status = str(error), error.exit_status
+        case _ if type(error).__name__ == "NoArgsIsHelpError":  # a group without a verb: its help
+            typer.echo(str(error), err=True)
+            return 2
         case _ if hasattr(error, "format_message"):  # wrong words, in click's own exception
             message, status = f"{error.format_message().rstrip('.')}; see eps-hil --help", 2
         case SystemExit():
             raise error
+        case OSError(strerror=str(said)):  # a full disk, a folder that is gone
+            message, status = f"{error.filename or 'the system'}: {said[:1].lower()}{said[1:]}", 1
         case _:
             message = f"internal error, please report it with --debug: {type(error).__name__}: "
             message, status = message + str(error), 1

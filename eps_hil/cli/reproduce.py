@@ -31,17 +31,13 @@ def reproduce(
     """
     from eps_hil.cli._files import write_json
     from eps_hil.cli._inputs import progress
-    from eps_hil.errors import InputError
+    from eps_hil.recordings.files import make_folder
     from eps_hil.report.page import check
     from eps_hil.reproduction import page
     from eps_hil.reproduction.reproduce import reproduce as run
 
     check("reproduce", "matplotlib")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        problem = f"cannot be made: {error.strerror}"
-        raise InputError(out, "--out", problem, "choose another folder") from None
+    make_folder(out, "--out")
     with progress("reproducing the paper") as bar:
         step = (lambda _name, part: bar(part)) if bar else None
         made = run(out, seed=seed, quick=quick, on_progress=step)

@@ -25,7 +25,7 @@ from eps_hil.programme import cell_record
 from eps_hil.programme.cell_record import MEASURED, CellResult, Collector
 from eps_hil.programme.conductor import TICK_S, Conductor, Phase, Reading, Wanted
 from eps_hil.programme.plan import Plan, PlannedCell
-from eps_hil.recordings.files import replacing
+from eps_hil.recordings.files import make_folder, replacing
 
 COMMAND = "RIG_Command"
 PLAN_FILE = "programme.json"
@@ -76,11 +76,7 @@ def prepare_folder(folder: Path, plan: Plan, *, resume: bool) -> list[CellResult
             problem = "was made by another programme, or by an earlier state of this one"
             raise InputError(file, "", problem, "use another folder")
     else:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            problem = f"cannot be made: {error.strerror}"
-            raise InputError(folder, "--out", problem, "choose another folder") from None
+        make_folder(folder, "--out")
         with replacing(file) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     found = (cell_record.read(cell, folder) for cell in plan.cells())

@@ -39,6 +39,7 @@ from eps_hil.proof.plans import MIX, QUICK, Plan, mixed
 from eps_hil.proof.seal import opaque_id, open_answers, seal
 from eps_hil.proof.truth import Floats
 from eps_hil.proof.write import write_can_case, write_case
+from eps_hil.recordings.files import make_folder, replacing
 
 BATCH = 28
 LINES, SEALS, REPORTS = "cases.jsonl", "seals.txt", "reports"
@@ -159,13 +160,22 @@ def _begin(out: Path, setting: Setting, resume: bool) -> None:
     if path.exists():
         if not resume:
             raise InputError(out, "--out", "holds a proof already", "add --resume, or name another")
-        if json.loads(path.read_text()) != asdict(setting):
+        try:
+            before = _json(path)
+        except ValueError:
+            raise InputError(path, "", "is damaged", "name another folder") from None
+        if before != asdict(setting):
             raise InputError(out, "--resume", "was begun with other options", "name another folder")
-    elif out.exists() and any(out.iterdir()):
+    elif resume:
+        raise InputError(
+            out, "--resume", "there is no proof to go on with", "leave it out to begin"
+        )
+    elif out.is_dir() and any(out.iterdir()):
         raise InputError(out, "--out", "is not empty", "name a folder that is new")
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out, "--out")
     (out / REPORTS).mkdir(exist_ok=True)
-    path.write_text(json.dumps(asdict(setting), indent=1) + "\n")
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(asdict(setting), indent=1) + "\n")
 
 
 def _folder(out: Path, number: int) -> Path:

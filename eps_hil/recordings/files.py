@@ -51,6 +51,15 @@ def needs_extra(path: Path, extra: str) -> Iterator[None]:
         raise InputError(path, "", problem, f'pip install "eps_hil[{extra}]"') from None
 
 
+def make_folder(path: Path, option: str) -> None:
+    """The folder that ``option`` names, made if it is not there, with those above it."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"cannot be made: {error.strerror}"
+        raise InputError(path, option, problem, "choose another folder") from None
+
+
 def check_writable(path: Path) -> None:
     """Refuse before long work what :func:`replacing` would refuse after it."""
     path = path.resolve()

@@ -1,5 +1,6 @@
 """The command itself: statuses, one line for every error, a traceback only on request."""
 
+import errno
 import subprocess
 import sys
 
@@ -25,6 +26,7 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
         (SafetyStop("speed"), 3),
         (KeyboardInterrupt(), 130),
         (ZeroDivisionError("oh"), 1),
+        (OSError(errno.ENOSPC, "No space left on device", "out.json"), 1),
         (BrokenPipeError(), 0),
     ],
 )
@@ -45,6 +47,27 @@ def test_every_error_has_its_status(
     if status not in (0, 130):
         command.main(["--debug"])
         assert "Traceback" in capsys.readouterr().err
+
+
+def test_what_the_system_refuses_is_no_internal_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(**_words: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "out.json")
+
+    monkeypatch.setattr(command, "app", fail)
+    command.main([])
+    assert capsys.readouterr().err == "eps-hil: out.json: no space left on device\n"
+
+
+@pytest.mark.parametrize("group", [[], ["prove"], ["calibrate"]])
+def test_a_group_without_a_verb_shows_its_help(
+    capsys: pytest.CaptureFixture[str], group: list[str]
+) -> None:
+    assert command.main(group) == 2
+    shown = capsys.readouterr().err
+    assert shown.startswith("Usage: eps-hil")
+    assert "\nCommands:\n" in shown
 
 
 def test_ctrl_c_inside_a_verb_is_one_line(

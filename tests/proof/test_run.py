@@ -207,6 +207,20 @@ def test_other_options_are_another_run(tmp_path: Path, examined: list[str]) -> N
     assert len(examined) == 5
 
 
+def test_nothing_is_begun_by_mistake(tmp_path: Path, examined: list[str]) -> None:
+    with pytest.raises(InputError, match="no proof to go on with"):
+        run(tmp_path / "proof", SETTING, _desk([]), resume=True)
+    assert not (tmp_path / "proof").exists()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="--out: cannot be made"):
+        run(tmp_path / "file" / "proof", SETTING, _desk([]))
+    (tmp_path / "torn").mkdir()
+    (tmp_path / "torn" / "run.json").write_text('{"seed":')
+    with pytest.raises(InputError, match=r"run\.json: is damaged"):
+        run(tmp_path / "torn", SETTING, _desk([]), resume=True)
+    assert examined == []
+
+
 def test_answers_that_were_changed_are_noticed(
     tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
