@@ -15,7 +15,7 @@ from eps_hil.axis.emps import ARM_M, AxisRecord
 from eps_hil.axis.identify import identify
 from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.prepare import CUTOFF_HZ, STEP_S, Prepared, prepare
-from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.problem import Problem, plain
 from eps_hil.diagnosis.select import select
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -53,7 +53,7 @@ class Augmented:
     identified: Model
     model: Model
     fit: Fit
-    losses: Mapping[str, float]
+    losses: Sequence[float]
     noise_n: float
 
 
@@ -72,13 +72,17 @@ def augment(record: AxisRecord, published: Model, say: Say | None = None) -> Aug
         entries = (TIMING, *entries)
     model, entries, losses = _pruned(fitted, judged, nominal, entries, say)
     model, last = _refitted(whole, model, entries)
-    augmented = replace(model, effects=last.entries)
+    augmented = _with(model, last.entries)
     return Augmented(identify(whole, published), augmented, last, losses, noise / ARM_M)
 
 
 def _problem(prepared: Prepared, model: Model) -> Problem:
     """A friction that bends the other way than its name says is wanted too: the shape predicts."""
     return Problem([prepared], model, either_sign=True)
+
+
+def _with(model: Model, entries: Entries) -> Model:
+    return replace(model, effects=tuple(plain(entry) for entry in entries))
 
 
 def _part(record: AxisRecord, part: slice) -> Mapping[str, Series]:
@@ -91,7 +95,7 @@ def _part(record: AxisRecord, part: slice) -> Mapping[str, Series]:
 def _typical_residual_nm(prepared: Prepared, model: Model) -> float:
     """Standard deviation by the median, with the best skew of the motor's force taken out."""
     timed = fit(_problem(prepared, model), [TIMING])
-    left = prepared.residual(replace(model, effects=timed.entries))[0]
+    left = prepared.residual(_with(model, timed.entries))[0]
     return float(np.median(np.abs(left)) / 0.6745)
 
 
@@ -104,7 +108,7 @@ def _noisy(prepared: Prepared, floor_nm: float) -> Prepared:
 
 def _pruned(
     fitted: Prepared, judged: Prepared, model: Model, entries: Entries, say: Say | None
-) -> tuple[Model, Entries, Mapping[str, float]]:
+) -> tuple[Model, Entries, Sequence[float]]:
     """Drop the effect that is worth least on the judging part until all are worth something."""
     model, best = _refitted(fitted, model, entries)
     entries = best.entries
@@ -118,10 +122,8 @@ def _pruned(
             less, again = _refitted(fitted, model, others)
             loss = _energy(judged, less, again.entries) / energy - 1.0
             without.append((loss, less, again.entries))
-        losses = {
-            str(entry["effect"]): loss for entry, (loss, _, _) in zip(entries, without, strict=True)
-        }
-        if not without or min(losses.values()) >= LEAST_LOSS:
+        losses = [loss for loss, _, _ in without]
+        if not without or min(losses) >= LEAST_LOSS:
             return model, entries, losses
         _, model, entries = min(without, key=lambda one: one[0])
 
@@ -130,12 +132,12 @@ def _refitted(prepared: Prepared, model: Model, entries: Entries) -> tuple[Model
     """The model's own numbers and the effects' in turn, until both have seen the other."""
     found = fit(_problem(prepared, model), entries)
     for _ in range(_ROUNDS):
-        whole = identify(prepared, replace(model, effects=found.entries))
+        whole = identify(prepared, _with(model, found.entries))
         model = replace(whole, effects=())
         found = fit(_problem(prepared, model), found.entries)
     return model, found
 
 
 def _energy(prepared: Prepared, model: Model, entries: Entries) -> float:
-    residual = prepared.residual(replace(model, effects=tuple(entries)))[0]
+    residual = prepared.residual(_with(model, entries))[0]
     return float(np.mean(residual**2))

@@ -1,6 +1,6 @@
 """Findings of the axis in its own units: newtons and metres, the rotor's scale undone."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ _SUFFIX = {
 }
 
 
-def findings(augmented: Augmented, without: Mapping[str, Mapping[str, float]]) -> list[Any]:
+def findings(augmented: Augmented, without: Sequence[Mapping[str, float]]) -> list[Any]:
     """One entry an effect, strongest first; ``without``: the held-out figures if it is left out."""
     found = []
     for k, entry in enumerate(augmented.fit.entries):
@@ -40,8 +40,8 @@ def findings(augmented: Augmented, without: Mapping[str, Mapping[str, float]]) -
                 "equation": effect.equation,
                 "summary": _summary(effect, entry),
                 "parameters": _parameters(augmented, k, effect),
-                "judging_part_energy_rise": augmented.losses[effect.id],
-                "heldout_without_it": dict(without[effect.id]),
+                "judging_part_energy_rise": augmented.losses[k],
+                "heldout_without_it": dict(without[k]),
             }
         )
     return sorted(found, key=lambda one: -one["judging_part_energy_rise"])

@@ -147,15 +147,17 @@ def _content(
 ) -> dict[str, Any]:
     identified = judge(heldout, augmented.identified)
     entries = model.effects
-    shares: dict[str, Mapping[str, float]] = {}
+    shares: list[Mapping[str, float]] = []
     own_phase = judge(heldout, augmented.model)
-    for k, entry in enumerate(entries):
+    for k in range(len(entries)):
         others = tuple(one for i, one in enumerate(entries) if i != k)
         without = judge(heldout, replace(model, effects=others))
-        shares[str(entry["effect"])] = {
-            "heldout_force_error_percent": without.heldout_force_error_percent,
-            "hidden_force_rmse_n": without.hidden_force_rmse_n,
-        }
+        shares.append(
+            {
+                "heldout_force_error_percent": without.heldout_force_error_percent,
+                "hidden_force_rmse_n": without.hidden_force_rmse_n,
+            }
+        )
 
     def pair(name: str) -> dict[str, float]:
         return {

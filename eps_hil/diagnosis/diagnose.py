@@ -18,7 +18,7 @@ from eps_hil.diagnosis.leftover import BESIDE_UNKNOWN, Leftover, alone, late_tor
 from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
 from eps_hil.diagnosis.numbers import CONSTANTS
 from eps_hil.diagnosis.placebo import placebos
-from eps_hil.diagnosis.problem import Problem, clipped, knee, sliding
+from eps_hil.diagnosis.problem import Problem, clipped, knee, plain, sliding, term_of
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
 from eps_hil.diagnosis.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.select import Say, Selection, select, timed
@@ -142,9 +142,9 @@ def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
     cost = float(np.sum(clipped(full, at) ** 2))
     least = 0.3 * threshold(test, full, FINAL_SHARE)
     for k, entry in enumerate(entries):
-        if entry["effect"] not in selection.gains:
+        if term_of(entry) not in selection.gains:
             continue
-        refitted = selection.without[entry["effect"]]
+        refitted = selection.without[term_of(entry)]
         without = test.residual(test.with_entries(refitted.entries, refitted.own))
         if float(np.sum(clipped(without, at) ** 2)) - cost > least:
             keep.append(k)
@@ -160,7 +160,7 @@ def _refitted(problem: Problem, selection: Selection, findings: Sequence[int]) -
     left = [
         k
         for k, entry in enumerate(found.entries)
-        if k in findings or entry["effect"] not in selection.gains
+        if k in findings or term_of(entry) not in selection.gains
     ]
     if len(left) < len(found.entries):
         entries = [found.entries[k] for k in left]
@@ -177,7 +177,7 @@ def _beside_unknown(problem: Problem, selection: Selection, findings: Sequence[i
     residual = selection.found.residual
     if alone(problem, selection.null.residual, residual) is not None:
         return _refitted(problem, selection, [])
-    names = {k: str(selection.found.entries[k]["effect"]) for k in findings}
+    names = {k: term_of(selection.found.entries[k]) for k in findings}
     while True:
         residual = selection.found.residual
         cut = clipped(residual, knee(residual))
@@ -186,7 +186,7 @@ def _beside_unknown(problem: Problem, selection: Selection, findings: Sequence[i
         if len(kept) == len(findings):
             return list(findings)
         findings = _refitted(problem, selection, kept)
-        names = {k: str(selection.found.entries[k]["effect"]) for k in findings}
+        names = {k: term_of(selection.found.entries[k]) for k in findings}
 
 
 def _better(
@@ -208,8 +208,8 @@ def _content(
     judged: Sequence[Holdout],
 ) -> dict[str, Any]:
     found = selection.found
-    listed = [_finding(problem, selection, k) for k in findings]
-    listed.sort(key=lambda one: -selection.gains[one["effect"]])
+    by_gain = sorted(findings, key=lambda k: -selection.gains[term_of(found.entries[k])])
+    listed = [_finding(problem, selection, k) for k in by_gain]
     if left is not None:
         listed.append(_unknown(left))
     verdict = {
@@ -260,7 +260,7 @@ def _augmented(problem: Problem, found: Fit, findings: Sequence[int]) -> Model:
     """The model with the findings; what else was fitted (how a torque is held) goes with them."""
     if not findings:
         return problem.model
-    entries = [_entry(found.entries[k]) for k in findings]
+    entries = [_entry(plain(found.entries[k])) for k in findings]
     model = problem.with_entries(entries, _entry(found.own))
     late = max(model.delays_s.motor_torque, 0.0)  # a model file holds no negative delay
     return replace(model, delays_s=replace(model.delays_s, motor_torque=late))
@@ -270,8 +270,8 @@ def _finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     found = selection.found
     entry = found.entries[k]
     effect = catalogue()[entry["effect"]]
-    gain = selection.gains[effect.id]
-    rivals = selection.rivals.get(effect.id, [])
+    gain = selection.gains[term_of(entry)]
+    rivals = selection.rivals.get(term_of(entry), [])
     twins = [name for name, part in rivals if part > RIVAL or (1 - part) * gain < RIVAL_GAIN]
     if effect.id in CONSTANTS:  # what presliding says of the difference rests on the bristle's form
         pool = {one.effect.id for one in selection.pool} - {effect.id, *twins}

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.baseline import ALL, KNOBS, SIDES
 from eps_hil.diagnosis.probes import bounds, neutral_value
-from eps_hil.diagnosis.problem import Problem, knee
+from eps_hil.diagnosis.problem import Problem, knee, term_of
 from eps_hil.diagnosis.spread import Integers, half_widths
 from eps_hil.physics.effects.catalogue import catalogue
 
@@ -58,10 +58,10 @@ class Fit:
         return dict(zip(self.names, (float(one) for one in wide), strict=True))
 
     def slopes(self) -> dict[tuple[str, str], Floats]:
-        """Columns of the Jacobian by (effect, parameter)."""
+        """Columns of the Jacobian by (term, parameter)."""
         first = len(self.own)
         return {
-            (str(self.entries[k]["effect"]), name): self.jacobian[:, first + i]
+            (term_of(self.entries[k]), name): self.jacobian[:, first + i]
             for i, (k, name) in enumerate(self.names)
         }
 
@@ -98,10 +98,10 @@ def fit(
             [knobs.columns, _jacobian(problem, work, names, residual, knobs.values)]
         )
     for _ in range(rounds if jacobian.shape[1] else 0):
-        wanted = [n for n in names if fresh or (work[n[0]]["effect"], n[1]) not in known]
+        wanted = [n for n in names if fresh or (term_of(work[n[0]]), n[1]) not in known]
         slopes = _jacobian(problem, work, wanted, residual, knobs.values)
-        known |= {(work[k]["effect"], n): slopes[:, i] for i, (k, n) in enumerate(wanted)}
-        found = [known[work[k]["effect"], n] for k, n in names]
+        known |= {(term_of(work[k]), n): slopes[:, i] for i, (k, n) in enumerate(wanted)}
+        found = [known[term_of(work[k]), n] for k, n in names]
         jacobian = np.column_stack([columns, *found])
         fresh_now, fresh = len(wanted) == len(names), False
         weighted = jacobian * _huber(residual, at)[:, None]

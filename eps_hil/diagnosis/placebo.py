@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.prepare import STEP_S, THIN
-from eps_hil.diagnosis.problem import Problem, clipped, knee
+from eps_hil.diagnosis.problem import Problem, clipped, knee, term_of
 from eps_hil.diagnosis.proof_of_fit import Holdout
 from eps_hil.diagnosis.select import Selection
 
@@ -51,8 +51,8 @@ def placebos(
     at = knee(full)
     told = []
     for k in findings:
-        effect = found.entries[k]["effect"]
-        spared = selection.without[effect]
+        entry = found.entries[k]
+        spared = selection.without[term_of(entry)]
         without = test.residual(test.with_entries(spared.entries, spared.own))
         fitted = _Term(problem, spared.residual, found.residual)
         kept = _Term(test, without, full)
@@ -71,7 +71,8 @@ def placebos(
         gain = _energy(without, at) - _energy(full, at)
         told.append(
             {
-                "effect": effect,
+                "effect": entry["effect"],
+                **({"order": float(f"{entry['order']:.4g}")} if "order" in entry else {}),
                 "gain": float(f"{gain:.4g}"),
                 "draws": DRAWS,
                 "placebo_gain_5_50_95_percent": gains,

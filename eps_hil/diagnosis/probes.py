@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.problem import TERM, Problem
+from eps_hil.physics.effects.added import MOST_TERMS
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Effect, Parameter, Probe
 from eps_hil.physics.model import Model
@@ -17,7 +18,10 @@ from eps_hil.physics.model import Model
 Floats = npt.NDArray[np.float64]
 
 _ORDERS = np.arange(0.5, 50.01, 0.05)
-_MOST_ORDERS = 4
+_FINE = np.linspace(-0.05, 0.05, 21)
+_MOST_ORDERS = 6
+_APART = 0.3
+"""Orders that are nearer are one."""
 _FILTER_HZ = 30.0
 _KNOTS = 24
 _WIDEST = 0.35
@@ -36,6 +40,19 @@ class Candidate:
     columns: Floats
     """(n, 1), or (n, 2) for the two quadratures of a phase."""
 
+    @property
+    def repeats(self) -> bool:
+        """Whether a rig may have several such terms: one for every order of a turn."""
+        return self.effect.probe is not None and self.effect.probe.scan == "order"
+
+    def beside(self, entries: Sequence[Mapping[str, Any]], model: Model) -> bool:
+        """Whether this is one term more beside ``entries``, which may hold the effect already."""
+        same = [entry for entry in entries if entry["effect"] == self.effect.id]
+        if not same or not self.repeats:
+            return not same
+        near = min(abs(float(entry["order"]) - self.shape["order"]) for entry in same)
+        return near > _APART and len(same) < _room(self.effect, model)
+
     def entry(self, coefficients: Floats, problem: Problem) -> dict[str, Any]:
         """A model file's entry for fitted coefficients, inside the parameters' bounds."""
         probe = self.effect.probe
@@ -51,6 +68,8 @@ class Candidate:
         else:
             values = {probe.amplitude: neutral + float(coefficients[0])}
         entry: dict[str, Any] = {"effect": self.effect.id, **self.shape, **values}
+        if self.repeats:
+            entry[TERM] = f"{self.effect.id} {self.shape['order']:.2f}"
         for parameter in self.effect.parameters:
             if parameter.name in entry:
                 low, high = bounds(self.effect, parameter, problem)
@@ -63,6 +82,11 @@ def neutral_value(probe: Probe, model: Model) -> float:
     if np.isnan(probe.neutral):
         return float(getattr(model.friction, probe.amplitude))
     return probe.neutral
+
+
+def _room(effect: Effect, model: Model) -> int:
+    """How many terms of the effect the model has room for beside those that it holds."""
+    return MOST_TERMS - sum(entry["effect"] == effect.id for entry in model.effects)
 
 
 def bounds(effect: Effect, parameter: Parameter, problem: Problem) -> tuple[float, float]:
@@ -102,7 +126,7 @@ def candidates(
     jobs = [
         (effect, shape)
         for effect in catalogue().values()
-        if effect.probe is not None and effect.id not in without
+        if effect.probe is not None and effect.id not in without and _room(effect, problem.model)
         for shape in _shapes(effect, problem, residual)
     ]
 
@@ -212,10 +236,40 @@ def _orders(problem: Problem, residual: Floats) -> list[float]:
         speed.append(np.abs(motion.speed_rad_s[index]))
     use = problem.sliding
     phi, omega = np.concatenate(angle)[use], np.concatenate(speed)[use]
-    left, power = residual[use], np.zeros(len(_ORDERS))
-    wave, next_order = (
-        np.exp(-1j * order * phi) for order in (_ORDERS[0], _ORDERS[1] - _ORDERS[0])
-    )
+    return _clear_orders(residual[use], phi, omega)
+
+
+def _clear_orders(left: Floats, phi: Floats, omega: Floats) -> list[float]:
+    """The strongest orders of what is ``left`` over the angle (rad), at speeds (rad/s).
+
+    Each is taken out before the next is looked for, or the skirts of a strong one hide the others.
+    """
+    left = left - np.mean(left)
+    found: list[float] = []
+    while len(found) < _MOST_ORDERS:
+        power = _periodogram(left, phi, omega)
+        for known in found:
+            power[np.abs(_ORDERS - known) <= _APART] = 0.0
+        if not np.any(power):
+            break
+        order = float(_ORDERS[np.argmax(power)])
+        inside = omega * order / (2 * np.pi) < _FILTER_HZ
+        near = np.clip(order + _FINE, _ORDERS[0], _ORDERS[-1])
+        order = float(near[np.argmax([_power(left[inside], one * phi[inside]) for one in near])])
+        found.append(order)
+        waves = np.column_stack([np.cos(order * phi), np.sin(order * phi)]) * inside[:, None]
+        left = left - waves @ np.linalg.lstsq(waves, left, rcond=None)[0]
+    return found
+
+
+def _power(left: Floats, turned: Floats) -> float:
+    return float(np.abs(np.dot(np.exp(-1j * turned), left)))
+
+
+def _periodogram(left: Floats, phi: Floats, omega: Floats) -> Floats:
+    """Power at each of _ORDERS of what is ``left`` over the angle (rad), at speeds (rad/s)."""
+    power, between = np.zeros(len(_ORDERS)), _ORDERS[1] - _ORDERS[0]
+    wave, next_order = np.exp(-1j * _ORDERS[0] * phi), np.exp(-1j * between * phi)
     for k, order in enumerate(_ORDERS):
         inside = omega * order / (2 * np.pi) < _FILTER_HZ
         n = int(np.sum(inside))
@@ -223,10 +277,4 @@ def _orders(problem: Problem, residual: Floats) -> list[float]:
             values = left[inside] - np.mean(left[inside])
             power[k] = np.abs(np.dot(wave[inside], values)) ** 2 / n
         wave *= next_order
-    found: list[float] = []
-    for k in np.argsort(power)[::-1]:
-        if all(abs(_ORDERS[k] - known) > 0.3 for known in found):
-            found.append(float(_ORDERS[k]))
-        if len(found) == _MOST_ORDERS:
-            break
-    return found
+    return power

@@ -26,6 +26,8 @@ PRESLIDING_SIGMA_NM = 0.03
 at 1 kHz: a reversal's instant is known no better than a sample."""
 _MANY = 20_000
 """Thinned samples from which it is worth while to work on several recordings at once."""
+TERM = "term"
+"""Key that tells an entry from others of the same effect (two cogging orders); no model has it."""
 NOTHING_NM = 1e3
 """Deviation of a sample that says nothing."""
 BLOCK_S = 2.0
@@ -118,8 +120,19 @@ class Problem:
         self, entries: Sequence[Mapping[str, Any]], own: Mapping[str, float] | None = None
     ) -> Model:
         """The model with effects added to its own, and its ``own`` numbers moved (see baseline)."""
+        entries = [plain(entry) for entry in entries]
         model = replace(self.model, effects=(*self.model.effects, *entries))
         return turned(model, own or {})
+
+
+def term_of(entry: Mapping[str, Any]) -> str:
+    """Which term an entry is, whatever its numbers become: of most effects there is only one."""
+    return str(entry.get(TERM, entry["effect"]))
+
+
+def plain(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """The entry as a model holds it."""
+    return {key: value for key, value in entry.items() if key != TERM}
 
 
 def knee(residual: Floats) -> float:

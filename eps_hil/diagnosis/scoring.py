@@ -46,14 +46,18 @@ class Scored:
 
 def score(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> list[Scored]:
     """Every candidate's gain on held-out blocks, best first."""
-    taken = {str(entry["effect"]) for entry in found.entries}
+    there, taken = {str(entry["effect"]) for entry in found.entries}, set[str]()
     if has_curve(found):
         taken |= {*IN_CURVE, *CONSTANTS}
-    elif taken & set(IN_CURVE):
+    elif there & set(IN_CURVE):
         taken |= {CURVE}
-    if taken & set(CONSTANTS):
+    if there & set(CONSTANTS):
         taken |= set(CONSTANTS)  # one constant is all that sliding shows
-    open_to = [one for one in pool if one.effect.id not in taken]
+    open_to = [
+        one
+        for one in pool
+        if one.effect.id not in taken and one.beside(found.entries, problem.model)
+    ]
     gains = cross_validated(
         [one.columns for one in open_to],
         clipped(found.residual, knee(found.residual)),

@@ -17,7 +17,7 @@ from eps_hil.diagnosis.exchange import bettered, exchanged
 from eps_hil.diagnosis.fit import Fit, ablated, deviation, fit, matters
 from eps_hil.diagnosis.numbers import SPANNED, levels_first, numbers_off
 from eps_hil.diagnosis.probes import Candidate, candidates
-from eps_hil.diagnosis.problem import Problem, knee
+from eps_hil.diagnosis.problem import Problem, knee, term_of
 from eps_hil.diagnosis.scoring import (
     FINAL_SHARE,
     FORWARD_SHARE,
@@ -44,9 +44,9 @@ Say = Callable[[str, float], None]
 
 @dataclass
 class Selection:
-    """The accepted effects' fit, the null's, and for each effect what else was nearly as good.
+    """The accepted effects' fit, the null's, and for each term what else was nearly as good.
 
-    ``without``: for each accepted effect the fit that does without it, the others refitted.
+    ``without``: for each accepted term the fit that does without it, the others refitted.
     ``pool`` and ``searched``, the fit it belongs to, are of the problem ``part`` that was searched.
     """
 
@@ -82,8 +82,8 @@ def _on_all(problem: Problem, selection: Selection) -> Selection:
     selection.null = fit(problem, [], own={**TIMING, **problem.tied})
     rivals = selection.rivals
     selection.gains, selection.without, selection.rivals = {}, {}, {}
-    for _, name in _ablations(problem, selection):
-        selection.rivals[name] = rivals.get(name, [])
+    for _, entry in _ablations(problem, selection):
+        selection.rivals[term_of(entry)] = rivals.get(term_of(entry), [])
     return selection
 
 
@@ -229,35 +229,30 @@ def timed(problem: Problem, found: Fit) -> Fit:
     return fit(problem, entries, own={**TIMING, **found.own}, like=found)
 
 
-def _ablations(problem: Problem, selection: Selection) -> Iterator[tuple[Fit, str]]:
-    """Each accepted effect's fit without it, and its id; its gain is noted down."""
+def _ablations(problem: Problem, selection: Selection) -> Iterator[tuple[Fit, Mapping[str, Any]]]:
+    """The fit without each accepted entry, and that entry; its gain is noted down."""
     found = selection.found
     for k, entry in enumerate(found.entries):
         if not matters(entry, problem):
             continue
         without = ablated(problem, found, k)
-        selection.gains[entry["effect"]] = without.cost - found.cost
-        selection.without[entry["effect"]] = without
-        yield without, entry["effect"]
+        selection.gains[term_of(entry)] = without.cost - found.cost
+        selection.without[term_of(entry)] = without
+        yield without, entry
 
 
 def _rivals(problem: Problem, selection: Selection) -> None:
     """For each accepted effect: what others reach in its place, as a share of its gain."""
-    for without, effect in _ablations(problem, selection):
-        gain = selection.gains[effect]
+    for without, entry in _ablations(problem, selection):
+        gain = selection.gains[term_of(entry)]
         near: dict[str, float] = {}
         for one in score(problem, without, selection.pool):
             name = one.candidate.effect.id
-            if name == effect or name in near or one.gain < NEAR * gain:
+            if name == entry["effect"] or name in near or one.gain < NEAR * gain:
                 continue
             if is_curve(one.candidate):
                 continue  # by its definition what no other effect explains, so nobody's rival
             own = selection.found.own
             refitted = fit(problem, [*without.entries, one.entry], own=own, like=without)
             near[name] = (without.cost - refitted.cost) / max(gain, 1e-9)
-        selection.rivals[effect] = sorted(near.items(), key=lambda pair: -pair[1])
-
-
-def entries_of(found: Fit) -> list[Mapping[str, Any]]:
-    """The fitted entries, as a model file holds them."""
-    return [dict(entry) for entry in found.entries]
+        selection.rivals[term_of(entry)] = sorted(near.items(), key=lambda pair: -pair[1])

@@ -20,7 +20,7 @@ from eps_hil.diagnosis.caveats import about, caveats
 from eps_hil.diagnosis.fit import Fit, ablated, fit
 from eps_hil.diagnosis.leftover import LEAST_EXCESS
 from eps_hil.diagnosis.parameters import Reduction, reduce_parameters
-from eps_hil.diagnosis.problem import Problem, clipped, knee
+from eps_hil.diagnosis.problem import Problem, clipped, knee, plain
 from eps_hil.diagnosis.scoring import LEAST_GAIN
 from eps_hil.diagnosis.select import Say, select
 from eps_hil.diagnosis.traces import Signals, dressed, left_nm, lent, placed, places, usual_noise
@@ -83,7 +83,7 @@ def explain(
     entries = [entry for entry in entries if entry["effect"] not in _TIMING]
     left = problem.residual(fitted)
     unexplained = _unexplained(problem, left)
-    result = replace(reduction.model, effects=(*model.effects, *entries))
+    result = replace(reduction.model, effects=(*model.effects, *map(plain, entries)))
     borrowed = any(lent(trace) for trace in traces.values())
     late, delays = _timing(reduction.model.delays_s, model.delays_s, borrowed)
     result = replace(result, delays_s=delays)
@@ -93,7 +93,7 @@ def explain(
         "traces": [about(name, one, matches[name]) for name, one in traces.items()],
         "timing": "as reported" if late else "physical instants",
         "parameters": reduction.content(),
-        "effects": entries,
+        "effects": [plain(entry) for entry in entries],
         "unexplained_nm": unexplained,
         "caveats": caveats(traces, recordings, matches, reduction, unexplained, noise_nm),
     }
@@ -133,7 +133,7 @@ def _reduced(problem: Problem) -> tuple[Reduction, list[dict[str, Any]]]:
     found = select(Problem(problem.recordings, reduction.model)).found
     entries = [dict(one) for one in found.entries if one["effect"] not in _PARAMETERS]
     for _ in range(2):
-        beside = replace(nominal, effects=(*nominal.effects, *entries))
+        beside = replace(nominal, effects=(*nominal.effects, *map(plain, entries)))
         reduction = reduce_parameters(Problem(problem.recordings, beside))
         bare = Problem(problem.recordings, replace(reduction.model, effects=nominal.effects))
         entries = _needed(bare, fit(bare, entries), max(LEAST_GAIN, _LEAST_PART * excess))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.problem import term_of
 from eps_hil.diagnosis.scoring import FORWARD_SHARE, score, threshold
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.report import (
@@ -105,7 +106,8 @@ def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
 
 def _verdict(content: Mapping[str, Any]) -> str:
     """The verdict as a sentence."""
-    named = [one["effect"] for one in content["findings"] if one["effect"] != "unknown"]
+    findings = [one["effect"] for one in content["findings"] if one["effect"] != "unknown"]
+    named = list(dict.fromkeys(findings))  # two orders are one cogging
     sentences = {
         "no_mismatch": "Nothing is missing: what differs between model and recordings is sensor "
         "noise, or too small to be told from it.",
@@ -196,7 +198,6 @@ def _span(region: Mapping[str, Any]) -> str:
 
 def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[dict[str, Any]]:
     cards = []
-    places = {entry["effect"]: k for k, entry in enumerate(fitted.entries)}
     for one in diagnosis.content["findings"]:
         card: dict[str, Any] = {**one, "plot": None, "sizes": None, "size": "", "rivals": []}
         known = catalogue()[one["effect"]].parameters if one["effect"] in catalogue() else ()
@@ -209,10 +210,12 @@ def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[di
                 card["size"] = f"up to {1e3 * peak / ratio:.3g} mm"
             else:
                 card["sizes"] = {"peak_n": ratio * peak} if peak else None
-        elif one["effect"] in places:
-            k = places[one["effect"]]
+        elif (k := _place(fitted.entries, one)) is not None:
             card["plot"], card["sizes"] = diagnosis_figures.finding(fitted, k, one["where"])
-            card["rivals"] = diagnosis.selection.rivals.get(one["effect"], [])[:4]
+            entries = diagnosis.selection.found.entries
+            term = _place(entries, one)
+            rivals = [] if term is None else diagnosis.selection.rivals.get(term_of(entries[term]))
+            card["rivals"] = (rivals or [])[:4]
         elif "seen_in" in one:
             card["plot"] = diagnosis_kinematics.figure(diagnosis, one)
             card["size"] = diagnosis_kinematics.size(one, diagnosis.problem.model)
@@ -220,6 +223,19 @@ def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[di
             plots.append(card["plot"])
         cards.append(card)
     return cards
+
+
+def _place(entries: Sequence[Mapping[str, Any]], finding: Mapping[str, Any]) -> int | None:
+    """Which entry a finding is: of several cogging orders the nearest."""
+    same = [k for k, entry in enumerate(entries) if entry["effect"] == finding["effect"]]
+    order = finding["parameters"].get("order", {}).get("value", 0.0)
+    return min(same, key=lambda k: abs(entries[k].get("order", 0.0) - order), default=None)
+
+
+def _titled(entry: Mapping[str, Any]) -> str:
+    """An effect in words, with what tells it from others of its kind."""
+    name = str(entry["effect"]).replace("_", " ")
+    return f"{name} of order {entry['order']:.4g}" if "order" in entry else name
 
 
 def _measures(content: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -261,7 +277,7 @@ def _ablation(fitted: Evidence, held_out: Evidence, ratio: float) -> list[dict[s
     if fitted.entries:
         rows.append(("with all findings", fitted.after_nm, held_out.after_nm))
     for k, entry in enumerate(fitted.entries):
-        name = f"all but {entry['effect'].replace('_', ' ')}"
+        name = f"all but {_titled(entry)}"
         rows.append((name, fitted.without_nm[k], held_out.without_nm[k]))
     rows.append(("sensor noise alone", fitted.floor_nm, held_out.floor_nm))
     return [

@@ -22,12 +22,12 @@ REST = 0.05
     K0P, K0N, KWP, KWN, KRP, KRN, S0, S1, WS, INERTIA, RATIO, STRIB, STRIB_W, VISC, QUAD,
     POSF, POSC, POSW, DWELL, DWELL_T, DWELL_R, WARM, WARM_T, SCREW, SCREW_P, COG, COG_N, COG_P,
     RIP, RIP_P, CARD, CARD_P, SAT, SPRING, STOP_X, STOP_K, EM_GAIN, EM_OFF,
-    HAND, EDDY, EDDY_W,
-) = range(41)  # fmt: skip
+    HAND, EDDY, EDDY_W, COG2, COG2_N, COG2_P,
+) = range(44)  # fmt: skip
 _BASE = [
     5.6e-2, 1.258e-1, 4.195e-4, 6.658e-5, 4.993e-5, 4.345e-5, 4.5, 0.075, 0.75, 2.0e-4, 2513.0,
     0, 1, 0, 0, 0, 0, 1, 0, 1, 1, 0, 1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1e9, 0, 1, 0,
-    1, 0, 1,
+    1, 0, 1, 0, 1, 0,
 ]  # fmt: skip
 PINION, BELT, POLES = 125.7, 2.8, 4
 
@@ -60,6 +60,7 @@ def _integrate(p, force, hand, stiffness, damping, out):  # type: ignore[no-unty
             extra = p[VISC] * w + p[QUAD] * w * abs(w) + p[SPRING] * phi
             extra += p[SCREW] * math.sin(phi / BELT + p[SCREW_P])
             extra += p[COG] * math.sin(p[COG_N] * phi + p[COG_P])
+            extra += p[COG2] * math.sin(p[COG2_N] * phi + p[COG2_P])
             extra += p[EDDY] * 2 * (w / p[EDDY_W]) / (1 + (w / p[EDDY_W]) ** 2)
             if abs(x) > p[STOP_X]:
                 extra += math.copysign(p[STOP_K] * (abs(x) - p[STOP_X]), x) / p[RATIO]

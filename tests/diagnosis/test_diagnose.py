@@ -194,6 +194,37 @@ def test_an_unmeasured_force_of_no_form_leaves_only_ripples(
     assert "only ripples" in result.content["limits"][0]
 
 
+@pytest.mark.parametrize("second_nm", [0.005, 0.015])
+def test_every_order_of_cogging_is_a_finding_of_its_own(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any, second_nm: float
+) -> None:
+    """A motor has several; the weak one under the skirts of the strong, or both alike."""
+    plant = {
+        other_rig.COG: 0.015,
+        other_rig.COG_N: 6.0,
+        other_rig.COG_P: 0.4,
+        other_rig.COG2: second_nm,
+        other_rig.COG2_N: 12.0,
+        other_rig.COG2_P: -1.0,
+    }
+    result = run(record, reference_model, plant)
+    assert result.content["verdict"] == "explained"
+    found = {
+        round(one["parameters"]["order"]["value"]): one["parameters"]
+        for one in result.content["findings"]
+    }
+    assert names(result) == ["cogging_torque"] * 2
+    for order, amplitude_nm, phase_rad in ((6, 0.015, 0.4), (12, second_nm, -1.0)):
+        assert found[order]["amplitude_nm"]["value"] == pytest.approx(amplitude_nm, rel=0.1)
+        assert found[order]["order"]["value"] == pytest.approx(order, abs=0.02)
+        assert found[order]["phase_rad"]["value"] == pytest.approx(phase_rad, abs=0.15)
+    orders = [one["order"] for one in result.model.effects]
+    assert sorted(round(order) for order in orders) == [6, 12]
+    gains = [one["gain"] for one in result.content["fit"]["placebo"]]
+    assert all(gain > 100.0 for gain in gains)
+    improves(result)
+
+
 def test_several_numbers_off_are_those_numbers_and_no_more(
     record: Callable[..., Any], reference_model: Model, other_rig: Any
 ) -> None:
