@@ -39,7 +39,6 @@ from eps_hil.proof.plans import MIX, QUICK, Plan, mixed
 from eps_hil.proof.seal import opaque_id, open_answers, seal
 from eps_hil.proof.truth import Floats
 from eps_hil.proof.write import write_can_case, write_case
-from eps_hil.recordings.files import make_folder, replacing
 
 BATCH = 28
 LINES, SEALS, REPORTS = "cases.jsonl", "seals.txt", "reports"
@@ -172,10 +171,12 @@ def _begin(out: Path, setting: Setting, resume: bool) -> None:
         )
     elif out.is_dir() and any(out.iterdir()):
         raise InputError(out, "--out", "is not empty", "name a folder that is new")
-    make_folder(out, "--out")
-    (out / REPORTS).mkdir(exist_ok=True)
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(asdict(setting), indent=1) + "\n")
+    try:
+        (out / REPORTS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"cannot be made: {error.strerror}"
+        raise InputError(out, "--out", problem, "choose another folder") from None
+    path.write_text(json.dumps(asdict(setting), indent=1) + "\n")
 
 
 def _folder(out: Path, number: int) -> Path:
