@@ -245,6 +245,18 @@ def test_placebos_stand_beside_the_gain(explained: Diagnosis, page: str) -> None
     assert term["placebo_gain_most"] < 0.5 * term["gain"]
 
 
+@pytest.mark.slow
+def test_two_orders_of_one_effect_are_told_apart(other_rig: ModuleType) -> None:
+    plant = {"COG": 0.015, "COG_N": 6.0, "COG2": 0.01, "COG2_N": 12.0}
+    page = diagnosis_page.render(_diagnosed(other_rig, plant), "rig.yaml")
+    text = _Checked(page).text
+    assert "The mismatch is explained by cogging torque." in text
+    for order in (6, 12):
+        assert f"repeats {order} times a rotor turn" in text
+        assert f"angle of order {order} per rotor turn" in page
+        assert text.count(f"cogging torque of order {order}") == 2  # ablation and placebo
+
+
 def test_sentences_name_signals_as_people_do() -> None:
     said = diagnosis_page.plain("against motor_torque_offset: follows abs_motor_speed_rad_s")
     assert said == "against motor torque offset: follows rotor speed either way"
