@@ -19,7 +19,7 @@ from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart,
 from eps_hil.diagnosis.numbers import CONSTANTS
 from eps_hil.diagnosis.placebo import placebos
 from eps_hil.diagnosis.problem import Problem, clipped, knee, plain, sliding, term_of
-from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor
+from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor, only_kept
 from eps_hil.diagnosis.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.select import Say, Selection, select, timed
 from eps_hil.physics.effects.catalogue import catalogue
@@ -119,9 +119,19 @@ def diagnose(
         *([] if load is None else [load.sentence]),
         *unseen(every),
         *only_part(problem, selection.part),
+        *_only_kept(problem, selection, findings, judged),
     ]
     augmented = look.in_model(_augmented(problem, selection.found, findings))
     return Diagnosis(content, augmented, problem, selection, judged, findings)
+
+
+def _only_kept(
+    problem: Problem, selection: Selection, findings: Sequence[int], judged: Sequence[Holdout]
+) -> list[str]:
+    """What hold-outs show and the fitted recordings, with the findings, do not."""
+    after = _augmented(problem, selection.found, findings)
+    left = problem.residual(after)[problem.sliding]
+    return only_kept(judged, problem.model, after, float(np.mean(left**2)))
 
 
 def _left(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Leftover | None:

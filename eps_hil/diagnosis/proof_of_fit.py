@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis import locate
 from eps_hil.diagnosis.prepare import STEP_S, Prepared
-from eps_hil.diagnosis.problem import sliding
+from eps_hil.diagnosis.problem import Problem, sliding
 from eps_hil.diagnosis.side_by_side import each
 from eps_hil.estimation import batch
 from eps_hil.estimation.score import score
@@ -21,6 +22,8 @@ Floats = npt.NDArray[np.float64]
 
 WINDOW_S = 0.5
 """Length of the stretches that are simulated freely from a measured state."""
+MUCH_MORE = 2.0
+"""Times the energy of what was fitted: such a hold-out shows something that nothing else did."""
 MOST_RUNS = 24
 """Of each hold-out; a longer one is sampled evenly."""
 
@@ -57,6 +60,31 @@ def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[s
     if force:
         result["rack_force_rmse_n"] = float(np.sqrt(np.mean(np.square(force))))
     return result
+
+
+def only_kept(holdouts: Sequence[Holdout], before: Model, after: Model, fitted: float) -> list[str]:
+    """A sentence for each hold-out that shows what nothing fitted does (a stop met only there).
+
+    ``after``: the model with what was found; ``fitted``: the mean square, in noise variances, that
+    it leaves of what was fitted. The balance is judged while sliding under ``before``.
+    """
+    told = []
+    for one in holdouts:
+        kept = Problem([one.prepared], before)
+        energy = np.where(kept.sliding, kept.residual(after) ** 2, 0.0)
+        left = float(np.sum(energy)) / max(int(np.sum(kept.sliding)), 1)
+        if left < MUCH_MORE * max(fitted, 1.0):
+            continue
+        places = [
+            f"{region.signal} {region.low:.4g} to {region.high:.4g}"
+            for region in locate.where(kept, energy)
+        ]
+        told.append(
+            f"{one.prepared.name} leaves {np.sqrt(left):.2g} times the sensors' noise, which what "
+            f"was fitted does not{': most of it at ' + ' and '.join(places) if places else ''}. "
+            "What acts there only cannot be named from the others; fit a recording like it too."
+        )
+    return told
 
 
 def noise_floor(holdouts: Sequence[Holdout], model: Model) -> dict[str, float]:

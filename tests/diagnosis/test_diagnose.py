@@ -194,6 +194,21 @@ def test_an_unmeasured_force_of_no_form_leaves_only_ripples(
     assert "only ripples" in result.content["limits"][0]
 
 
+def test_what_only_the_hold_out_shows_is_said(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    """A stop that no fitted recording touches: nothing can be named, and that is no all-clear."""
+    stop = {other_rig.STOP_X: 0.004, other_rig.STOP_K: 2e5}
+    kept = record(stop, ("weave",), seed=2)
+    result = diagnose(reference_model, record({}), kept)
+    assert "end_stop" not in names(result)
+    (limit,) = result.content["limits"]
+    assert limit.startswith("weave_2 leaves ")
+    assert "most of it at" in limit
+    same = run(record, reference_model, {other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0})
+    assert same.content["limits"] == []
+
+
 @pytest.mark.parametrize("second_nm", [0.005, 0.015])
 def test_every_order_of_cogging_is_a_finding_of_its_own(
     record: Callable[..., Any], reference_model: Model, other_rig: Any, second_nm: float
