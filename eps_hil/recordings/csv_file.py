@@ -209,7 +209,7 @@ def _numbers(path: Path, body: bytes, columns: dict[str, int]) -> Floats:
 
 
 def _by_arrow(text: bytes, used: list[int]) -> Floats | None:
-    """As ``numpy.loadtxt`` to the last bit and several times as fast; None where it has doubts."""
+    """As ``numpy.loadtxt`` to the last bit, and faster; None where it has doubts."""
     try:
         import pyarrow
         from pyarrow import csv as arrow
@@ -232,7 +232,7 @@ def _by_arrow(text: bytes, used: list[int]) -> Floats | None:
     cells = np.empty((len(table), len(wanted)))
     for k, name in enumerate(wanted):
         parts = [
-            np.from_dlpack(chunk)  # pyarrow's own way loads pandas, which takes half a second
+            np.from_dlpack(chunk)  # pyarrow's own way loads pandas, where that is there
             if not chunk.null_count
             else chunk.to_numpy(zero_copy_only=False)
             for chunk in table[name].chunks
