@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import dropwhile
 from pathlib import Path
 
 import pytest
@@ -218,19 +219,23 @@ def test_publishes_what_a_replay_gives_bit_for_bit(
 def test_peer_sees_estimates_and_health(quick: ServiceConfig, receiver: Receiver) -> None:
     bench = Bench(quick)
     seen: list[Frame] = []
+    took_s = 0.0
 
     def script() -> None:
+        nonlocal took_s
         bench.wait_ready()
+        start = time.monotonic()
         for _ in range(30):
             bench.drive(20)
             seen.extend(bench.peer.recv(0.0))
+        took_s = time.monotonic() - start
 
     bench.run(script)
     estimates = [f for f in seen if f.can_id == ESTIMATE]
     assert (Status.VALID, Reason.FINE) in verdicts(receiver, estimates)
     health = [DATABASE.decode_message(HEALTH, f.data) for f in seen if f.can_id == HEALTH]
-    assert 3 <= len(health) <= 8  # every 100 ms of 600, less on a busy machine
-    assert health[-1]["StepRate"] == pytest.approx(1000, rel=0.3)
+    assert 3 <= len(health) <= took_s / 0.1 + 2  # every 100 ms of 600, less on a busy machine
+    assert health[-1]["StepRate"] == pytest.approx(600 / took_s, rel=0.3)
     assert health[-1]["CrcErrors"] == 0
     assert {f.can_id for f in seen} == {ESTIMATE, HEALTH}
     assert bench.shown[-1].estimate is not None
@@ -255,11 +260,14 @@ def test_silence_is_told_at_a_lower_rate_and_ends_by_itself(
 
     bench.run(script)
     frames = bench.tap.estimates()
-    before, during = verdicts(receiver, frames[: marks[0]]), frames[marks[1] + 3 : marks[2]]
+    silence = (Status.INVALID, Reason.NO_INPUT)
+    before, after = verdicts(receiver, frames[: marks[0]]), frames[marks[1] : marks[2]]
     assert before
-    assert set(before) == {(Status.INVALID, Reason.NO_INPUT)}
-    assert 15 < len(during) < 32  # one in 10 ms, after 20 ms
-    assert set(verdicts(receiver, during)) == {(Status.INVALID, Reason.NO_INPUT)}
+    assert set(before) == {silence}
+    # what was driven last may still be on its way; then silence, and nothing but silence
+    during = list(dropwhile(lambda verdict: verdict != silence, verdicts(receiver, after)))
+    assert 10 < len(during) < 32  # one in 10 ms, after 20 ms; a busy machine is later
+    assert set(during) == {silence}
     driven = [f for f in frames[marks[0] : marks[1]] if not _silent(receiver, f)]
     assert verdicts(receiver, driven)[-1] == (Status.VALID, Reason.FINE)
     assert last_verdict(receiver, frames) == (Status.VALID, Reason.FINE)
