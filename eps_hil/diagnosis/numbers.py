@@ -38,6 +38,7 @@ _SCALES = ("rack_ratio", "motor_torque_gain", "torque_sensor_gain")
 """Not spanned, but each of them looks like another beside several numbers that are off."""
 CONSTANTS = ("friction_asymmetry", "motor_torque_offset", "torque_sensor_offset")
 """One constant while sliding; only presliding, where no model is sure, could tell two apart."""
+_FRICTION = frozenset({"coulomb_level", "viscous_friction", "load_dependent_friction"})
 _FORM = 0.1
 _FITTED_SETS = 3
 _SMALL_SETS = 2
@@ -131,15 +132,16 @@ def _with_delay(problem: Problem, found: Fit) -> Fit:
 
 
 def levels_first(problem: Problem, found: Fit, least: float, considered: Collection[str]) -> Fit:
-    """Both directions' friction levels, where a level and an offset do no better: one cause.
+    """Friction that differs with direction, where friction is off anyway and an offset does no
+    better: one cause, not two.
 
     What tells the constants apart is presliding, whose form no model knows well: what it says of
     them counts only beyond a tenth of what the constant gains.
     """
-    level, asymmetry = "coulomb_level", CONSTANTS[0]
+    asymmetry = CONSTANTS[0]
     names = [str(entry["effect"]) for entry in found.entries]
     offsets = [k for k, name in enumerate(names) if name in CONSTANTS[1:]]
-    if level not in names or not offsets or asymmetry not in considered:
+    if not _FRICTION.intersection(names) or not offsets or asymmetry not in considered:
         return found
     without = ablated(problem, found, offsets[0])
     start = {"effect": asymmetry, "half_difference_nm": 1e-4}

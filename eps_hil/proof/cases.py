@@ -27,7 +27,7 @@ PARAMETERS = (
     "presliding_hysteresis",
 )
 """What a rig whose parameters are merely off may rightly be said to have."""
-_ROUNDS, _DRAWS, _LEAST_KEPT = 7, 5, 0.4
+_ROUNDS, _DRAWS, _MOST_DRAWS, _LEAST_KEPT = 7, 5, 30, 0.4
 _RUNAWAY_RAD_S = 1e3
 """A rotor that is faster has left its controller (a torque that comes too late): no recording."""
 
@@ -129,20 +129,21 @@ def _judging(
     """A hold-out that shows what it shall judge, and the effect-to-noise ratio there.
 
     Physics that a hold-out never touches (an end stop that is not reached) nobody can prove on it;
-    such a hold-out is drawn again, a few times, and the one with the most is taken.
+    such a hold-out is drawn again, a few times, and the one with the most is taken; more often
+    where none of those few showed anything at all.
     """
     best, most = last, 0.0
     if not hidden:
         return best, most
     asked = hidden[-1]
     changed = asked.effect.apply(world, asked.strength, asked.shape)
-    for _ in range(_DRAWS):
+    for draw in range(1, _MOST_DRAWS + 1):
         base = _measure(world, [last], noise_nm)
         found = _beyond(_measure(changed, [last], noise_nm), base)
         ratio = found.raw_ratio if asked.raw else found.ratio
         if ratio > most:
             best, most = last, ratio
-        if most > _LEAST_KEPT * asked.ratio:
+        if most > _LEAST_KEPT * asked.ratio or (most > 0.0 and draw >= _DRAWS):
             break
         last = programme(plan.programme, rng)[-1]
     return best, most

@@ -8,6 +8,7 @@ import pytest
 
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.fit import fit
+from eps_hil.diagnosis.numbers import levels_first
 from eps_hil.diagnosis.prepare import prepare
 from eps_hil.diagnosis.probes import bounds
 from eps_hil.diagnosis.problem import Problem
@@ -65,6 +66,28 @@ def test_levels_of_both_directions_are_not_a_level_and_an_offset(
     names = {one["effect"] for one in found["findings"]}
     assert "friction_asymmetry" in names
     assert not names & {"motor_torque_offset", "torque_sensor_offset"}
+
+
+@pytest.mark.parametrize(
+    ("beside", "constant"),
+    [
+        ([{"effect": "coulomb_level", "scale": 1.0}], "friction_asymmetry"),
+        ([{"effect": "load_dependent_friction", "gain_nm_per_n": 0.0}], "friction_asymmetry"),
+        ([{"effect": "viscous_friction", "coefficient_nm_s_per_rad": 0.0}], "friction_asymmetry"),
+        ([{"effect": "inertia", "scale": 1.0}], "motor_torque_offset"),
+        ([], "motor_torque_offset"),
+    ],
+)
+def test_where_friction_is_off_anyway_a_constant_is_frictions(
+    problem: Problem, beside: list[dict[str, Any]], constant: str
+) -> None:
+    """A constant fits as well under each of its names: the fewest causes say which comes first."""
+    offset = {"effect": "motor_torque_offset", "offset_nm": 0.0}
+    found = fit(problem, [*beside, offset])
+    told = levels_first(problem, found, 10.0, {"friction_asymmetry"})
+    names = [entry["effect"] for entry in told.entries]
+    assert sorted(names) == sorted([constant, *(one["effect"] for one in beside)])
+    assert levels_first(problem, found, 10.0, set()) is found  # it is not to be named
 
 
 def test_a_late_torque_that_may_not_be_named_is_unknown(
