@@ -22,6 +22,7 @@ from eps_hil.diagnosis.problem import Problem, clipped, knee, plain, sliding, te
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor, only_kept
 from eps_hil.diagnosis.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.select import Say, Selection, select, timed
+from eps_hil.diagnosis.spread import left_open
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Effect
 from eps_hil.physics.model import Model
@@ -120,6 +121,7 @@ def diagnose(
         *unseen(every),
         *only_part(problem, selection.part),
         *_only_kept(problem, selection, findings, judged),
+        *left_open(content["findings"]),
     ]
     augmented = look.in_model(_augmented(problem, selection.found, findings))
     return Diagnosis(content, augmented, problem, selection, judged, findings)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.baseline import ALL, KNOBS, SIDES
 from eps_hil.diagnosis.probes import bounds, neutral_value
-from eps_hil.diagnosis.problem import Problem, knee, term_of
+from eps_hil.diagnosis.problem import Problem, huber, knee, term_of
 from eps_hil.diagnosis.spread import Integers, half_widths
 from eps_hil.physics.effects.catalogue import catalogue
 
@@ -52,7 +52,7 @@ class Fit:
         """Half widths of the 95 % intervals of the fitted numbers, by place and parameter name."""
         if not self.names:
             return {}
-        weight = np.sqrt(_huber(self.residual, self.knee))
+        weight = np.sqrt(huber(self.residual, self.knee))
         first, jacobian = len(self.own), self.jacobian * weight[:, None]
         wide = half_widths(jacobian, self.residual * weight, self.groups, first)[first:]
         return dict(zip(self.names, (float(one) for one in wide), strict=True))
@@ -104,7 +104,7 @@ def fit(
         found = [known[term_of(work[k]), n] for k, n in names]
         jacobian = np.column_stack([columns, *found])
         fresh_now, fresh = len(wanted) == len(names), False
-        weighted = jacobian * _huber(residual, at)[:, None]
+        weighted = jacobian * huber(residual, at)[:, None]
         normal, slope = weighted.T @ jacobian, weighted.T @ residual
         normal[knobs.diagonal] += 1.0
         slope[: len(knobs.names)] += knobs.vector
@@ -171,11 +171,6 @@ def own_column(problem: Problem, name: str) -> Floats:
         )
         problem.columns[name] = (up - down) / (2 * knob.step)
     return problem.columns[name]
-
-
-def _huber(residual: Floats, at: float) -> Floats:
-    size = np.abs(residual)
-    return np.where(size < at, 1.0, at / np.maximum(size, at))
 
 
 def _jacobian(

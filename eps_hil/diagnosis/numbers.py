@@ -17,7 +17,7 @@ from eps_hil.diagnosis.baseline import HOLD, HOLD_S, OFFSET, SIDES, TIMING
 from eps_hil.diagnosis.curve import has_curve
 from eps_hil.diagnosis.fit import Fit, ablated, fit, matters, own_column
 from eps_hil.diagnosis.probes import Candidate, neutral_value
-from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.problem import Problem, huber
 from eps_hil.physics.effects.catalogue import catalogue
 
 Floats = npt.NDArray[np.float64]
@@ -181,8 +181,8 @@ def _linear(
             scales += 1
     always = [own_column(problem, name) for name in (HOLD, *problem.tied, *constant)]
     free = np.column_stack([*always, tangents[:, places]])
-    weight = np.minimum(1.0, problem.knee / np.maximum(np.abs(found.residual), 1e-12))
-    everything = np.column_stack([*columns, free, left]) * np.sqrt(weight)[:, None]
+    weight = np.sqrt(huber(found.residual, problem.knee))
+    everything = np.column_stack([*columns, free, left]) * weight[:, None]
     size = np.sqrt(np.sum(everything**2, axis=0)) + 1e-300
     prior = np.full(len(size) - 1, 1e-9)
     prior[len(names)] += 1.0 / float(size[len(names)] ** 2)  # of how the torque is held

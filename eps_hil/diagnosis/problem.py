@@ -147,6 +147,12 @@ def clipped(residual: Floats, at: float) -> Floats:
     return np.clip(residual, -2.0 * at, 2.0 * at)
 
 
+def huber(residual: Floats, at: float) -> Floats:
+    """Weights (n,) of Huber's loss: 1 below the knee ``at``, less for outliers."""
+    size = np.abs(residual)
+    return np.where(size < at, 1.0, at / np.maximum(size, at))
+
+
 def sliding(recording: Prepared, model: Model) -> Masks:
     """Thinned samples at which the rotor slides and the bristle has forgotten its history."""
     motion = recording.motion(model)

@@ -12,7 +12,7 @@ from eps_hil.diagnosis.curve import has_curve
 from eps_hil.diagnosis.fit import Fit, deviation
 from eps_hil.diagnosis.numbers import CONSTANTS
 from eps_hil.diagnosis.probes import Candidate
-from eps_hil.diagnosis.problem import Problem, clipped, knee
+from eps_hil.diagnosis.problem import Problem, clipped, huber, knee
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -31,6 +31,8 @@ bear out: half of what it explains counts, and the hold-outs have the last word 
 _AT_ONCE = 32
 """Columns that are worked on together, which bounds the memory for an hour of recordings."""
 _NOTHING = 1e-6
+_ROUNDS = 5
+"""Of weighted least squares: what is an outlier is known once the rest is fitted."""
 IN_CURVE = ("unmodelled_spring", "end_stop")
 """A static curve over position holds these already; both at once would cancel each other."""
 
@@ -58,9 +60,10 @@ def score(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> list[Score
         for one in pool
         if one.effect.id not in taken and one.beside(found.entries, problem.model)
     ]
+    left = _refitted(found.residual, found.jacobian)
     gains = cross_validated(
         [one.columns for one in open_to],
-        clipped(found.residual, knee(found.residual)),
+        clipped(left, knee(left)),
         found.jacobian,
         problem.block % 2 == 0,
     )
@@ -102,9 +105,11 @@ def cross_validated(
 
     Each half of the blocks (``even`` and not) is fitted by least squares and judged on the other.
     What the parameters already in the model could do, the columns of ``jacobian`` (n, p), is
-    projected out of the regressors first. Gains are in units of ``residual`` squared.
+    projected out of both first: half of what such columns do is not orthogonal to half of another.
+    Gains are in units of ``residual`` squared.
     """
     basis = _basis(jacobian)
+    residual = residual - basis @ (basis.T @ residual)
     found: list[tuple[float, Floats]] = []
     first = 0
     while first < len(regressors):
@@ -115,6 +120,22 @@ def cross_validated(
         found += _some(regressors[first:last], residual, basis, even)
         first = last
     return found
+
+
+def _refitted(residual: Floats, jacobian: Floats) -> Floats:
+    """The residual (n,) without what columns (n, p) can do of it, by Huber's loss.
+
+    Of a fit that is nothing. Of a model that is no fit it is most, beside which what a candidate
+    explains would all be cut off as outliers.
+    """
+    size = np.sqrt(np.sum(jacobian**2, axis=0))
+    columns = jacobian[:, size > 0] / size[size > 0]
+    left, weight = residual, np.ones(len(residual))
+    for _ in range(_ROUNDS if columns.shape[1] else 0):
+        moved = np.linalg.lstsq(columns * weight[:, None], residual * weight, rcond=1e-9)[0]
+        left = residual - columns @ moved
+        weight = np.sqrt(huber(left, knee(left)))
+    return left
 
 
 def _some(

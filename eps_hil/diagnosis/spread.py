@@ -7,10 +7,14 @@ anything of has few degrees of freedom, whatever the length of the recordings: i
 Student's for as many groups as its information is spread over.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.effects.effect import Parameter
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -61,3 +65,43 @@ def parts(
         freedom.append(free)
     sigma, degrees = np.array(deviations), np.array(freedom)
     return np.asarray(t.ppf(0.975, degrees) * sigma), sigma, degrees
+
+
+def left_open(findings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A sentence (CONTRACT 7, ``limits``) for each finding with a number that is hardly known.
+
+    That is one whose 95 % interval goes beyond what the effect can be.
+    """
+    said = []
+    for finding in findings:
+        effect = catalogue().get(finding["effect"])
+        probe = None if effect is None else effect.probe
+        if effect is None or probe is None:
+            continue
+        found = finding["parameters"]
+        open_ones = [
+            _range(found[one.name], one)
+            for one in effect.parameters
+            if one.name in found and one.name != probe.phase and _beyond(found[one.name], one)
+        ]
+        if open_ones:
+            said.append(
+                f"{finding['effect']}: these recordings leave open {' and '.join(open_ones)}. The "
+                "model fits here; elsewhere it may not. Recordings in which the effect comes in "
+                "other sizes (speeds, loads, places, rests) would settle it."
+            )
+    return said
+
+
+def _beyond(told: Mapping[str, Any], one: Parameter) -> bool:
+    low, high = told["ci95"] or (one.lower, one.upper)
+    return bool(low < one.lower or high > one.upper)
+
+
+def _range(told: Mapping[str, Any], one: Parameter) -> str:
+    low, high = told["ci95"]
+    if low < one.lower and high > one.upper:
+        return one.name
+    if low < one.lower:
+        return f"{one.name} (anything up to {high:.3g} {one.unit})"
+    return f"{one.name} ({low:.3g} {one.unit} or more)"

@@ -12,7 +12,10 @@ EVEN = np.arange(400) // 50 % 2 == 0
 
 def plainly(columns: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> float:
     """The same by ``lstsq``, a regressor at a time."""
-    columns = columns - jacobian @ np.linalg.lstsq(jacobian, columns, rcond=None)[0]
+    columns, residual = (
+        one - jacobian @ np.linalg.lstsq(jacobian, one, rcond=None)[0]
+        for one in (columns, residual)
+    )
     gain = 0.0
     for fitted in (EVEN, ~EVEN):
         a = np.linalg.lstsq(columns[fitted], residual[fitted], rcond=None)[0]
@@ -43,6 +46,18 @@ def test_what_the_fit_can_do_already_is_no_gain() -> None:
     )
     assert gain == 0.0
     assert np.all(coefficients == 0.0)
+
+
+def test_what_the_fit_could_still_do_hides_no_gain() -> None:
+    """Half of what a column does is not orthogonal to half of another, however much there is."""
+    rng = np.random.default_rng(2)
+    jacobian, column = rng.standard_normal((400, 3)), rng.standard_normal((400, 1))
+    refitted = 0.5 * column[:, 0] + 0.1 * rng.standard_normal(400)
+    bare = refitted + jacobian @ np.array([300.0, -200.0, 500.0])
+    ((of_fit, _),) = cross_validated([column], refitted, jacobian, EVEN)
+    ((of_none, _),) = cross_validated([column], bare, jacobian, EVEN)
+    assert of_fit > 50.0
+    assert of_none == pytest.approx(of_fit, rel=1e-9)
 
 
 def test_what_happened_once_counts_half() -> None:

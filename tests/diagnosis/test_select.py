@@ -6,12 +6,14 @@ from typing import Any
 
 import pytest
 
+from eps_hil.diagnosis.baseline import ALL
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.fit import fit
-from eps_hil.diagnosis.numbers import levels_first
+from eps_hil.diagnosis.numbers import SPANNED, levels_first
 from eps_hil.diagnosis.prepare import prepare
-from eps_hil.diagnosis.probes import bounds
+from eps_hil.diagnosis.probes import bounds, candidates
 from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.scoring import score
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 
@@ -88,6 +90,20 @@ def test_where_friction_is_off_anyway_a_constant_is_frictions(
     names = [entry["effect"] for entry in told.entries]
     assert sorted(names) == sorted([constant, *(one["effect"] for one in beside)])
     assert levels_first(problem, found, 10.0, set()) is found  # it is not to be named
+
+
+def test_a_strong_drag_is_recognised_beside_a_model_that_is_no_fit(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    """Where a refit bends the model out of all reason the search begins without one."""
+    recordings = record({other_rig.QUAD: 8e-5, other_rig.STRIB: 0.02, other_rig.STRIB_W: 5.0})
+    problem = Problem([prepare(name, one) for name, one in recordings.items()], reference_model)
+    bare = fit(problem, [], 0, dict.fromkeys(ALL, 0.0))
+    pool = candidates(problem, [], bare.residual, None, dict.fromkeys(ALL, 0.0))
+    scored = [one for one in score(problem, bare, pool) if one.candidate.effect.id not in SPANNED]
+    assert scored[0].candidate.effect.id == "quadratic_drag"
+    told = scored[0].entry["coefficient_nm_s2_per_rad2"]
+    assert told == pytest.approx(8e-5, rel=0.5)  # as far as a clipped residual can tell
 
 
 def test_a_late_torque_that_may_not_be_named_is_unknown(

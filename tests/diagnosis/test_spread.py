@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-from eps_hil.diagnosis.spread import FEWEST, half_widths, parts
+from eps_hil.diagnosis.spread import FEWEST, half_widths, left_open, parts
 
 
 def groups(n: int, size: int) -> np.ndarray:
@@ -63,3 +63,38 @@ def test_intervals_hold_the_truth(held: int) -> None:
         wide = half_widths(column, noise - column @ found, (groups(n, 50),))
         inside += int(np.sum(np.abs(found) < wide))
     assert 0.90 < inside / 800 < 0.995
+
+
+def finding(effect: str, **numbers: tuple[float, float, float]) -> dict[str, object]:
+    told = {
+        k: {"value": v, "unit": "", "ci95": [low, high]} for k, (v, low, high) in numbers.items()
+    }
+    return {"effect": effect, "parameters": told}
+
+
+def test_a_number_that_may_be_what_it_cannot_be_is_said_to_be_open() -> None:
+    dwell = finding(
+        "breakaway_dwell",
+        level_nm=(0.45, 0.1, 0.8),
+        time_s=(1.5, -0.3, 3.3),
+        release_rad=(2.0, 1.0, 3.0),
+    )
+    (said,) = left_open([dwell])
+    assert said.startswith("breakaway_dwell: these recordings leave open ")
+    assert "level_nm (0.1 Nm or more) and time_s (anything up to 3.3 s)" in said
+    assert "release_rad" not in said
+
+
+def test_what_is_known_turns_round_or_has_no_interval_is_not_open() -> None:
+    unknown = {"effect": "unknown", "parameters": {}}
+    ripple = finding(
+        "cogging_torque",
+        amplitude_nm=(0.01, 0.008, 0.012),
+        order=(8.0, 7.9, 8.1),
+        phase_rad=(3.1, 2.8, 3.4),
+    )
+    curve = {
+        "effect": "position_torque",
+        "parameters": {"curve": {"value": [[0.0, 0.1]], "unit": "Nm", "ci95": None}},
+    }
+    assert left_open([unknown, ripple, curve]) == []
