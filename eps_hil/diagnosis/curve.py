@@ -72,9 +72,15 @@ def _profile(problem: Problem, residual: Floats) -> tuple[Floats, Floats, Floats
 
 
 def _cells(problem: Problem) -> tuple[Floats, npt.NDArray[np.int64]]:
-    """Edges (m) of the cells over position, and each sample's cell; outside, -1 or _CELLS."""
-    edges = np.linspace(*problem.visited_m, _CELLS + 1)
+    """Edges (m) of the cells over all that was slid through, and each sample's cell.
+
+    Outside, -1 or _CELLS. The rarely visited ends count: a curve that ends before them is flat
+    there, and another name would be taken for what it leaves.
+    """
     position = coordinates(problem)["rack_position_m"]
+    slid = position[problem.sliding]
+    low, high = (np.min(slid), np.max(slid)) if len(slid) else problem.visited_m
+    edges = np.linspace(low, high, _CELLS + 1)
     return edges, np.searchsorted(edges, position, side="right") - 1
 
 

@@ -35,6 +35,7 @@ Floats = npt.NDArray[np.float64]
 MOST_EFFECTS = 8
 CURVE_MARGIN = 0.6
 """A free curve is only looked at where no simpler effect reaches this share of its gain."""
+_CURVE_ROUNDS = 3
 FARTHEST = 3.0
 """Usual errors by which a believable refit moves the model's own numbers at most."""
 
@@ -193,11 +194,21 @@ def _curve_alone(problem: Problem, found: Fit) -> Fit:
     k = 0
     while k < len(found.entries):
         if found.entries[k]["effect"] != CURVE:
-            trial = with_curve(problem, ablated(problem, found, k))
+            trial = _settled(problem, with_curve(problem, ablated(problem, found, k)))
             least = threshold(problem, found.residual, FINAL_SHARE)
             if penalised(trial) < penalised(found) + least:
                 found, k = trial, -1
         k += 1
+    return found
+
+
+def _settled(problem: Problem, found: Fit) -> Fit:
+    """Knots are put where they are wanted beside a fit; that fit moves once they are there."""
+    for _ in range(_CURVE_ROUNDS):
+        trial = with_curve(problem, found)
+        if penalised(found) - penalised(trial) < threshold(problem, found.residual, FINAL_SHARE):
+            return found
+        found = trial
     return found
 
 

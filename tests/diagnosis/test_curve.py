@@ -48,6 +48,20 @@ def test_knots_crowd_where_the_profile_bends(clean: Problem) -> None:
     assert np.max(np.abs(drawn - bump_nm(place))[clean.sliding]) < 0.25 * PEAK_NM
 
 
+def test_the_rarely_visited_ends_are_drawn_too(clean: Problem) -> None:
+    """A curve that ended where most of the way does would be flat beyond."""
+    rng = np.random.default_rng(5)
+    place = coordinates(clean)["rack_position_m"]
+    slid = place[clean.sliding]
+    turn = clean.visited_m[1] - 0.1 * (clean.visited_m[1] - clean.visited_m[0])
+    kinked = np.maximum(place - turn, 0.0) * 2e4
+    found = knots(clean, rng.standard_normal(len(place)) + kinked)
+    assert len(found) > 2
+    assert found[-1] > clean.visited_m[1]
+    assert found[-1] > np.percentile(slid, 98)
+    assert found[0] < np.percentile(slid, 2)
+
+
 def test_noise_and_straight_lines_need_no_knots(clean: Problem) -> None:
     rng = np.random.default_rng(2)
     place = coordinates(clean)["rack_position_m"]
