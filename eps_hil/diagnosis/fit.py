@@ -20,6 +20,8 @@ _FIXED = ("belt_ratio", "pole_pairs", "harmonic", "curve")
 """Not moved by the joint fit: given by the model file, or solved for in one step (a curve)."""
 
 
+_BRISTLE, _LOST_PATHS = "presliding_hysteresis", 1.25
+"""A bristle stiffer by no more than so many lost paths is what the angle's noise makes of it."""
 _FARTHEST = 8.0
 """Usual errors beyond which the model's own numbers are not moved: it is another rig then."""
 _TRUSTED = 0.7
@@ -249,4 +251,21 @@ def matters(entry: Mapping[str, Any], problem: Problem) -> bool:
     probe = catalogue()[entry["effect"]].probe
     assert probe is not None
     of = neutral_value(probe, problem.model) if np.isnan(probe.neutral) else 1.0
+    if entry["effect"] == _BRISTLE and not _beyond_lost_path(entry, problem):
+        return False
     return deviation(entry, problem) > max(probe.least * of, 1e-9)
+
+
+def _beyond_lost_path(entry: Mapping[str, Any], problem: Problem) -> bool:
+    """Whether a bristle is stiffer by more than the path that the angle's noise hides makes it.
+
+    What a resting rotor creeps back inside the noise is lost, so that friction seems to turn over
+    a shorter way than it does: T_fs/σ0, here of the model's own sliding level.
+    """
+    friction = problem.model.friction
+    modelled, found = friction.sigma0_nm_per_rad, float(entry["sigma0_nm_per_rad"])
+    if found <= modelled:
+        return True
+    level = 0.5 * (friction.offset_pos_nm + friction.offset_neg_nm)
+    shorter = level / modelled - level / found
+    return shorter > _LOST_PATHS * max(one.lost_path_rad for one in problem.recordings)

@@ -31,6 +31,8 @@ SMOOTH_HZ = 100.0
 REST_WINDOW_S = 0.03
 CREEP_HZ = 20.0
 """Low-pass of the angle that shows how a resting rotor creeps."""
+_LOST_SIGMAS = 5.0
+"""Noise that a turn of a resting rotor has to stand out of, of the low-passed angle."""
 EDGE_S = 0.25
 """Left out at both ends of a recording, where a filter without phase has only one side."""
 
@@ -150,6 +152,15 @@ class Prepared:
         )
         return float(np.sqrt(squared))
 
+    @property
+    def lost_path_rad(self) -> float:
+        """How far a resting rotor creeps back before it shows in the angle's noise."""
+        return (
+            _LOST_SIGMAS
+            * self.noise.get("motor_angle_rad", 0.0)
+            * float(np.sqrt(2 * CREEP_HZ * STEP_S))
+        )
+
     def _acceleration_variance(self) -> float:
         """Of the filtered acceleration, by noise alone, rad²/s⁴."""
         if self.speed_is_derived:
@@ -183,8 +194,7 @@ class Prepared:
         if "motor_angle_rad" in self.raw:
             angle = self.raw["motor_angle_rad"]
             slow = low_pass(angle, CREEP_HZ)
-            sigma = self.noise["motor_angle_rad"] * np.sqrt(2 * CREEP_HZ * STEP_S)
-            creep = np.diff(with_play(slow, 2.5 * sigma), prepend=slow[0])
+            creep = np.diff(with_play(slow, 0.5 * self.lost_path_rad), prepend=slow[0])
         else:
             angle = np.cumsum(smooth) * STEP_S
             creep = np.zeros(len(speed))

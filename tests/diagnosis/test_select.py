@@ -8,7 +8,7 @@ import pytest
 
 from eps_hil.diagnosis.baseline import ALL
 from eps_hil.diagnosis.diagnose import diagnose
-from eps_hil.diagnosis.fit import fit
+from eps_hil.diagnosis.fit import fit, matters
 from eps_hil.diagnosis.numbers import SPANNED, levels_first
 from eps_hil.diagnosis.prepare import prepare
 from eps_hil.diagnosis.probes import bounds, candidates
@@ -90,6 +90,32 @@ def test_where_friction_is_off_anyway_a_constant_is_frictions(
     names = [entry["effect"] for entry in told.entries]
     assert sorted(names) == sorted([constant, *(one["effect"] for one in beside)])
     assert levels_first(problem, found, 10.0, set()) is found  # it is not to be named
+
+
+def test_a_stiffer_bristle_is_no_finding_where_the_angles_noise_hides_its_path(
+    problem: Problem,
+) -> None:
+    """A rotor that creeps back inside the noise loses path, which only ever looks stiffer."""
+    model = problem.model.friction
+    level = 0.5 * (model.offset_pos_nm + model.offset_neg_nm)
+    shorter = 0.2 * level / model.sigma0_nm_per_rad  # of the way that friction takes to turn
+    stiff, soft = (
+        {"effect": "presliding_hysteresis", "sigma0_nm_per_rad": model.sigma0_nm_per_rad * factor}
+        for factor in (1 / 0.8, 0.8)
+    )
+
+    def with_angle(noise_rad: float) -> Problem:
+        noisy = [
+            one.changed(noise={**one.noise, "motor_angle_rad": noise_rad})
+            for one in problem.recordings
+        ]
+        return Problem(noisy, problem.model)
+
+    lost_per_noise = with_angle(1.0).recordings[0].lost_path_rad
+    fine, coarse = (with_angle(shorter / lost_per_noise * share) for share in (0.5, 1.0))
+    assert matters(stiff, fine)
+    assert not matters(stiff, coarse)
+    assert matters(soft, coarse)
 
 
 def test_a_strong_drag_is_recognised_beside_a_model_that_is_no_fit(
