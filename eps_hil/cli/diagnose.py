@@ -190,6 +190,12 @@ def _say(content: Mapping[str, Any]) -> None:
             typer.echo(f"  on hold-outs, {name}: {holdout['baseline'][name]:.4g}{unit} before, "
                        f"{holdout['augmented'][name]:.4g}{unit} after")  # fmt: skip
     typer.echo(f"  sensor noise alone: torque_nrmse {holdout['noise_floor']['torque_nrmse']:.4g}")
+    joint = content["kinematics"]
+    seen = any(one.get("seen_in") == "kinematics" for one in content["findings"])
+    if seen and "holdout_left_rad" in joint:
+        typer.echo(f"  on hold-outs, rotor against rack: {1e3 * joint['holdout_rms_rad']:.3g} mrad "
+                   f"before, {1e3 * joint['holdout_left_rad']:.3g} mrad after; sensor noise alone "
+                   f"{1e3 * joint['noise_rad']:.3g} mrad")  # fmt: skip
 
 
 def _advise(result: "Diagnosis", path: Path) -> None:

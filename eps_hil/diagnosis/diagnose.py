@@ -14,12 +14,13 @@ from eps_hil.diagnosis.excerpt import only_part
 from eps_hil.diagnosis.first_look import first_look
 from eps_hil.diagnosis.fit import Fit, fit
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
+from eps_hil.diagnosis.late_channel import late_channel, with_late
 from eps_hil.diagnosis.leftover import BESIDE_UNKNOWN, Leftover, alone, late_torque, leftover
 from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
 from eps_hil.diagnosis.numbers import CONSTANTS
 from eps_hil.diagnosis.placebo import placebos
 from eps_hil.diagnosis.problem import Problem, clipped, knee, plain, sliding, term_of
-from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor, only_kept
+from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor, only_kept, still_left
 from eps_hil.diagnosis.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.select import Say, Selection, select, timed
 from eps_hil.diagnosis.spread import left_open
@@ -97,6 +98,11 @@ def diagnose(
             look.kept[-1].name, "kept from the fit to judge it, but slides for less than 1 s"
         )
     selection = select(problem, say, without)
+    late = late_channel(selection.part, selection, set.intersection(*map(set, fitted.values())))
+    if late is not None:
+        model = late.put_right(model)
+        problem = Problem(look.fitted, model, tied=load_knobs(load))
+        selection = select(problem, say, without)
     entries = selection.found.entries
     findings = [k for k in _held_out(problem, selection, judged) if not winds(entries[k])]
     findings = _refitted(problem, selection, findings)
@@ -112,6 +118,8 @@ def diagnose(
     if left is None and not hidden and HOLD in without:
         left = late_torque(problem, selection.found)
     content = look.added_to(_content(problem, selection, findings, left, judged))
+    if late is not None:
+        content = with_late(content, late.finding(given))
     content["fit"]["placebo"] = placebos(problem, selection, findings, judged)
     if model is not given or look.put_right:
         as_read = [Holdout(one, series) for one, series in spare]
@@ -120,7 +128,7 @@ def diagnose(
         *([] if load is None else [load.sentence]),
         *unseen(every),
         *only_part(problem, selection.part),
-        *_only_kept(problem, selection, findings, judged),
+        *(_only_kept(problem, selection, findings, judged) or _still_left(content)),
         *left_open(content["findings"]),
     ]
     augmented = look.in_model(_augmented(problem, selection.found, findings))
@@ -134,6 +142,12 @@ def _only_kept(
     after = _augmented(problem, selection.found, findings)
     left = problem.residual(after)[problem.sliding]
     return only_kept(judged, problem.model, after, float(np.mean(left**2)))
+
+
+def _still_left(content: Mapping[str, Any]) -> list[str]:
+    """What an all-clear or an explanation would keep quiet about; ``unknown`` says it itself."""
+    clear = content["verdict"] in ("no_mismatch", "explained")
+    return still_left(content["fit"]["holdout"]) if clear else []
 
 
 def _left(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Leftover | None:
@@ -174,10 +188,13 @@ def _refitted(problem: Problem, selection: Selection, findings: Sequence[int]) -
         for k, entry in enumerate(found.entries)
         if k in findings or term_of(entry) not in selection.gains
     ]
-    if len(left) < len(found.entries):
-        entries = [found.entries[k] for k in left]
-        selection.found = timed(problem, fit(problem, entries, own=found.own, like=found))
-    return [left.index(k) for k in findings]
+    if len(left) == len(found.entries):
+        return list(findings)
+    terms = {term_of(found.entries[k]) for k in findings}
+    entries = [found.entries[k] for k in left]
+    selection.found = timed(problem, fit(problem, entries, own=found.own, like=found))
+    # a delay that is too small for a name without the others has gone from the entries by now
+    return [k for k, entry in enumerate(selection.found.entries) if term_of(entry) in terms]
 
 
 def _beside_unknown(problem: Problem, selection: Selection, findings: Sequence[int]) -> list[int]:

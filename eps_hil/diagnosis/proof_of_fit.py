@@ -26,6 +26,8 @@ MUCH_MORE = 2.0
 """Times the energy of what was fitted: such a hold-out shows something that nothing else did."""
 MOST_RUNS = 24
 """Of each hold-out; a longer one is sampled evenly."""
+_CLEARLY = 1.3
+"""Times the sensors' noise that is left of a hold-out's torque, from which that is said."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,18 @@ def only_kept(holdouts: Sequence[Holdout], before: Model, after: Model, fitted: 
             "What acts there only cannot be named from the others; fit a recording like it too."
         )
     return told
+
+
+def still_left(told: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """A sentence where hold-outs (``fit.holdout`` of the JSON) keep clearly more than noise."""
+    times = told["augmented"]["torque_nrmse"] / max(told["noise_floor"]["torque_nrmse"], 1e-300)
+    if times < _CLEARLY:
+        return []
+    return [
+        f"The hold-outs keep {times:.2g} times what the sensors' noise makes, where nothing was "
+        "concluded from them (beside an open gap, bad data) or for a short while only: there the "
+        "model is no better than that."
+    ]
 
 
 def noise_floor(holdouts: Sequence[Holdout], model: Model) -> dict[str, float]:

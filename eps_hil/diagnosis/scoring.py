@@ -60,7 +60,7 @@ def score(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> list[Score
         for one in pool
         if one.effect.id not in taken and one.beside(found.entries, problem.model)
     ]
-    left = _refitted(found.residual, found.jacobian)
+    left = refitted(found.residual, found.jacobian)
     gains = cross_validated(
         [one.columns for one in open_to],
         clipped(left, knee(left)),
@@ -122,7 +122,7 @@ def cross_validated(
     return found
 
 
-def _refitted(residual: Floats, jacobian: Floats) -> Floats:
+def refitted(residual: Floats, jacobian: Floats) -> Floats:
     """The residual (n,) without what columns (n, p) can do of it, by Huber's loss.
 
     Of a fit that is nothing. Of a model that is no fit it is most, beside which what a candidate

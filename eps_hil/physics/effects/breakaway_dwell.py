@@ -33,7 +33,9 @@ EFFECT = Effect(
     equation="T_fs += level · (1 − exp(−t_rest/time)), lost over a sliding distance",
     parameters=(
         Parameter("level_nm", "Nm", 0.0, 0.5, "extra break-away torque after a long rest"),
-        Parameter("time_s", "s", 0.02, 100.0, "time over which it grows"),
+        Parameter(
+            "time_s", "s", 0.02, 100.0, "time over which it grows; rest is slower than 0.05 rad/s"
+        ),
         Parameter("release_rad", "rad", 1e-3, 20.0, "rotor angle over which sliding loses it", 0.5),
     ),
     sentence="After a rest the drive breaks away {level_nm:.3g} Nm harder; this grows over "

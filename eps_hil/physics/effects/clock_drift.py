@@ -7,7 +7,11 @@ EFFECT = Effect(
     kind=Kind.INSTRUMENT,
     slot=Slot.DATA,
     equation="stamp = instant · (1 + ppm·10⁻⁶)",
-    parameters=(Parameter("ppm", "1e-6", -1e5, 1e5, "drift of the signal's clock"),),
+    parameters=(
+        Parameter(
+            "ppm", "1e-6", -1e5, 1e5, "positive: what is at t is stamped later, by this part of t"
+        ),
+    ),
     sentence="One signal's clock drifts by {ppm:.3g} ppm.",
     simulated=False,
 )

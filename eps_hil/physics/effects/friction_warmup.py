@@ -17,7 +17,7 @@ EFFECT = Effect(
     slot=Slot.LEVEL_FACTOR,
     equation="T_fs · (1 + amplitude · exp(−t/time))",
     parameters=(
-        Parameter("amplitude", "1", -0.9, 3.0, "relative excess at the start of the recording"),
+        Parameter("amplitude", "1", -0.9, 3.0, "relative excess at the start of each recording"),
         Parameter("time_s", "s", 1.0, 3000.0, "time over which it fades"),
     ),
     sentence="Friction starts {amplitude:.0%} higher and settles over {time_s:.3g} s.",

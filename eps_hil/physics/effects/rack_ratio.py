@@ -18,7 +18,9 @@ EFFECT = Effect(
     slot=Slot.MODEL,
     equation="i_APA · (1 + scale); φ = i_APA·x · (1 + scale + slope·x + bend·x²) where it varies",
     parameters=(
-        Parameter("scale", "1", -0.5, 1.0, "relative error of the ratio in the middle"),
+        Parameter(
+            "scale", "1", -0.5, 1.0, "true ratio less the file's, over the file's, in the middle"
+        ),
         Parameter("slope_per_m", "1/m", -20.0, 20.0, "its change with rack position", 0.0),
         Parameter("bend_per_m2", "1/m²", -2e3, 2e3, "its change with position squared", 0.0),
     ),
