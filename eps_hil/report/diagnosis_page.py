@@ -98,7 +98,7 @@ def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
         "holdouts": kept,
         "ablation": _ablation(fitted, held_out, ratio),
         "ablation_terms": len(fitted.entries),
-        "named": any(card["effect"] != "unknown" for card in cards),
+        "named": any(card["effect"] != "unknown" or _is_late(card) for card in cards),
         "others": _others(diagnosis),
         "span": _span,
     }
@@ -119,7 +119,14 @@ def _verdict(content: Mapping[str, Any]) -> str:
     }
     if content["verdict"] == "no_mismatch" and content.get("limits"):
         return "Nothing is missing that these recordings could show; what they could not is below."
+    if content["verdict"] == "unknown_effect" and all(map(_is_late, content["findings"])):
+        return "The mismatch is explained by a signal that is late, and by no effect of the drive."
     return sentences[content["verdict"]]
+
+
+def _is_late(finding: Mapping[str, Any]) -> bool:
+    """Whether it is a signal's delay, which no effect stands for but which was put right."""
+    return finding["effect"] == "unknown" and finding["kind"] == "instrument"
 
 
 def _and(names: Sequence[str]) -> str:
