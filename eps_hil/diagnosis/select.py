@@ -232,12 +232,17 @@ def _without_neutral(problem: Problem, found: Fit) -> Fit:
 
 
 def timed(problem: Problem, found: Fit) -> Fit:
-    """How a torque is held is free again where no delay worth a name stands for it."""
+    """How a torque is held is free again where no delay worth a name stands for it.
+
+    And it is not where one does: both would pull against each other.
+    """
     (name,) = TIMING
     entries = [e for e in found.entries if e["effect"] != name or matters(e, problem)]
-    if name in found.own or any(entry["effect"] == name for entry in entries):
+    named = any(entry["effect"] == name for entry in entries)
+    if named == (name not in found.own):
         return found
-    return fit(problem, entries, own={**TIMING, **found.own}, like=found)
+    own = {key: value for key, value in found.own.items() if key != name}
+    return fit(problem, entries, own=own if named else {**TIMING, **own}, like=found)
 
 
 def _ablations(problem: Problem, selection: Selection) -> Iterator[tuple[Fit, Mapping[str, Any]]]:

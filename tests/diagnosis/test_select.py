@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from eps_hil.diagnosis.baseline import ALL
+from eps_hil.diagnosis.baseline import ALL, TIMING
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.fit import fit, matters
 from eps_hil.diagnosis.numbers import SPANNED, levels_first
@@ -14,6 +14,7 @@ from eps_hil.diagnosis.prepare import prepare
 from eps_hil.diagnosis.probes import bounds, candidates
 from eps_hil.diagnosis.problem import Problem
 from eps_hil.diagnosis.scoring import score
+from eps_hil.diagnosis.select import timed
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 
@@ -116,6 +117,18 @@ def test_a_stiffer_bristle_is_no_finding_where_the_angles_noise_hides_its_path(
     assert matters(stiff, fine)
     assert not matters(stiff, coarse)
     assert matters(soft, coarse)
+
+
+def test_a_delay_with_a_name_holds_all_of_it(problem: Problem) -> None:
+    """How the torque is held, free beside it, would pull against it and widen its interval."""
+    late = {"effect": "motor_torque_delay", "delay_s": 0.004}
+    both = fit(problem, [late], 0, own={**TIMING, "inertia": 0.0})
+    told = timed(problem, both)
+    assert told.own.keys() == {"inertia"}
+    small = fit(problem, [{**late, "delay_s": 1e-4}], 0, own={})
+    told = timed(problem, small)
+    assert told.entries == ()
+    assert told.own.keys() == TIMING.keys()
 
 
 def test_a_strong_drag_is_recognised_beside_a_model_that_is_no_fit(
