@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.float64]
 
 ID = "position_torque"
 MOST_KNOTS = 30
-_CELLS = 240
+_CELLS = 360
 _LEAST_IN_CELL = 4
 _TRIALS = 5
 _LEAST_PROFILE = 12
@@ -159,14 +159,18 @@ def has_curve(found: Fit) -> bool:
     return any(entry["effect"] == ID for entry in found.entries)
 
 
-def winds(entry: Mapping[str, Any]) -> bool:
+def winds(entry: Mapping[str, Any], visited_m: tuple[float, float]) -> bool:
     """Whether an entry's curve goes to and fro too often for a place on the rack.
 
-    That is a pattern which has a name of its own, or none.
+    That is a pattern which has a name of its own, or none. The rarely visited ends beyond
+    ``visited_m`` do not count: a stop there is no part of a pattern.
     """
-    torque = [y for _, y in entry.get("curve", ())]
-    least = _SWING * (max(torque, default=0.0) - min(torque, default=0.0))
-    low = high = torque[0] if torque else 0.0
+    place, drawn = zip(*entry.get("curve", [(0.0, 0.0)]), strict=True)
+    low, high = visited_m
+    inside = [low, *(x for x in place if low < x < high), high]
+    torque = [float(y) for y in np.interp(inside, place, drawn)]
+    least = _SWING * (max(torque) - min(torque))
+    low = high = torque[0]
     swings, up = 0, 0
     for y in torque:
         if up != 1 and y - low > least:

@@ -104,7 +104,10 @@ def diagnose(
         problem = Problem(look.fitted, model, tied=load_knobs(load))
         selection = select(problem, say, without)
     entries = selection.found.entries
-    findings = [k for k in _held_out(problem, selection, judged) if not winds(entries[k])]
+    visited_m = problem.visited_m
+    findings = [
+        k for k in _held_out(problem, selection, judged) if not winds(entries[k], visited_m)
+    ]
     findings = _refitted(problem, selection, findings)
     if findings and not _better(problem, selection.found, findings, judged):
         findings = []

@@ -158,5 +158,12 @@ def test_a_constant_is_the_level_of_a_curve_unless_the_curve_keeps_clear_of_zero
 )
 def test_what_goes_to_and_fro_is_no_place(shape: Callable[[Any], Any], expected: bool) -> None:
     x = np.linspace(-1.0, 1.0, 60)
-    assert winds({"curve": [[a, b] for a, b in zip(x, shape(x), strict=True)]}) == expected
-    assert not winds({"level_nm": 0.1})
+    curve = [[a, b] for a, b in zip(x, shape(x), strict=True)]
+    assert winds({"curve": curve}, (-1.0, 1.0)) == expected
+    assert not winds({"level_nm": 0.1}, (-1.0, 1.0))
+
+
+def test_what_lies_where_hardly_anything_was_is_no_swing() -> None:
+    waves = [[0.1 * k, float(k % 2)] for k in range(-10, 11)]
+    assert winds({"curve": waves}, (-1.0, 1.0))
+    assert not winds({"curve": waves}, (-0.15, 0.15))
