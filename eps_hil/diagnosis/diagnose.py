@@ -12,7 +12,7 @@ from eps_hil.diagnosis.baseline import HOLD
 from eps_hil.diagnosis.curve import winds
 from eps_hil.diagnosis.excerpt import only_part
 from eps_hil.diagnosis.first_look import first_look
-from eps_hil.diagnosis.fit import Fit, fit
+from eps_hil.diagnosis.fit import Fit, deviation, fit
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
 from eps_hil.diagnosis.late_channel import late_channel, with_late
 from eps_hil.diagnosis.leftover import BESIDE_UNKNOWN, Leftover, alone, late_torque, leftover
@@ -103,14 +103,7 @@ def diagnose(
         model = late.put_right(model)
         problem = Problem(look.fitted, model, tied=load_knobs(load))
         selection = select(problem, say, without)
-    entries = selection.found.entries
-    visited_m = problem.visited_m
-    findings = [
-        k for k in _held_out(problem, selection, judged) if not winds(entries[k], visited_m)
-    ]
-    findings = _refitted(problem, selection, findings)
-    if findings and not _better(problem, selection.found, findings, judged):
-        findings = []
+    findings = _borne_out(problem, selection, judged)
     if say:
         say("looking at what is left", 0.9)
     hidden = load is not None and load.form == "arbitrary"  # what is left may be the load
@@ -161,6 +154,20 @@ def _left(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> 
     return leftover(problem, found.residual, (test, residual))
 
 
+def _borne_out(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Sequence[int]:
+    """Places of the findings; the fit goes on without what the hold-outs do not bear out."""
+    entries, visited_m = selection.found.entries, problem.visited_m
+    findings = [
+        k for k in _held_out(problem, selection, judged) if not winds(entries[k], visited_m)
+    ]
+    findings = _refitted(problem, selection, findings)
+    clear = [k for k in findings if _clear(problem, selection.found, k)]
+    findings = _refitted(problem, selection, clear)
+    if findings and not _better(problem, selection.found, findings, judged):
+        return []
+    return findings
+
+
 def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> list[int]:
     """Places of the entries that improve recordings which were not used to fit them."""
     keep = []
@@ -178,6 +185,15 @@ def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
         if float(np.sum(clipped(without, at) ** 2)) - cost > least:
             keep.append(k)
     return keep
+
+
+def _clear(problem: Problem, found: Fit, k: int) -> bool:
+    """Whether an effect of one number is more than that number's 95 % interval is wide.
+
+    Its gain counts samples, as if they were independent; the interval knows that they are not.
+    """
+    halves = [half for (place, _), half in found.half_width.items() if place == k]
+    return len(halves) != 1 or deviation(found.entries[k], problem) > halves[0]
 
 
 def _refitted(problem: Problem, selection: Selection, findings: Sequence[int]) -> list[int]:

@@ -260,10 +260,13 @@ def _beyond_lost_path(entry: Mapping[str, Any], problem: Problem) -> bool:
     """Whether a bristle is stiffer by more than the path that the angle's noise hides makes it.
 
     What a resting rotor creeps back inside the noise is lost, so that friction seems to turn over
-    a shorter way than it does: T_fs/σ0, here of the model's own sliding level.
+    a shorter way than it does: T_fs/σ0, here of the model's own sliding level. Without an angle
+    nothing shows how it creeps, and no stiffness can be told.
     """
     friction = problem.model.friction
     modelled, found = friction.sigma0_nm_per_rad, float(entry["sigma0_nm_per_rad"])
+    if not all("motor_angle_rad" in one.raw for one in problem.recordings):
+        return False
     if found <= modelled:
         return True
     level = 0.5 * (friction.offset_pos_nm + friction.offset_neg_nm)

@@ -32,6 +32,9 @@ from eps_hil.physics.model import Model
 
 Flags = npt.NDArray[np.bool_]
 
+_FEWEST = 500
+"""Samples (of 8 ms) with the joint under load that a recording needs to say anything: 4 s."""
+
 
 @dataclass(frozen=True)
 class Kinematics:
@@ -96,7 +99,8 @@ def examine(
 
     def rows_of(recordings: Sequence[Prepared]) -> list[Rows]:
         measured = [one for one in recordings if has_rack(one, model)]
-        return each(lambda one: Rows(one, model), measured)
+        rows = each(lambda one: Rows(one, model), measured)
+        return [one for one in rows if len(one.e) >= _FEWEST]
 
     rows, kept = rows_of(fitted), rows_of(judged)
     if rows:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.diagnosis.kinematics import examine
 from eps_hil.diagnosis.prepare import prepare
 from eps_hil.diagnosis.rotor_and_rack import Rows, _held_out_gain, rotor_against_rack, solved
 from eps_hil.diagnosis.seen import robust_cost
@@ -65,3 +66,16 @@ def test_a_ratio_that_hardly_changes_is_no_finding(
     found, _, accepted = rotor_against_rack(exact, [])
     assert "rack_ratio" in accepted
     assert any(one.entry["effect"] == "rack_ratio" for one in found) == named
+
+
+def test_a_joint_that_is_never_loaded_says_nothing(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    (one,) = (prepare(name, series) for name, series in record({}, ("weave",)).items())
+    still = ("rack_force_n", "torque_sensor_nm", "motor_speed_rad_s")
+    nothing = {name: np.zeros(len(one.time_s)) for name in still}
+    free = one.changed(raw={**one.raw, **nothing})
+    found = examine([free], [free], reference_model)
+    assert found.seen == ()
+    assert found.left is None
+    assert found.content == {}

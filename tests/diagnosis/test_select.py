@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from eps_hil.diagnosis.baseline import ALL, TIMING
-from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.diagnose import _clear, diagnose
 from eps_hil.diagnosis.fit import fit, matters
 from eps_hil.diagnosis.numbers import SPANNED, levels_first
 from eps_hil.diagnosis.prepare import prepare
@@ -117,6 +117,31 @@ def test_a_stiffer_bristle_is_no_finding_where_the_angles_noise_hides_its_path(
     assert matters(stiff, fine)
     assert not matters(stiff, coarse)
     assert matters(soft, coarse)
+    blind = [
+        one.changed(raw={k: v for k, v in one.raw.items() if k != "motor_angle_rad"})
+        for one in problem.recordings
+    ]
+    assert not matters(soft, Problem(blind, problem.model))
+
+
+@pytest.mark.parametrize(
+    ("entry", "half", "expected"),
+    [
+        ({"effect": "inertia", "scale": 1.1}, {"scale": 0.05}, True),
+        ({"effect": "inertia", "scale": 1.1}, {"scale": 0.2}, False),
+        (
+            {"effect": "stribeck", "level_nm": 0.1, "speed_rad_s": 5.0},
+            {"level_nm": 0.2, "speed_rad_s": 20.0},
+            True,  # they are hard to tell apart, not hard to see
+        ),
+    ],
+)
+def test_one_number_that_may_as_well_be_nothing_is_no_finding(
+    problem: Problem, entry: dict[str, Any], half: dict[str, float], expected: bool
+) -> None:
+    found = fit(problem, [entry], 0)
+    found.__dict__["half_width"] = {(0, name): value for name, value in half.items()}
+    assert _clear(problem, found, 0) is expected
 
 
 def test_a_delay_with_a_name_holds_all_of_it(problem: Problem) -> None:
