@@ -14,9 +14,9 @@ from eps_hil.diagnosis.excerpt import only_part
 from eps_hil.diagnosis.first_look import first_look
 from eps_hil.diagnosis.fit import Fit, deviation, fit
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
-from eps_hil.diagnosis.late_channel import late_channel, with_late
 from eps_hil.diagnosis.leftover import BESIDE_UNKNOWN, Leftover, alone, late_torque, leftover
 from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
+from eps_hil.diagnosis.misread import misread, with_misread
 from eps_hil.diagnosis.numbers import CONSTANTS
 from eps_hil.diagnosis.placebo import placebos
 from eps_hil.diagnosis.problem import Problem, clipped, knee, plain, sliding, term_of
@@ -88,21 +88,20 @@ def diagnose(
         spare = [(with_load(one, model, load), series) for one, series in spare]
         without = {*without, *not_told_apart(load)}
     look = first_look(ready, spare, model, without)
-    given, model = model, look.model
-    problem = Problem(look.fitted, model, tied=load_knobs(load))
+    problem = Problem(look.fitted, look.model, tied=load_knobs(load))
     if np.sum(problem.sliding) < 500:
         raise ValueError("moves for less than 4 s; a diagnosis needs a rotor that slides")
-    judged = [Holdout(one, kept[one.name]) for one in look.kept]
-    if sum(int(np.sum(sliding(one.prepared, model))) for one in judged) < LEAST_JUDGED:
+    if sum(int(np.sum(sliding(one, look.model))) for one in look.kept) < LEAST_JUDGED:
         raise RecordingError(
             look.kept[-1].name, "kept from the fit to judge it, but slides for less than 1 s"
         )
     selection = select(problem, say, without)
-    late = late_channel(selection.part, selection, set.intersection(*map(set, fitted.values())))
-    if late is not None:
-        model = late.put_right(model)
-        problem = Problem(look.fitted, model, tied=load_knobs(load))
+    wrong = misread(selection.part, selection, set.intersection(*map(set, fitted.values())))
+    if wrong is not None:
+        look = look.with_signal(wrong.put_right, wrong.in_model(look.model))
+        problem = Problem(look.fitted, look.model, tied=load_knobs(load))
         selection = select(problem, say, without)
+    judged = [Holdout(one, kept[one.name]) for one in look.kept]
     findings = _borne_out(problem, selection, judged)
     if say:
         say("looking at what is left", 0.9)
@@ -114,12 +113,12 @@ def diagnose(
     if left is None and not hidden and HOLD in without:
         left = late_torque(problem, selection.found)
     content = look.added_to(_content(problem, selection, findings, left, judged))
-    if late is not None:
-        content = with_late(content, late.finding(given))
+    if wrong is not None:
+        content = with_misread(content, wrong.finding(model))
     content["fit"]["placebo"] = placebos(problem, selection, findings, judged)
-    if model is not given or look.put_right:
+    if look.model is not model or look.put_right or wrong is not None:
         as_read = [Holdout(one, series) for one, series in spare]
-        content["fit"]["holdout"]["baseline"] = measures(as_read, given, given)
+        content["fit"]["holdout"]["baseline"] = measures(as_read, model, model)
     content["limits"] = [
         *([] if load is None else [load.sentence]),
         *unseen(every),

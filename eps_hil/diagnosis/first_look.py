@@ -5,7 +5,7 @@ barred, a drifting clock is set right, a torque sensor with play is replaced by 
 twist, and a wrong ratio goes into the model, before any friction is looked at.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -68,6 +68,11 @@ class FirstLook:
             "data_quality": list(self.quality),
             "kinematics": dict(self.kinematics),
         }
+
+    def with_signal(self, put_right: Callable[[Prepared], Prepared], model: Model) -> "FirstLook":
+        """The same with a signal put right in every recording, and the model that goes with it."""
+        fitted, kept = ([put_right(one) for one in some] for some in (self.fitted, self.kept))
+        return replace(self, fitted=fitted, kept=kept, model=model)
 
     def in_model(self, model: Model) -> Model:
         """A model file's model with this look's effects that it does not hold yet."""

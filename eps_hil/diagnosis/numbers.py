@@ -34,7 +34,7 @@ SPANNED = (
     "motor_torque_delay",
 )
 """Effects that a refit of the model's own numbers can stand in for."""
-_SCALES = ("rack_ratio", "motor_torque_gain", "torque_sensor_gain")
+SCALES = ("rack_ratio", "motor_torque_gain", "torque_sensor_gain")
 """Not spanned, but each of them looks like another beside several numbers that are off."""
 CONSTANTS = ("friction_asymmetry", "motor_torque_offset", "torque_sensor_offset")
 """One constant while sliding; only presliding, where no model is sure, could tell two apart."""
@@ -54,12 +54,12 @@ class _Linear:
     prior: Floats
     price: float
     scales: int
-    """How many of _SCALES may be off at once."""
+    """How many of SCALES may be off at once."""
 
     def solved(self, chosen: frozenset[int]) -> tuple[float, Floats]:
         """(cost plus price, coefficients of the chosen columns in order)."""
         named = {self.names[k] for k in chosen}
-        too_many = sum(name in _SCALES for name in named) > self.scales
+        too_many = sum(name in SCALES for name in named) > self.scales
         if too_many or sum(name in CONSTANTS for name in named) > 1:
             return np.inf, np.zeros(0)
         last = len(self.size) - 1
@@ -86,7 +86,7 @@ def numbers_off(
     Beside a curve over position a constant torque is only that curve's level: it stays a number
     without a name in ``own`` then, but for ``level`` False.
     """
-    kept = [entry for entry in found.entries if entry["effect"] not in _SCALES]
+    kept = [entry for entry in found.entries if entry["effect"] not in SCALES]
     level = level and has_curve(found)
     if level:
         pool = [one for one in pool if one.effect.id not in CONSTANTS]
@@ -159,7 +159,7 @@ def _linear(
     constant: Sequence[str],
 ) -> _Linear:
     """The linear problem at the refit, so that no set is judged by how far it bends on the way."""
-    some = [one for one in pool if one.effect.id in (*SPANNED, *_SCALES)]
+    some = [one for one in pool if one.effect.id in (*SPANNED, *SCALES)]
     names = [one.effect.id for one in some]
     columns = [one.columns[:, 0] for one in some]
     for name, sides in SIDES.items():
@@ -203,7 +203,7 @@ def _best_sets(linear: _Linear) -> list[frozenset[int]]:
     for count in range(_SMALL_SETS + 1):
         for chosen in combinations(range(n), count):
             cost(frozenset(chosen))
-    spanned = frozenset(k for k in range(n) if linear.names[k] not in (*_SCALES, *CONSTANTS[1:]))
+    spanned = frozenset(k for k in range(n) if linear.names[k] not in (*SCALES, *CONSTANTS[1:]))
     for start in (min(seen, key=seen.__getitem__), spanned):
         best = start
         while True:

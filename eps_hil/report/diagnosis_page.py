@@ -98,7 +98,7 @@ def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
         "holdouts": kept,
         "ablation": _ablation(fitted, held_out, ratio),
         "ablation_terms": len(fitted.entries),
-        "named": any(card["effect"] != "unknown" or _is_late(card) for card in cards),
+        "named": any(card["effect"] != "unknown" or _is_misread(card) for card in cards),
         "others": _others(diagnosis),
         "span": _span,
     }
@@ -119,13 +119,15 @@ def _verdict(content: Mapping[str, Any]) -> str:
     }
     if content["verdict"] == "no_mismatch" and content.get("limits"):
         return "Nothing is missing that these recordings could show; what they could not is below."
-    if content["verdict"] == "unknown_effect" and all(map(_is_late, content["findings"])):
-        return "The mismatch is explained by a signal that is late, and by no effect of the drive."
+    if content["verdict"] == "unknown_effect" and all(map(_is_misread, content["findings"])):
+        return (
+            "The mismatch is explained by one signal that is wrong, and by no effect of the drive."
+        )
     return sentences[content["verdict"]]
 
 
-def _is_late(finding: Mapping[str, Any]) -> bool:
-    """Whether it is a signal's delay, which no effect stands for but which was put right."""
+def _is_misread(finding: Mapping[str, Any]) -> bool:
+    """Whether it is a signal that is late or too large, which was put right but has no name."""
     return finding["effect"] == "unknown" and finding["kind"] == "instrument"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
-from eps_hil.diagnosis.late_channel import LateChannel
+from eps_hil.diagnosis.misread import Misread
 from eps_hil.diagnosis.prepare import Prepared
 from eps_hil.diagnosis.proof_of_fit import free_runs
 from eps_hil.physics.model import Model, load_model
@@ -204,13 +204,13 @@ def test_page_of_an_unknown(explained: Diagnosis, verdict: str, curve: list[Any]
 
 def test_page_of_a_signal_that_is_late(explained: Diagnosis) -> None:
     """It is put right, so there is an after; no effect of the drive is to blame."""
-    late = LateChannel("rack_force_n", 0.012, 0.97, -900.0, 900.0)
+    late = Misread("rack_force_n", late_s=0.012, share=0.97)
     unknown = late.finding(explained.problem.model)
     content = {**explained.content, "verdict": "unknown_effect", "findings": [unknown]}
     parts = explained.model, explained.problem, explained.selection, explained.judged
     checked = _Checked(diagnosis_page.render(Diagnosis(content, *parts, []), "m.yaml"))
     assert checked.open == []
-    assert "explained by a signal that is late, and by no effect of the drive" in checked.text
+    assert "explained by one signal that is wrong, and by no effect of the drive" in checked.text
     assert "12 ms later than the model file says" in checked.text
     assert "Blue: with the findings." in checked.text
     assert "put right in all that follows" in checked.text

@@ -1,12 +1,13 @@
-"""A load cell or torque sensor that is late is said to be that, not the motor or the encoder."""
+"""A load cell that is late or reads too much is said to be that, not the motor or the encoder."""
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
 
 from eps_hil.diagnosis.diagnose import diagnose
-from eps_hil.diagnosis.late_channel import with_late
+from eps_hil.diagnosis.misread import with_misread
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -48,6 +49,29 @@ def test_a_late_signal_is_named_with_its_time(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("gain", [1.03, 0.97])
+def test_a_load_cell_that_reads_wrong_is_no_ratio(
+    record: Callable[..., Any], reference_model: Model, gain: float
+) -> None:
+    def wrong(recordings: Recordings) -> Recordings:
+        return {
+            name: {**one, "rack_force_n": Series(force.t_ns, gain * force.value)}
+            for name, one in recordings.items()
+            for force in [one["rack_force_n"]]
+        }
+
+    told = diagnose(reference_model, wrong(record({})), wrong(record({}, ("weave",), 2)))
+    (finding,) = told.content["findings"]
+    assert finding["effect"] == "unknown"
+    said = re.search(r"rack_force_n reads ([\d.]+) times what it should", finding["summary"])
+    assert said
+    assert float(said[1]) == pytest.approx(gain, abs=0.003)
+    error = {k: one["torque_nrmse"] for k, one in told.content["fit"]["holdout"].items()}
+    assert error["augmented"] < 1.05 * error["noise_floor"] < error["baseline"]
+    assert told.model == reference_model  # no entry of a model file says that
+
+
+@pytest.mark.slow
 def test_a_late_motor_torque_keeps_its_name(
     record: Callable[..., Any], reference_model: Model
 ) -> None:
@@ -60,8 +84,8 @@ def test_a_late_motor_torque_keeps_its_name(
 
 def test_the_verdict_beside_names_and_alone() -> None:
     late = {"effect": "unknown"}
-    alone = with_late({"verdict": "no_mismatch", "findings": []}, late)
+    alone = with_misread({"verdict": "no_mismatch", "findings": []}, late)
     assert (alone["verdict"], alone["findings"]) == ("unknown_effect", [late])
-    named = with_late({"verdict": "explained", "findings": [{"effect": "stribeck"}]}, late)
+    named = with_misread({"verdict": "explained", "findings": [{"effect": "stribeck"}]}, late)
     assert named["verdict"] == "partly_explained"
     assert [one["effect"] for one in named["findings"]] == ["stribeck", "unknown"]
