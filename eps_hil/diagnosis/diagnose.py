@@ -11,7 +11,7 @@ from eps_hil.diagnosis import locate, regions
 from eps_hil.diagnosis.baseline import HOLD
 from eps_hil.diagnosis.curve import winds
 from eps_hil.diagnosis.excerpt import only_part
-from eps_hil.diagnosis.first_look import first_look
+from eps_hil.diagnosis.first_look import FirstLook, first_look
 from eps_hil.diagnosis.fit import Fit, deviation, fit
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
 from eps_hil.diagnosis.leftover import BESIDE_UNKNOWN, Leftover, alone, late_torque, leftover
@@ -19,7 +19,7 @@ from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart,
 from eps_hil.diagnosis.misread import misread, with_misread
 from eps_hil.diagnosis.numbers import CONSTANTS
 from eps_hil.diagnosis.placebo import placebos
-from eps_hil.diagnosis.problem import Problem, clipped, knee, plain, sliding, term_of
+from eps_hil.diagnosis.problem import Problem, clipped, knee, plain, term_of
 from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor, only_kept, still_left
 from eps_hil.diagnosis.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.select import Say, Selection, select, timed
@@ -91,7 +91,8 @@ def diagnose(
     problem = Problem(look.fitted, look.model, tied=load_knobs(load))
     if np.sum(problem.sliding) < 500:
         raise ValueError("moves for less than 4 s; a diagnosis needs a rotor that slides")
-    if sum(int(np.sum(sliding(one, look.model))) for one in look.kept) < LEAST_JUDGED:
+    judged = _holdouts(look, kept)
+    if sum(int(np.sum(one.judging(look.model))) for one in judged) < LEAST_JUDGED:
         raise RecordingError(
             look.kept[-1].name, "kept from the fit to judge it, but slides for less than 1 s"
         )
@@ -101,7 +102,7 @@ def diagnose(
         look = look.with_signal(wrong.put_right, wrong.in_model(look.model))
         problem = Problem(look.fitted, look.model, tied=load_knobs(load))
         selection = select(problem, say, without)
-    judged = [Holdout(one, kept[one.name]) for one in look.kept]
+        judged = _holdouts(look, kept)
     findings = _borne_out(problem, selection, judged)
     if say:
         say("looking at what is left", 0.9)
@@ -117,7 +118,10 @@ def diagnose(
         content = with_misread(content, wrong.finding(model))
     content["fit"]["placebo"] = placebos(problem, selection, findings, judged)
     if look.model is not model or look.put_right or wrong is not None:
-        as_read = [Holdout(one, series) for one, series in spare]
+        as_read = [
+            Holdout(one, series, data)
+            for (one, series), data in zip(spare, look.kept_quality, strict=True)
+        ]
         content["fit"]["holdout"]["baseline"] = measures(as_read, model, model)
     content["limits"] = [
         *([] if load is None else [load.sentence]),
@@ -128,6 +132,13 @@ def diagnose(
     ]
     augmented = look.in_model(_augmented(problem, selection.found, findings))
     return Diagnosis(content, augmented, problem, selection, judged, findings)
+
+
+def _holdouts(look: FirstLook, kept: Mapping[str, Mapping[str, Series]]) -> list[Holdout]:
+    return [
+        Holdout(one, kept[one.name], data)
+        for one, data in zip(look.kept, look.kept_quality, strict=True)
+    ]
 
 
 def _only_kept(

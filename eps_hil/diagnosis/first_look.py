@@ -30,8 +30,8 @@ _PUT_RIGHT = ("clock_drift", "torque_sensor_hysteresis", "belt_compliance")
 class FirstLook:
     """The recordings put right, and the model with what is known of the drive by now.
 
-    ``findings`` are JSON entries (CONTRACT 7), ``entries`` those of a model file; ``quality`` and
-    ``kinematics`` go into the JSON under keys of their own.
+    ``findings`` are JSON entries (CONTRACT 7), ``entries`` those of a model file; ``data_quality``
+    and ``kinematics`` go into the JSON under keys of their own.
     """
 
     fitted: Sequence[Prepared]
@@ -39,8 +39,10 @@ class FirstLook:
     model: Model
     findings: tuple[dict[str, Any], ...]
     entries: tuple[dict[str, Any], ...]
-    quality: tuple[dict[str, Any], ...]
+    data_quality: tuple[dict[str, Any], ...]
     kinematics: Mapping[str, Any]
+    kept_quality: tuple[quality.Quality, ...] = ()
+    """Of each recording in ``kept``, where its data are bad."""
     left: Apart | None = None
     """What of rotor against rack no name stands for."""
 
@@ -65,7 +67,7 @@ class FirstLook:
             **content,
             "verdict": verdict,
             "findings": [*known, *new, *unknown],
-            "data_quality": list(self.quality),
+            "data_quality": list(self.data_quality),
             "kinematics": dict(self.kinematics),
         }
 
@@ -126,5 +128,6 @@ def first_look(
         tuple(entries),
         tuple(look.content() for look in looks),
         seen.content,
+        tuple(looks[n:]),
         seen.left,
     )

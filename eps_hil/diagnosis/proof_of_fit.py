@@ -9,9 +9,11 @@ import numpy.typing as npt
 from eps_hil.diagnosis import locate
 from eps_hil.diagnosis.prepare import STEP_S, Prepared
 from eps_hil.diagnosis.problem import Problem, sliding
+from eps_hil.diagnosis.quality import Quality
 from eps_hil.diagnosis.side_by_side import each
 from eps_hil.estimation import batch
 from eps_hil.estimation.score import score
+from eps_hil.estimation.stream import Trace
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.friction import friction_law, static_level_nm
 from eps_hil.physics.model import Model
@@ -19,6 +21,7 @@ from eps_hil.physics.simulate import simulate
 from eps_hil.series import Series
 
 Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 WINDOW_S = 0.5
 """Length of the stretches that are simulated freely from a measured state."""
@@ -32,10 +35,29 @@ _CLEARLY = 1.3
 
 @dataclass(frozen=True)
 class Holdout:
-    """A recording kept from the fit, prepared and as it was read."""
+    """A recording kept from the fit, prepared and as it was read; bad data count for nothing."""
 
     prepared: Prepared
     series: Mapping[str, Series]
+    quality: Quality | None = None
+
+    def judging(self, model: Model) -> Flags:
+        """Thinned samples (m,) that slide and whose data are good."""
+        mask = sliding(self.prepared, model)
+        return mask if self.quality is None else mask & ~self.quality.barred(self.prepared)
+
+    def estimated(self, model: Model) -> Trace:
+        """The estimator's trace of the recording, without the stretches of bad data."""
+        trace = batch.estimate(dict(self.series), model)
+        if self.quality is None:
+            return trace
+        good = ~self.quality.bad_at((trace.t_ns - self.quality.start_ns) * 1e-9)
+        return Trace(
+            trace.t_ns[good],
+            trace.rack_force_n[good],
+            trace.friction_torque_nm[good],
+            trace.reason[good],
+        )
 
 
 def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[str, float]:
@@ -46,13 +68,13 @@ def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[s
     """
     residual, torque, error, speed, force = [], [], [], [], []
     for one in holdouts:
-        mask = sliding(one.prepared, common)
+        mask = one.judging(common)
         residual.append(one.prepared.left_over(model)[mask])
         torque.append(one.prepared.residual(common)[1][mask])
-        _, simulated, measured = free_runs(one.prepared, model)
+        _, simulated, measured = free_runs(one.prepared, model, one.quality)
         error.append(simulated - measured)
         speed.append(measured - np.mean(measured) if len(measured) else measured)
-        found = score(batch.estimate(dict(one.series), model), one.series, common)
+        found = score(one.estimated(model), one.series, common)
         if found is not None and np.isfinite(found.rmse_moving_n):
             force.append(found.rmse_moving_n)
     result = {
@@ -96,31 +118,35 @@ def still_left(told: Mapping[str, Mapping[str, float]]) -> list[str]:
         return []
     return [
         f"The hold-outs keep {times:.2g} times what the sensors' noise makes, where nothing was "
-        "concluded from them (beside an open gap, bad data) or for a short while only: there the "
-        "model is no better than that."
+        "concluded from them (beside an open gap) or for a short while only: there the model is no "
+        "better than that."
     ]
 
 
 def noise_floor(holdouts: Sequence[Holdout], model: Model) -> dict[str, float]:
     """What sensor noise alone would leave of ``torque_nrmse``."""
-    torque = [one.prepared.residual(model)[1][sliding(one.prepared, model)] for one in holdouts]
+    torque = [one.prepared.residual(model)[1][one.judging(model)] for one in holdouts]
     floors = [one.prepared.floor_nm(model) for one in holdouts]
     return {"torque_nrmse": float(np.sqrt(np.mean(np.square(floors)))) / max(_rms(torque), 1e-12)}
 
 
-def free_runs(prepared: Prepared, model: Model) -> tuple[Floats, Floats, Floats]:
+def free_runs(
+    prepared: Prepared, model: Model, quality: Quality | None = None
+) -> tuple[Floats, Floats, Floats]:
     """(time, simulated, measured speed) of half seconds that start while sliding; s, rad/s.
 
-    Each is simulated freely from the measured state at its start; the rest is left out.
+    Each is simulated freely from the measured state at its start; the rest is left out, and so
+    are those in which ``quality`` finds bad data.
     """
     model = with_model_effects(model)
     motion = prepared.motion(model)
     law = friction_law(model.friction)
     n = round(WINDOW_S / STEP_S)
+    bad = np.zeros(len(motion.time_s), bool) if quality is None else quality.bad_at(motion.time_s)
     starts = [
         first
         for first in range(0, len(motion.time_s) - n, n)
-        if abs(motion.speed_rad_s[first]) >= 5.0
+        if abs(motion.speed_rad_s[first]) >= 5.0 and not bad[first : first + n].any()
     ]
 
     def run(first: int) -> Floats:

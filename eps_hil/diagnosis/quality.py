@@ -21,7 +21,7 @@ Runs = npt.NDArray[np.int64]
 """(first, last + 1) of stretches of equal samples, shape (m, 2)."""
 
 GAP = 5.0
-"""A step in time of so many usual ones is a gap…"""
+"""So many usual steps without a good sample (none at all, or NaN) are a gap…"""
 GAP_S = 0.02
 """…if it is also longer than this."""
 LOST = 1.5
@@ -94,6 +94,8 @@ class Quality:
 
     recording: str
     channels: tuple[Channel, ...]
+    start_ns: int = 0
+    """The stamp at which the recording's own time is 0."""
 
     def content(self) -> dict[str, Any]:
         """For the JSON's ``data_quality``."""
@@ -112,33 +114,40 @@ class Quality:
 
     def barred(self, one: Prepared) -> Flags:
         """Thinned samples (m,) of the prepared recording that nothing may be concluded from."""
-        time = one.thin_time_s
-        bad = np.zeros(len(time), dtype=bool)
+        return self.bad_at(one.thin_time_s)
+
+    def bad_at(self, time_s: Floats) -> Flags:
+        """Where, of instants (n,) on the recording's own time, a signal in use is not to be had."""
+        bad = np.zeros(len(time_s), dtype=bool)
         for channel in self.channels:
             if channel.signal not in _USED:
                 continue
             for start, end in (*channel.clipped, *channel.stuck, *channel.gaps):
-                bad |= (time > start - MARGIN_S) & (time < end + MARGIN_S)
+                bad |= (time_s > start - MARGIN_S) & (time_s < end + MARGIN_S)
         return bad
 
 
 def look_at(name: str, series: Mapping[str, Series]) -> Quality:
     """Stage 0 for one recording as it was read."""
-    start = min((int(one.t_ns[0]) for one in series.values() if len(one.t_ns)), default=0)
+    start = min((int(one.t_ns[0]) for one in series.values() if len(one.t_ns) > 1), default=0)
     speed = _speed(series)
     channels = [
         _channel(signal, one, start, speed) for signal, one in series.items() if len(one.t_ns) > 10
     ]
-    return Quality(name, tuple(channels))
+    return Quality(name, tuple(channels), start)
 
 
 def _speed(series: Mapping[str, Series]) -> Mapping[str, Series]:
     """Speeds of the rotor (rad/s) by what they come from; differences where only a place is."""
     found = {}
     for name in _MOTION:
-        if name not in series or len(series[name].t_ns) < 10:
+        if name not in series:
             continue
         one = series[name]
+        good = np.isfinite(one.value)
+        if np.count_nonzero(good) < 10:
+            continue
+        one = Series(one.t_ns[good], one.value[good])
         if name == "motor_speed_rad_s":
             found[name] = one
             continue
@@ -157,7 +166,6 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
     good = np.isfinite(one.value)
     value = one.value[good]
     at = seconds[good]
-    gaps = np.flatnonzero((steps > GAP * usual) & (steps > GAP_S))
     lost = np.where(steps > LOST * usual, np.rint(steps / usual) - 1, 0)
     regular = steps[steps < LOST * usual]
     runs = _equal_runs(value)
@@ -168,13 +176,25 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
         jitter_s=float(np.std(regular)) if len(regular) else 0.0,
         lost_frames=int(np.sum(lost)),
         frames=len(steps) + 1,
-        gaps=tuple((float(seconds[k]), float(seconds[k + 1])) for k in gaps),
+        gaps=_gaps(seconds, good),
         clipped=_clipped(value, at, runs, quantum),
         stuck=_stuck(signal, value, at, runs, speeds, start),
         quantum=quantum,
         noise=noise_of(value) if len(value) > 10 else 0.0,
         bad_samples=int(np.sum(~good)),
     )
+
+
+def _gaps(seconds: Floats, good: Flags) -> tuple[tuple[float, float], ...]:
+    """Stretches between good samples (or an end of the signal) that are too long to be bridged."""
+    own = np.diff(seconds[good])
+    usual = float(np.median(own)) if len(own) else 0.0
+    known = good.copy()
+    known[[0, -1]] = True
+    at = seconds[known]
+    steps = np.diff(at)
+    gaps = np.flatnonzero((steps > GAP * usual) & (steps > GAP_S))
+    return tuple((float(at[k]), float(at[k + 1])) for k in gaps)
 
 
 def _equal_runs(value: Floats) -> Runs:

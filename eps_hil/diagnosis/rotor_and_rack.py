@@ -54,17 +54,19 @@ _GROUPS = {
 
 
 class Rows:
-    """Thinned residual and regressors of one recording."""
+    """Thinned residual and regressors of one recording, where no gap is open and data are good."""
 
     def __init__(self, one: Prepared, model: Model) -> None:
         motion = one.motion(model)
         ratio = model.rack_to_rotor_ratio_rad_per_m
         self.one = one
         torque = transmitted(one, model)
-        closed = ~may_be_open(one.thin(torque))
+        usable = ~may_be_open(one.thin(torque))
+        if one.barred is not None:
+            usable &= ~one.barred
 
         def thin(values: Floats) -> Floats:
-            return one.thin(values)[closed]
+            return one.thin(values)[usable]
 
         self.e = thin(motion.angle_rad - ratio * motion.position_m)
         self.x = thin(motion.position_m)
@@ -89,7 +91,7 @@ class Rows:
         )
         self.sigma = max(float(sigma) * np.sqrt(_passed()), 1e-6)
         block = (one.thin_time_s - one.thin_time_s[0]) // BLOCK_S
-        self.block = block[closed].astype(np.int64)
+        self.block = block[usable].astype(np.int64)
 
 
 def may_be_open(torque: Floats) -> Flags:

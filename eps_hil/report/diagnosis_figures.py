@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.diagnose import Diagnosis
-from eps_hil.diagnosis.prepare import STEP_S, Prepared
-from eps_hil.diagnosis.proof_of_fit import free_runs
+from eps_hil.diagnosis.prepare import STEP_S
+from eps_hil.diagnosis.proof_of_fit import Holdout, free_runs
 from eps_hil.estimation import batch
 from eps_hil.estimation.stream import Trace
 from eps_hil.physics.model import Model
@@ -171,20 +171,20 @@ def holdouts(diagnosis: Diagnosis, evidence: Evidence) -> list[dict[str, Any]]:
             220,
         )
         force = _force(diagnosis, one, evidence, part, sync, most // 2)
-        speed = _speed(evidence, one.prepared, sync, most // 2)
+        speed = _speed(evidence, one, sync, most // 2)
         result.append({"name": one.prepared.name, "plots": [left, *speed, force]})
     return result
 
 
-def _speed(evidence: Evidence, one: Prepared, sync: str, most: int) -> list[Plot]:
+def _speed(evidence: Evidence, one: Holdout, sync: str, most: int) -> list[Plot]:
     """Error of the freely simulated speed; empty where the rotor does not slide long enough."""
-    time, before, measured = free_runs(one, evidence.problem.model)
+    time, before, measured = free_runs(one.prepared, evidence.problem.model, one.quality)
     if len(time) == 0:
         return []
     errors = [("model as it was", "before", before - measured)]
     if evidence.entries:
         # a finding may shift the speed itself, and so which half seconds begin while sliding
-        then, after, measured = free_runs(one, evidence.augmented)
+        then, after, measured = free_runs(one.prepared, evidence.augmented, one.quality)
         time, of_before, of_after = np.intersect1d(time, then, return_indices=True)
         if len(time) == 0:
             return []

@@ -145,6 +145,21 @@ def test_clipped_samples_are_barred(look: Look) -> None:
         series["rack_force_n"] = Series(force.t_ns, np.clip(force.value, -800.0, 800.0))
 
     found = look(FULL, clip)
-    flags = {f for q in found.quality for c in q["channels"] for f in c["flags"]}
+    flags = {f for q in found.data_quality for c in q["channels"] for f in c["flags"]}
     assert "clipped" in flags
     assert found.fitted[0].barred is not None
+
+
+def test_a_stuck_angle_is_no_rotor_that_comes_loose(look: Look) -> None:
+    def hold(series: dict[str, Series]) -> None:
+        angle = series["motor_angle_rad"]
+        moving = int(np.argmax(np.abs(np.gradient(angle.value))))
+        values = angle.value.copy()
+        first = min(max(moving - 500, 0), len(values) - 2000)
+        values[first : first + 1500] = values[first]
+        series["motor_angle_rad"] = Series(angle.t_ns, values)
+
+    found = look(FULL, hold)
+    assert "stuck" in {f for q in found.data_quality for c in q["channels"] for f in c["flags"]}
+    assert found.left is None
+    assert found.findings == ()

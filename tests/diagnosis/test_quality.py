@@ -102,3 +102,50 @@ def test_what_is_wrong_is_barred(record: Callable[..., Any]) -> None:
         barred = look_at("r", one).barred(prepare("r", one))
         assert np.mean(barred) >= expected
         assert expected > 0 or not barred.any()
+
+
+@pytest.mark.parametrize("hole", [(7000, 7300), (0, 300), (len(T) - 300, len(T))])
+def test_a_hole_in_one_column_is_a_gap(hole: tuple[int, int]) -> None:
+    """Marked as bad samples or not there at all, within the signal or at its ends."""
+    values = torque()
+    values[slice(*hole)] = np.nan
+    one = seen(values)
+    assert one.flags == ["gaps", "bad_samples"]
+    ((start, end),) = one.gaps
+    assert start == pytest.approx(max(T[hole[0]] - 1e-3, 0.0), abs=1e-6)
+    assert end == pytest.approx(min(T[hole[1] - 1] + 1e-3, T[-1]), abs=1e-6)
+
+
+def test_bad_samples_that_can_be_bridged_are_no_gap() -> None:
+    values = torque()
+    for start in range(1000, 19000, 100):
+        values[start : start + 15] = np.nan
+    slow = np.full(len(T), np.nan)
+    slow[::50] = torque()[::50]  # a column of 20 Hz in a table of 1 kHz
+    assert seen(values).gaps == ()
+    assert seen(slow).gaps == ()
+
+
+def test_bad_samples_do_not_hide_what_is_stuck() -> None:
+    t_ns = np.round(T * 1e9).astype(np.int64)
+    held = ANGLE + 2e-3 * np.random.default_rng(1).standard_normal(len(T))
+    held[5100:6300] = held[5100]
+    speed = SPEED.copy()
+    speed[5500:5510] = np.nan
+    series = {"motor_angle_rad": Series(t_ns, held), "motor_speed_rad_s": Series(t_ns, speed)}
+    assert look_at("r", series).channels[0].stuck
+
+
+@pytest.mark.parametrize(("signal", "counts"), [("rack_force_n", True), ("vehicle_speed", False)])
+def test_a_gap_bars_only_where_the_balance_needs_the_signal(
+    record: Callable[..., Any], signal: str, counts: bool
+) -> None:
+    (series,) = record({}, ("weave",), seconds=10.0).values()
+    whole = series["rack_force_n"]
+    values = whole.value.copy()
+    values[4000:5000] = np.nan
+    holed = {**series, signal: Series(whole.t_ns, values)}
+    one, look = prepare("r", holed), look_at("r", holed)
+    inside = (one.thin_time_s > 3.9) & (one.thin_time_s < 5.1)
+    np.testing.assert_array_equal(look.barred(one), inside & counts)
+    np.testing.assert_array_equal(look.bad_at(np.array([3.8, 4.5, 5.2])), [False, counts, False])

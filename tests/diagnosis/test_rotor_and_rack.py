@@ -9,9 +9,11 @@ import pytest
 
 from eps_hil.diagnosis.kinematics import examine
 from eps_hil.diagnosis.prepare import prepare
+from eps_hil.diagnosis.quality import look_at
 from eps_hil.diagnosis.rotor_and_rack import Rows, _held_out_gain, rotor_against_rack, solved
 from eps_hil.diagnosis.seen import robust_cost
 from eps_hil.physics.model import Model
+from eps_hil.series import Series
 
 NAMES = ["ratio", "delay", "compliance", "inertia"]
 GROUP = ["half_gap"]
@@ -79,3 +81,25 @@ def test_a_joint_that_is_never_loaded_says_nothing(
     assert found.seen == ()
     assert found.left is None
     assert found.content == {}
+
+
+def test_bad_stretches_are_left_out(record: Callable[..., Any], reference_model: Model) -> None:
+    """A stuck angle is no rotor that comes loose from its rack."""
+    (series,) = record({}, ("weave",), seconds=12.0).values()
+    angle = series["motor_angle_rad"]
+    held = angle.value.copy()
+    held[4000:7000] = held[4000]
+    series = {**series, "motor_angle_rad": Series(angle.t_ns, held)}
+    one, look = prepare("r", series), look_at("r", series)
+    assert "stuck" in {flag for channel in look.channels for flag in channel.flags}
+    whole = Rows(one, reference_model)
+    barred = one.changed(barred=look.barred(one))
+    good = Rows(barred, reference_model)
+    assert np.std(whole.e) > 10 * whole.sigma
+    assert np.std(good.e) < 2 * good.sigma
+    assert len(good.e) == len(good.x) == len(good.block) == len(good.columns["delay"])
+    seen = examine([barred], [barred], reference_model)
+    assert seen.left is None
+    assert seen.content["holdout_rms_rad"] < 2 * good.sigma
+    nothing = one.changed(barred=np.ones_like(barred.barred))
+    assert examine([nothing], [barred], reference_model).seen == ()

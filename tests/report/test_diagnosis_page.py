@@ -13,6 +13,7 @@ from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
 from eps_hil.diagnosis.misread import Misread
 from eps_hil.diagnosis.prepare import Prepared
 from eps_hil.diagnosis.proof_of_fit import free_runs
+from eps_hil.diagnosis.quality import Quality
 from eps_hil.physics.model import Model, load_model
 from eps_hil.report import diagnosis_page
 from eps_hil.report.diagnosis_evidence import LABELS
@@ -289,8 +290,8 @@ def test_a_finding_may_shift_which_half_seconds_slide(
     """A late speed does: what is compared is what both models were run over."""
     whole = free_runs
 
-    def fewer(one: Prepared, model: Model) -> tuple[Any, Any, Any]:
-        parts = whole(one, model)
+    def fewer(one: Prepared, model: Model, quality: Quality | None) -> tuple[Any, Any, Any]:
+        parts = whole(one, model, quality)
         first = 0 if model is explained.problem.model else 500
         return parts[0][first:], parts[1][first:], parts[2][first:]
 
