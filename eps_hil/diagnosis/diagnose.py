@@ -13,6 +13,7 @@ from eps_hil.diagnosis.curve import winds
 from eps_hil.diagnosis.excerpt import only_part
 from eps_hil.diagnosis.first_look import FirstLook, first_look
 from eps_hil.diagnosis.fit import Fit, deviation, fit
+from eps_hil.diagnosis.held import own_samples
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
 from eps_hil.diagnosis.leftover import BESIDE_UNKNOWN, Leftover, alone, late_torque, leftover
 from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
@@ -77,7 +78,7 @@ def diagnose(
     is known to be the model's own fault and no finding. :class:`RecordingError` (a ``ValueError``)
     where a recording lacks what a diagnosis needs.
     """
-    fitted, kept = split(recordings, holdouts)
+    fitted, kept = split(own_samples(recordings), own_samples(holdouts))
     ready = [(prepared(name, one, unexplained_nm), one) for name, one in fitted.items()]
     spare = [(prepared(name, one, unexplained_nm), one) for name, one in kept.items()]
     every = [one for one, _ in (*ready, *spare)]

@@ -12,6 +12,7 @@ from eps_hil.cli.main import main
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
 from eps_hil.physics.effects.catalogue import values_of
 from eps_hil.physics.model import Model, load_model
+from eps_hil.series import Series
 
 MODEL = str(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
 
@@ -51,6 +52,45 @@ def test_nothing_missing_is_no_mismatch(
     assert result.content["verdict"] == "no_mismatch"
     assert result.content["findings"] == []
     assert result.model == reference_model
+
+
+def with_holes(series: Mapping[str, Series]) -> dict[str, Series]:
+    """Each of three signals without good samples for 0.4 to 1 s, at other times."""
+    holed = dict(series)
+    for name, first, last in (
+        ("motor_torque_nm", 2500, 2900),
+        ("motor_speed_rad_s", 5000, 5600),
+        ("rack_force_n", 8000, 9000),
+    ):
+        values = series[name].value.copy()
+        values[first:last] = np.nan
+        holed[name] = Series(series[name].t_ns, values)
+    return holed
+
+
+def with_held_force(series: Mapping[str, Series]) -> dict[str, Series]:
+    """A load cell of 100 Hz that fills every row."""
+    force = series["rack_force_n"]
+    rows = np.arange(len(force.t_ns)) // 10 * 10
+    return {**series, "rack_force_n": Series(force.t_ns, force.value[rows])}
+
+
+@pytest.mark.parametrize("change", [with_holes, with_held_force])
+@pytest.mark.parametrize("level", [0.0, 0.03])
+def test_how_recordings_were_written_is_no_physics(
+    record: Callable[..., Any],
+    reference_model: Model,
+    change: Callable[[Mapping[str, Series]], dict[str, Series]],
+    other_rig: Any,
+    level: float,
+) -> None:
+    plant = {other_rig.STRIB: level, other_rig.STRIB_W: 10.0}
+    fitted = {name: change(one) for name, one in record(plant).items()}
+    kept = {name: change(one) for name, one in record(plant, ("weave",), seed=2).items()}
+    result = diagnose(reference_model, fitted, kept)
+    assert names(result) == (["stribeck"] if level else [])
+    proof = result.content["fit"]["holdout"]
+    assert proof["augmented"]["torque_nrmse"] < 1.15 * proof["noise_floor"]["torque_nrmse"]
 
 
 def test_stribeck(record: Callable[..., Any], reference_model: Model, other_rig: Any) -> None:
