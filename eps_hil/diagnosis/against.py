@@ -3,7 +3,9 @@
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 
+from eps_hil.diagnosis.channels import check_channels
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.intake import check_rates
 from eps_hil.diagnosis.select import Say
 from eps_hil.diagnosis.simulation import Simulated, explain, silent_on
 from eps_hil.diagnosis.traces import Signals
@@ -24,7 +26,10 @@ def diagnose_against(
     the key ``simulation``: how the traces were aligned, the parameters that explain them, caveats.
     The "baseline" of the proof is the simulator as we reduced it.
     """
-    simulated = explain(traces, {**recordings, **holdouts}, model, _part(say, 0.0, 0.5))
+    every = {**recordings, **holdouts}
+    check_rates(every)
+    check_channels(every, model)
+    simulated = explain(traces, every, model, _part(say, 0.0, 0.5))
     result = diagnose(
         simulated.model,
         recordings,

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis import locate, regions
 from eps_hil.diagnosis.baseline import HOLD
+from eps_hil.diagnosis.channels import check_channels
 from eps_hil.diagnosis.curve import winds
 from eps_hil.diagnosis.excerpt import only_part
 from eps_hil.diagnosis.first_look import FirstLook, first_look
@@ -76,13 +77,14 @@ def diagnose(
     Without hold-outs the last recording (of several), or the last third (of one), is kept from
     the fit. Effects in ``without`` (ids) are not considered. ``unexplained_nm`` (rms, at the rotor)
     is known to be the model's own fault and no finding. :class:`RecordingError` (a ``ValueError``)
-    where a recording lacks what a diagnosis needs.
+    where a recording lacks what a diagnosis needs, or a channel is not what its name says.
     """
     fitted, kept = split(own_samples(recordings), own_samples(holdouts))
     ready = [(prepared(name, one, unexplained_nm), one) for name, one in fitted.items()]
     spare = [(prepared(name, one, unexplained_nm), one) for name, one in kept.items()]
     every = [one for one, _ in (*ready, *spare)]
     same_load(every)
+    check_channels({**recordings, **holdouts}, model)
     load = load_of(every, model) if missing(every) else None
     if load is not None:
         ready = [(with_load(one, model, load), series) for one, series in ready]

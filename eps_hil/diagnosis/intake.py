@@ -1,10 +1,13 @@
 """What a diagnosis takes: recordings fit for it, and which of them are kept to judge the rest."""
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from eps_hil.diagnosis.prepare import Prepared, prepare
+from eps_hil.errors import InputError
+from eps_hil.identification.prepare import check_rate
 from eps_hil.series import Series
 
 BELIEVABLE = {
@@ -25,6 +28,23 @@ class RecordingError(ValueError):
     def __init__(self, recording: str, problem: str) -> None:
         super().__init__(problem)
         self.recording = recording
+
+
+@contextlib.contextmanager
+def refusing() -> Iterator[None]:
+    """What an identification refuses is refused by a diagnosis in the same words."""
+    try:
+        yield
+    except InputError as error:
+        place = "" if error.problem.startswith(error.place) else f"{error.place}: "
+        raise RecordingError(error.file, f"{place}{error.problem}; {error.remedy}") from None
+
+
+def check_rates(recordings: Mapping[str, Mapping[str, Series]]) -> None:
+    """:class:`RecordingError` for a time in ms, before any array is as long as it says."""
+    with refusing():
+        for name, series in recordings.items():
+            check_rate(name, series)
 
 
 def prepared(name: str, series: Mapping[str, Series], unexplained_nm: float) -> Prepared:
@@ -56,7 +76,11 @@ def same_load(recordings: Sequence[Prepared]) -> None:
 def split(
     recordings: Mapping[str, Mapping[str, Series]], holdouts: Mapping[str, Mapping[str, Series]]
 ) -> tuple[Mapping[str, Mapping[str, Series]], Mapping[str, Mapping[str, Series]]]:
-    """What is fitted and what is kept to judge it: by recording, else by time, never by sample."""
+    """What is fitted and what is kept to judge it: by recording, else by time, never by sample.
+
+    :class:`RecordingError` for a time in ms.
+    """
+    check_rates({**recordings, **holdouts})
     if holdouts:
         return dict(recordings), dict(holdouts)
     names = list(recordings)

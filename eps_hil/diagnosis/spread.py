@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.physics.effects.catalogue import catalogue
-from eps_hil.physics.effects.effect import Parameter
+from eps_hil.physics.effects.effect import Parameter, Probe
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -70,19 +70,19 @@ def parts(
 def left_open(findings: Sequence[Mapping[str, Any]]) -> list[str]:
     """A sentence (CONTRACT 7, ``limits``) for each finding with a number that is hardly known.
 
-    That is one whose 95 % interval goes beyond what the effect can be.
+    That is one whose 95 % interval goes beyond what the effect can be, or whose fit ended on the
+    bound of that.
     """
     said = []
     for finding in findings:
         effect = catalogue().get(finding["effect"])
-        probe = None if effect is None else effect.probe
-        if effect is None or probe is None:
+        if effect is None:
             continue
         found = finding["parameters"]
         open_ones = [
             _range(found[one.name], one)
             for one in effect.parameters
-            if one.name in found and one.name != probe.phase and _beyond(found[one.name], one)
+            if one.name in found and _open(found[one.name], one, effect.probe)
         ]
         if open_ones:
             said.append(
@@ -93,15 +93,29 @@ def left_open(findings: Sequence[Mapping[str, Any]]) -> list[str]:
     return said
 
 
+def _open(told: Mapping[str, Any], one: Parameter, probe: Probe | None) -> bool:
+    """What turns round has no bound; intervals are of the torque balance's own effects only."""
+    if told["ci95"] is None or (probe is not None and one.name == probe.phase):
+        return False
+    return _on_bound(told, one) or (probe is not None and _beyond(told, one))
+
+
 def _beyond(told: Mapping[str, Any], one: Parameter) -> bool:
-    low, high = told["ci95"] or (one.lower, one.upper)
+    low, high = told["ci95"]
     return bool(low < one.lower or high > one.upper)
+
+
+def _on_bound(told: Mapping[str, Any], one: Parameter) -> bool:
+    return bool(np.any(np.isclose(told["value"], (one.lower, one.upper), rtol=1e-6, atol=0.0)))
 
 
 def _range(told: Mapping[str, Any], one: Parameter) -> str:
     low, high = told["ci95"]
+    unit = "" if one.unit == "1" else f" {one.unit}"
+    if _on_bound(told, one):
+        return f"{one.name} (it ended at {told['value']:.3g}{unit}, the bound of what it can be)"
     if low < one.lower and high > one.upper:
         return one.name
     if low < one.lower:
-        return f"{one.name} (anything up to {high:.3g} {one.unit})"
-    return f"{one.name} ({low:.3g} {one.unit} or more)"
+        return f"{one.name} (anything up to {high:.3g}{unit})"
+    return f"{one.name} ({low:.3g}{unit} or more)"

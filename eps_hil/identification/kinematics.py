@@ -106,7 +106,7 @@ def skew(recordings: Sequence[Prepared], signs: bool = True) -> Skew | None:
         return None
     if signs:
         for one in both:
-            _check(one)
+            check(one)
     late, gain = 0.0, 1.0
     for _ in range(8):
         rows = [_skew_rows(one, late, gain) for one in both]
@@ -142,7 +142,8 @@ def _skew_rows(one: Prepared, late: float, gain: float) -> tuple[Floats, Floats,
     return columns, (measured - gain * rate)[good], filters.thinned(time)[good]
 
 
-def _check(one: Prepared) -> None:
+def check(one: Prepared) -> None:
+    """:class:`InputError` that names what is wrong between speed and angle, given both."""
     columns, _, _ = _skew_rows(one, 0.0, 1.0)
     good = filters.smooth(one.good.astype(np.float64)) > 0.999
     check_speed(one, columns[:, 1], filters.smooth(one.raw["motor_speed_rad_s"])[good])

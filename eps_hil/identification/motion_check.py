@@ -27,7 +27,7 @@ def check_speed(one: Prepared, rate: Floats, measured: Floats) -> None:
 
     ``rate``: filtered derivative of the angle, ``measured``: filtered speed; (m,), rad/s.
     """
-    _wrapped(one)
+    check_turns(one)
     if min(_rms(rate), _rms(measured)) <= 0 or _rms(rate) < _LEAST_RAD_S:
         return
     together = _alike(rate, measured)
@@ -84,8 +84,8 @@ def check_place(one: Prepared, ratio_rad_per_m: float) -> list[Finding]:
     return []
 
 
-def _wrapped(one: Prepared) -> None:
-    """An angle that starts anew every turn."""
+def check_turns(one: Prepared) -> None:
+    """:class:`InputError` for an angle that starts anew every turn."""
     steps = np.abs(np.diff(one.raw["motor_angle_rad"]))
     span = float(np.ptp(one.raw["motor_angle_rad"]))
     for turn, unit in ((_TURN, "2π"), (360.0, "360")):

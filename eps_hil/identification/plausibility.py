@@ -6,7 +6,7 @@ close where it did not is named, the simplest where several do.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
@@ -42,11 +42,17 @@ _RIGHT = {"motor_torque_nm": "Nm", "torque_sensor_nm": "Nm", "rack_force_n": "N"
 
 @dataclass(frozen=True)
 class _Rows:
-    """While sliding: torques at the rotor as given (3, m), and what the motion explains (m, 4)."""
+    """While sliding: torques at the rotor as given (3, m), and what the motion explains (m, 5)."""
 
     torques: Floats
     motion: Floats
     direction: Floats
+    place: Floats
+
+    def with_spring(self) -> "_Rows":
+        """The same, where a spring of either sign may be missing too."""
+        motion = np.column_stack([self.motion, self.place, -self.place])
+        return replace(self, motion=motion)
 
 
 @dataclass(frozen=True)
@@ -60,32 +66,64 @@ class _Wrong:
     problem: str = ""
     remedy: str = ""
 
+    def possible(self, recorded: Sequence[bool]) -> bool:
+        """Whether it says something of channels that were ``recorded`` (of the three) only."""
+        changed = [
+            {k, came} for k, came in enumerate(self.source) if came != k or self.times[k] != 1.0
+        ]
+        return all(recorded[k] for places in changed for k in places)
+
 
 def check(cases: Sequence[Case], state: State) -> None:
     """:class:`InputError` that names the channel, for each recording on its own."""
-    tried = _everything(state)
     for case in cases:
         torque = case.recording.raw["motor_torque_nm"]
         if float(np.ptp(torque)) <= 0:
             problem = f"is {torque[0]:g} all the time"
             raise InputError(case.recording.name, "motor_torque_nm", problem, "record it")
-        if not case.measured_load:
-            continue
-        rows = [_rows(case, state, late) for late in _TRIED_S]
-        if rows[0].motion.shape[0] >= _FEWEST:
-            _check(case.recording.name, rows, tried, state.model.inertia_kg_m2)
+        as_is = check_one(case, state)
+        if as_is > _OPEN:
+            problem = (
+                f"the torques do not balance: {100 * as_is:.0f} % of them remain, whatever sign, "
+                "unit or swap is tried"
+            )
+            raise InputError(case.recording.name, "", problem, "check what each column holds")
 
 
-def _check(name: str, rows: Sequence[_Rows], tried: Sequence[_Wrong], inertia: float) -> None:
-    size = float(np.sqrt(np.mean(np.sum(rows[0].torques ** 2, axis=0))))
+def check_one(case: Case, state: State, sure: bool = False) -> float:
+    """:class:`InputError` that names the channel with which one recording's torques close.
+
+    ``sure``: only where the balance then closes, and a spring that the model lacks does not do it.
+    Returns what of the torques the balance leaves as they are (rms over rms); 0 where nothing can
+    be tried: without a load, and where the rotor hardly slides.
+    """
+    if not case.measured_load:
+        return 0.0
+    rows = [_rows(case, state, late) for late in _TRIED_S]
+    if rows[0].motion.shape[0] < _FEWEST or not np.any(rows[0].torques):
+        return 0.0
+    there = [case.recording.has(name) for name in _TORQUES]
+    tried = [one for one in _everything(state) if one.possible(there)]
+    inertia = state.model.inertia_kg_m2
+    if sure and _left([one.with_spring() for one in rows], tried[0], inertia)[0] < _CLOSED:
+        as_is, apart = _left(rows, tried[0], inertia)
+        if as_is >= _CLOSED or _likely(apart):
+            return as_is
+    return _check(case.recording.name, rows, tried, inertia, _CLOSED if sure else np.inf)
+
+
+def _check(
+    name: str, rows: Sequence[_Rows], tried: Sequence[_Wrong], inertia: float, most: float
+) -> float:
+    """``most``: what may be left of the torques for the channel to be named."""
     as_is, apart = _left(rows, tried[0], inertia)
     plausible = _likely(apart)
     if plausible and as_is < _CLOSED:
-        return
+        return as_is
     found = [(one, *_left(rows, one, inertia)) for one in tried[1:]]
     found = [one for one in found if _likely(one[2])]
     least = min((left for _, left, _ in found), default=np.inf)
-    if least < _CLEARLY * as_is:
+    if least < min(_CLEARLY * as_is, most):
         likely = [one for one, left, _ in found if left < _AS_SIMPLE * least]
         wrong = min(likely, key=lambda one: one.hard)
         raise InputError(name, wrong.signal, wrong.problem, wrong.remedy)
@@ -95,12 +133,7 @@ def _check(name: str, rows: Sequence[_Rows], tried: Sequence[_Wrong], inertia: f
             "revolutions or rpm?"
         )
         raise InputError(name, "motor_speed_rad_s", problem, "give it in rad/s")
-    if size > 0 and as_is > _OPEN:
-        problem = (
-            f"the torques do not balance: {100 * as_is:.0f} % of them remain, whatever sign, unit "
-            "or swap is tried"
-        )
-        raise InputError(name, "", problem, "check what each column holds")
+    return as_is
 
 
 def _everything(state: State) -> list[_Wrong]:
@@ -154,9 +187,12 @@ def _rows(case: Case, state: State, late_s: float) -> _Rows:
         ]
     )
     speed = filters.thinned(motion.speed)[mine]
-    forth = (speed > 0).astype(np.float64)
-    terms = [case.motion.acceleration[mine], forth, forth - 1.0, speed]
-    return _Rows(torques, np.column_stack(terms), np.sign(speed))
+    one = np.ones(len(speed))
+    # a constant of either sign: an offset may be larger than the friction
+    terms = [case.motion.acceleration[mine], np.sign(speed), one, -one, speed]
+    return _Rows(
+        torques, np.column_stack(terms), np.sign(speed), filters.thinned(motion.angle)[mine]
+    )
 
 
 def _left(rows: Sequence[_Rows], wrong: _Wrong, inertia: float) -> tuple[float, float]:

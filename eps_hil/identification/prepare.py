@@ -19,6 +19,8 @@ Floats = npt.NDArray[np.float64]
 Masks = npt.NDArray[np.bool_]
 
 SHORTEST_S = 3.0
+SLOWEST_S = 0.05
+"""Between values of torque and motion: beyond it, reversals and inertia fall between them."""
 _SPIKE_SIGMA = 12.0
 _SLOW_S = 1.5e-3
 _USED = (
@@ -63,6 +65,7 @@ def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
     if "motor_speed_rad_s" not in used and "motor_angle_rad" not in used:
         problem = "neither motor_speed_rad_s nor motor_angle_rad"
         raise InputError(name, "", problem, "record the rotor's motion")
+    check_rate(name, used)
     clean = {key: _finite(name, key, one) for key, one in used.items()}
     origin = max(int(t[0]) for t, _ in clean.values())
     end = min(int(t[-1]) for t, _ in clean.values())
@@ -89,6 +92,23 @@ def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
     findings += gaps.findings(name, clean)
     time_s = np.asarray((grid + (origin - start)) * 1e-9, dtype=np.float64)
     return Prepared(name, time_s, raw, density, good, tuple(findings))
+
+
+def check_rate(name: str, series: Mapping[str, Series]) -> None:
+    """:class:`InputError` for values too far apart, before any array is as long as they say.
+
+    What makes hours of a few seconds is a time in ms.
+    """
+    for key in ("motor_torque_nm", "motor_speed_rad_s", "motor_angle_rad"):
+        t_ns = series[key].t_ns if key in series else np.zeros(0, dtype=np.int64)
+        step = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else 0.0
+        if step > SLOWEST_S:
+            whole = (int(t_ns[-1]) - int(t_ns[0])) * 1e-9
+            problem = (
+                f"a value every {step:.3g} s, {whole:.5g} s ({whole / 3600:.3g} h) in all, where "
+                f"{1 / SLOWEST_S:g} a second are needed: is the time in ms?"
+            )
+            raise InputError(name, key, problem, "give the time in s")
 
 
 def noise_of(values: Floats) -> float:

@@ -21,15 +21,20 @@ def columns(other_rig: ModuleType) -> Mapping[str, np.ndarray]:
 
 @pytest.fixture
 def write(tmp_path: Path, columns: Mapping[str, np.ndarray]) -> Write:
-    """``write(name, without=…, rest=…, seconds=…)`` -> path of a recording."""
+    """``write(name, without=…, rest=…, seconds=…, times=…)`` -> path of a recording."""
 
     def made(
-        name: str, without: Sequence[str] = (), rest: bool = False, seconds: float = 8.0
+        name: str,
+        without: Sequence[str] = (),
+        rest: bool = False,
+        seconds: float = 8.0,
+        times: Mapping[str, float] | None = None,
     ) -> str:
         path = tmp_path / f"{name}.csv"
         kept = {key: one[: round(1000 * seconds)] for key, one in columns.items()}
         if rest:
             kept = {k: one if k == "time_s" else 0.0 * one + one[0] for k, one in kept.items()}
+        kept = {key: one * (times or {}).get(key, 1.0) for key, one in kept.items()}
         shown = {key: one for key, one in kept.items() if key not in without}
         table = np.column_stack(list(shown.values()))
         header = ",".join(shown)
@@ -72,6 +77,22 @@ def test_a_load_cell_in_some_recordings_only_is_refused(
     without = write("without", without=["rack_force_n"])
     said = _refused(capsys, "--recording", write("good"), "--holdout", without)
     assert f"{without}: has no rack_force_n, but others have" in said
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "words"),
+    [
+        ("torque_sensor_nm", -1.0, "torque_sensor_nm has the wrong sign; turn it"),
+        ("motor_torque_nm", 1e3, "motor_torque_nm: is about 1000 times too large: in mNm"),
+        ("time_s", 1e3, "motor_torque_nm: a value every 1 s, 7999 s (2.22 h) in all"),
+    ],
+)
+def test_a_column_that_is_not_what_its_name_says_is_named(
+    write: Write, capsys: pytest.CaptureFixture[str], column: str, factor: float, words: str
+) -> None:
+    wrong = write("wrong", times={column: factor})
+    said = _refused(capsys, "--recording", write("good"), wrong)
+    assert said.startswith(f"eps-hil: {wrong}: {words}")
 
 
 def test_a_recording_does_not_judge_itself(

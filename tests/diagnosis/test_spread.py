@@ -98,3 +98,14 @@ def test_what_is_known_turns_round_or_has_no_interval_is_not_open() -> None:
         "parameters": {"curve": {"value": [[0.0, 0.1]], "unit": "Nm", "ci95": None}},
     }
     assert left_open([unknown, ripple, curve]) == []
+
+
+def test_a_number_that_ended_on_its_bound_is_said_to_be_open() -> None:
+    """Its interval, of a fit that could go no further, may well be narrow, or one-sided."""
+    gain = finding("motor_torque_gain", gain=(3.0, 2.99, 3.01))
+    (said,) = left_open([gain])
+    assert "leave open gain (it ended at 3, the bound of what it can be)" in said
+    exact = finding("rack_ratio", scale=(-0.5, -0.5, -0.5), slope_per_m=(0.0, -0.1, 0.1))
+    (said,) = left_open([exact])
+    assert "leave open scale (it ended at -0.5, the bound of what it can be)." in said
+    assert left_open([finding("motor_torque_gain", gain=(0.7, 0.69, 0.71))]) == []

@@ -262,3 +262,12 @@ def test_a_motor_that_is_a_spring_hides_its_delay(
     assert p["delays_s.motor_speed"].value == pytest.approx(0.004, abs=0.3e-3)
     assert p["friction.offset_pos_nm"].value == pytest.approx(0.056, rel=0.02)
     assert p["friction.load_neg_nm_per_n"].value == pytest.approx(4.345e-5, rel=0.03)
+
+
+def test_a_time_in_ms_is_refused(programme: Recordings, reference_model: Model) -> None:
+    slow = {
+        name: {key: Series(one.t_ns * 1000, one.value) for key, one in series.items()}
+        for name, series in programme.items()
+    }
+    with pytest.raises(InputError, match="is the time in ms"):
+        identify(slow, reference_model)
