@@ -17,7 +17,7 @@ from eps_hil.diagnosis.fit import Fit, deviation, fit
 from eps_hil.diagnosis.held import own_samples
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
 from eps_hil.diagnosis.leftover import BESIDE_UNKNOWN, Leftover, alone, late_torque, leftover
-from eps_hil.diagnosis.load import load_knobs, load_of, missing, not_told_apart, with_load
+from eps_hil.diagnosis.load import doubted, load_knobs, load_of, missing, not_told_apart, with_load
 from eps_hil.diagnosis.misread import misread, with_misread
 from eps_hil.diagnosis.numbers import CONSTANTS
 from eps_hil.diagnosis.placebo import placebos
@@ -119,6 +119,7 @@ def diagnose(
     content = look.added_to(_content(problem, selection, findings, left, judged))
     if wrong is not None:
         content = with_misread(content, wrong.finding(model))
+    content["findings"] = doubted(content["findings"], load)
     content["fit"]["placebo"] = placebos(problem, selection, findings, judged)
     if look.model is not model or look.put_right or wrong is not None:
         as_read = [

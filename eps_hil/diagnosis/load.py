@@ -8,7 +8,7 @@ faster, can be told from it.
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,7 @@ LIKE_LOAD = (
 )
 """What a load of unknown spring, damper and constant cannot be told from."""
 _ROUNDS = 6
+_LIKE_FRICTION_OF_A_SPRING, _OF_LOAD = "position_dependent_friction", "load_dependent_friction"
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,23 @@ def not_told_apart(load: Load) -> Collection[str]:
     if load.form == "arbitrary":
         return [name for name in catalogue() if name not in RIPPLES]
     return LIKE_LOAD
+
+
+def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[dict[str, Any]]:
+    """Findings (CONTRACT 7) with what they may be instead, where a spring stands for the load.
+
+    Its force follows the position, and so does friction that grows with it.
+    """
+    told = [dict(one) for one in findings]
+    if load is None or load.form != "spring" or load.stiffness_n_per_m == 0.0:
+        return told
+    for one in told:
+        if one["effect"] == _LIKE_FRICTION_OF_A_SPRING:
+            one["confusable_with"] = [*one["confusable_with"], _OF_LOAD]
+            one["confidence"] = round(0.5 * float(one["confidence"]), 3)
+            settle = f"against {_OF_LOAD}: record the rack force"
+            one["next_experiment"] = "; ".join(filter(None, [one["next_experiment"], settle]))
+    return told
 
 
 def load_knobs(load: Load | None) -> Mapping[str, float]:
