@@ -111,6 +111,13 @@ class Fork:
 Started = subprocess.Popen[str] | Fork
 
 
+def ended(process: Started) -> str:
+    """Kill what still runs; what it said, or nothing where that was read before."""
+    process.kill()
+    read = isinstance(process, subprocess.Popen) and process.stdout and process.stdout.closed
+    return "" if read else process.communicate()[0]
+
+
 @dataclass
 class Scene:
     """A rig and a session on one bus, and everything that was on it."""
@@ -162,8 +169,7 @@ class Scene:
             session = self.session()
             if self._until_injecting():
                 return session
-            session.kill()
-            said = session.communicate()[0]
+            said = ended(session)
         pytest.fail(f"the torque never came: {said}")
 
     def _until_injecting(self) -> bool:
@@ -224,8 +230,7 @@ class Scene:
             self.listen(listen_s)
             if self.kept_time():
                 return session
-            session.kill()
-            session.communicate()
+            ended(session)
             self.forget()
         pytest.fail("this machine stands still again and again")
 
@@ -310,8 +315,7 @@ def _staged(config: Path, port: Port, pace: Pace) -> Iterator[Scene]:
         yield made
     finally:
         for process in made.processes:
-            process.kill()
-            process.communicate()
+            ended(process)
         port.close()
 
 
@@ -320,8 +324,7 @@ def scene(stage: Scene) -> Iterator[Scene]:
     """An empty stage with the rig on it; no session outlives its test."""
     yield stage
     for process in stage.processes[1:]:
-        process.kill()
-        process.communicate()
+        ended(process)
     del stage.processes[1:]
     stage.forget()
 
