@@ -27,7 +27,9 @@ from eps_hil.series import Series
 Signals = Mapping[str, Series]
 
 LONGEST_S = 240.0
-"""Of a longer recording as much is looked at: its liveliest stretch."""
+"""Of all recordings together about as much is looked at: of each its liveliest stretch…"""
+LEAST_S = 20.0
+"""…of no less than this."""
 COMPARED_S = 40.0
 """Speed and angle are compared for as long from the first motion on; then a clock that drifts has
 carried them apart."""
@@ -39,10 +41,11 @@ _FEWEST = 8
 
 def check_channels(recordings: Mapping[str, Signals], model: Model) -> None:
     """``RecordingError`` (of the intake) with the first channel that is not what its name says."""
-    each(lambda one: _check(one[0], one[1], model), recordings.items())
+    most_s = max(LONGEST_S / max(len(recordings), 1), LEAST_S)
+    each(lambda one: _check(one[0], one[1], model, most_s), recordings.items())
 
 
-def _check(name: str, series: Signals, model: Model) -> None:
+def _check(name: str, series: Signals, model: Model, most_s: float) -> None:
     used: Signals = {
         key: one for key, one in series.items() if np.isfinite(one.value).sum() >= _FEWEST
     }
@@ -50,7 +53,7 @@ def _check(name: str, series: Signals, model: Model) -> None:
     if "motor_torque_nm" not in used or not moving:
         return
     with refusing():
-        used = _liveliest(used)
+        used = _liveliest(used, most_s)
         if _shared_s(used) < SHORTEST_S:
             return
         ready = prepare(name, used)
@@ -108,10 +111,10 @@ def _shared_s(series: Signals) -> float:
     return (end - start) * 1e-9
 
 
-def _liveliest(series: Signals) -> Signals:
-    """The stretch of LONGEST_S in which the motor torque varies most; all of what is shorter."""
+def _liveliest(series: Signals, most_s: float) -> Signals:
+    """The stretch of ``most_s`` in which the motor torque varies most; all of what is shorter."""
     torque = series["motor_torque_nm"]
-    start, whole = int(torque.t_ns[0]), int(LONGEST_S * 1e9)
+    start, whole = int(torque.t_ns[0]), int(most_s * 1e9)
     if int(torque.t_ns[-1]) - start <= whole:
         return series
     starts = range(start, int(torque.t_ns[-1]) - whole + 1, whole)

@@ -243,14 +243,18 @@ def _stuck(
     if len(runs) < 10:
         return ()
     usual = float(np.median(lengths))
-    others = [one for name, one in speeds.items() if name != signal]
+    others = [
+        ((one.t_ns - start) * 1e-9, np.abs(one.value))
+        for name, one in speeds.items()
+        if name != signal
+    ]
     found = []
     held = at[runs[:, 1] - 1] - at[runs[:, 0]]
     for first, last in runs[(held > STUCK_S) & (lengths >= STUCK_RUNS * usual)].tolist():
-        for one in others:
-            seconds = (one.t_ns - start) * 1e-9
-            inside = (seconds > at[first]) & (seconds < at[last - 1])
-            if np.any(inside) and float(np.median(np.abs(one.value[inside]))) > MOVED_RAD_S:
+        for seconds, speed in others:
+            begin = np.searchsorted(seconds, at[first], "right")
+            inside = speed[begin : np.searchsorted(seconds, at[last - 1], "left")]
+            if len(inside) and float(np.median(inside)) > MOVED_RAD_S:
                 found.append((float(at[first]), float(at[last - 1])))
                 break
     return tuple(found)

@@ -14,6 +14,7 @@ from eps_hil.compiled import njit
 from eps_hil.physics.effects import added
 from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
+    FrictionLaw,
     bristle_step,
     friction_torque_nm,
     static_level_nm,
@@ -57,11 +58,14 @@ def residual_nm(model: Model, motion: Motion) -> tuple[Floats, Floats]:
     motor = motor.copy() if use.motor else motor
     sensor = sensor.copy() if use.sensor else sensor
     more = np.zeros(len(out)) if use.torque else _NOTHING
-    _balance(drive, use, motion, motor, sensor, more, out)
+    levels = np.zeros((2, len(out))) if use.level else _NO_LEVELS
+    _balance(drive, use, motion, motor, sensor, more, levels, out)
     return out[:, 0], out[:, 1]
 
 
-_NOTHING = np.zeros(0)
+_NOTHING, _NO_LEVELS = np.zeros(0), np.zeros((2, 0))
+_BACKWARD = -1e-300
+"""A direction without a speed."""
 
 
 @njit
@@ -72,10 +76,11 @@ def _balance(
     motor: Floats,
     sensor: Floats,
     more: Floats,
+    levels: Floats,
     out: Floats,
 ) -> None:
     """``motor``, ``sensor``: as reported, changed in place by effects; ``more``: zeros, or empty
-    where nothing adds torque.
+    where nothing adds torque; ``levels``: (2, n), or (2, 0) where nothing adds to eq. 3.
 
     The slots' functions are called in here because compiled code out of the disk cache may call
     closures, and Python may not: there, each process would compile them again.
@@ -87,19 +92,21 @@ def _balance(
     if use.torque:
         added.torque_along(drive.effects, m, drive.sensor_to_rotor, more)
     law = drive.law
+    if use.level:
+        _levels(m, law, levels)
+        added.levels_along(drive.effects, m, drive.sensor_to_rotor, levels[0], levels[1])
     bristle = 0.0
-    step = m.time_s[1] - m.time_s[0] if len(m.time_s) > 1 else 1e-3
     for k in range(len(m.time_s)):
         speed, force = m.speed_rad_s[k], m.rack_force_n[k]
         direction = speed if speed != 0.0 else m.travel_rad[k]
+        way = 0
         if direction == 0.0:
             direction = bristle
-        level = static_level_nm(direction, force, law)
-        if use.level:  # a call for every sample is most of the time, so only where needed
-            u = added.instant(m, k, drive.sensor_to_rotor)
-            level = max(added.level_nm(drive.effects, u, level), SMALLEST_LEVEL_NM)
-            if use.memory:
-                added.advance_levels(drive.effects, added.crept(m, k, u, step), step)
+            way = 0 if bristle >= 0.0 else 1
+        if use.level:  # a call for every sample would be most of the time
+            level = max(levels[way, k], SMALLEST_LEVEL_NM)
+        else:
+            level = static_level_nm(direction, force, law)
         bristle = bristle_step(
             bristle, m.travel_rad[k], m.slip_rad[k], level, law.sigma0_nm_per_rad
         )
@@ -109,3 +116,14 @@ def _balance(
         drive_torque = motor[k] + drive.sensor_to_rotor * sensor[k] - force / drive.ratio
         out[k, 0] = drive_torque - drive.inertia * m.acceleration_rad_s2[k] - friction
         out[k, 1] = friction + force / drive.ratio
+
+
+@njit
+def _levels(m: Motion, law: FrictionLaw, levels: Floats) -> None:
+    """Eq. 3 along the motion; the second row for the other way, where nothing says which."""
+    for k in range(len(m.time_s)):
+        speed = m.speed_rad_s[k]
+        direction = speed if speed != 0.0 else m.travel_rad[k]
+        levels[0, k] = static_level_nm(direction, m.rack_force_n[k], law)
+        if direction == 0.0:
+            levels[1, k] = static_level_nm(_BACKWARD, m.rack_force_n[k], law)

@@ -200,6 +200,7 @@ def test_of_a_long_recording_the_liveliest_stretch_is_looked_at(
     weave: Signals, reference_model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(channels, "LONGEST_S", 12.0)
+    monkeypatch.setattr(channels, "LEAST_S", 12.0)
     rest = {name: np.full(20_000, one.value[0]) for name, one in weave.items()}
     t_ns = np.arange(32_000, dtype=np.int64) * 1_000_000
     long = {name: Series(t_ns, np.append(rest[name], one.value)) for name, one in weave.items()}

@@ -3,13 +3,17 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from eps_hil.physics.balance import Motion, residual_nm
+from eps_hil.physics.balance import Floats, Motion, residual_nm
+from eps_hil.physics.effects import added
+from eps_hil.physics.friction import bristle_step, friction_torque_nm, static_level_nm
 from eps_hil.physics.model import load_model
+from eps_hil.physics.simulate import drive_of
 
 _MODEL = Path(__file__).parents[2] / "configs" / "reference_rig.yaml"
 _AGAIN = """
@@ -48,6 +52,62 @@ def test_read_only_arrays_are_as_good() -> None:
     found = residual_nm(model, Motion(*([locked] * 10)))
     np.testing.assert_array_equal(found, expected)
     np.testing.assert_array_equal(locked, np.linspace(0.0, 1.0, 50))
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["stribeck"],
+        ["breakaway_dwell"],
+        ["friction_warmup", "breakaway_dwell", "stribeck", "position_dependent_friction"],
+    ],
+)
+def test_levels_along_a_motion_are_the_kernels_sample_by_sample(names: list[str]) -> None:
+    """With rests, in which only the bristle tells a direction, and creep."""
+    entries = {
+        "stribeck": {"level_nm": 0.03, "speed_rad_s": 10.0},
+        "breakaway_dwell": {"level_nm": 0.05, "time_s": 0.1, "release_rad": 0.5},
+        "friction_warmup": {"amplitude": 0.3, "time_s": 1.0},
+        "position_dependent_friction": {"level_nm": 0.02, "centre_m": 0.0, "width_m": 0.01},
+    }
+    effects = tuple({"effect": name, **entries[name]} for name in names)
+    model = replace(load_model(_MODEL), effects=effects)
+    law = replace(model.friction, offset_neg_nm=1.3 * model.friction.offset_neg_nm)
+    model = replace(model, friction=law)
+    m = _with_rests()
+    found, _ = residual_nm(model, m)
+    drive, bristle, expected, rests = drive_of(model), 0.0, np.empty(len(found)), set()
+    for k in range(len(found)):
+        speed, force, travel = m.speed_rad_s[k], m.rack_force_n[k], m.travel_rad[k]
+        way = next((one for one in (speed, travel, bristle) if one), 0.0)
+        rests |= {np.sign(way)} if not speed and not travel else set()
+        u = added.instant(m, k, drive.sensor_to_rotor)
+        level = added.level_nm(drive.effects, u, static_level_nm(way, force, drive.law))
+        bristle = bristle_step(bristle, travel, abs(travel), level, drive.law.sigma0_nm_per_rad)
+        torque = m.motor_torque_nm[k] + drive.sensor_to_rotor * m.torque_sensor_nm[k]
+        torque -= force / drive.ratio + friction_torque_nm(bristle, speed, level, drive.law)
+        expected[k] = torque - drive.inertia * m.acceleration_rad_s2[k]
+        added.advance(drive.effects, added.crept(m, k, u, 1e-3), 1e-3)
+    assert rests > {-1.0, 1.0}
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
+
+
+def _with_rests() -> Motion:
+    """Both ways, then each time at rest: first exactly, then creeping back."""
+    time = np.asarray(np.arange(6000) * 1e-3, np.float64)
+    speed = 12.0 * np.sin(2 * np.pi * 0.5 * time)
+    speed[700:1200] = 0.0
+    speed[1900:2300] = 0.0
+    travel = speed * 1e-3
+    travel[1000:1200] = -1e-6
+    angle: Floats = np.cumsum(travel)
+    rng = np.random.default_rng(4)
+    torque, sensor = rng.normal(size=(2, len(time)))
+    force = 2000.0 * np.sin(time)
+    slip = np.abs(travel)
+    acceleration: Floats = np.gradient(speed, 1e-3)
+    position = angle / 500.0
+    return Motion(time, torque, sensor, force, position, speed, angle, travel, slip, acceleration)
 
 
 @pytest.mark.slow

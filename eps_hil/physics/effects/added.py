@@ -58,16 +58,12 @@ def added(model: Model) -> Added:
 
 
 class InUse(NamedTuple):
-    """Which slots have an effect that is on, so that the others need not be called at all.
-
-    ``memory``: an effect on the friction's level that remembers something.
-    """
+    """Which slots have an effect that is on, so that the others need not be called at all."""
 
     level: bool
     torque: bool
     motor: bool
     sensor: bool
-    memory: bool
 
 
 def in_use(table: Added) -> InUse:
@@ -81,7 +77,6 @@ def in_use(table: Added) -> InUse:
         on(_of(Slot.TORQUE)),
         on(_of(Slot.MOTOR)),
         on(_of(Slot.SENSOR)),
-        on(_remembering(_LEVELS)),
     )
 
 
@@ -205,6 +200,40 @@ def _fused_along(slot: str, effects: list[Effect]) -> Callable[[Added, Any, floa
     return build(len(effects) - 1)
 
 
+def _fused_levels(effects: list[Effect]) -> Callable[[Added, Any, float, Floats, Floats], None]:
+    """The same for the friction's level, twice where the rotor rests without a direction.
+
+    There the bristle decides which of the two levels holds, and it is not known yet.
+    """
+
+    def build(k: int) -> Callable[[Added, Any, float, Floats, Floats], None]:
+        if k < 0:
+
+            def nothing(_a: Added, _m: Any, _to_rotor: float, _up: Floats, _down: Floats) -> None:
+                return None
+
+            return _compiled(nothing, "levels_along_nothing")
+        before, kernel, row = build(k - 1), effects[k].kernel, _ROW[effects[k].id]
+        move = effects[k].advance or _stay
+        assert kernel is not None
+
+        def along(a: Added, m: Any, to_rotor: float, levels: Floats, otherwise: Floats) -> None:
+            before(a, m, to_rotor, levels, otherwise)
+            step = m.time_s[1] - m.time_s[0] if len(levels) > 1 else 1e-3
+            for term in range(a.terms[row]):
+                p, s = a.parameters[row, term], a.state[row, term]
+                for i in range(len(levels)):
+                    u = instant(m, i, to_rotor)
+                    levels[i] = kernel(p, s, u, levels[i])
+                    if u.speed_rad_s == 0.0 and m.travel_rad[i] == 0.0:
+                        otherwise[i] = kernel(p, s, u, otherwise[i])
+                    move(p, s, crept(m, i, u, step), step)
+
+        return _compiled(along, f"levels_along_{effects[k].id}")
+
+    return build(len(effects) - 1)
+
+
 @njit(inline="always")
 def _stay(_p: Floats, _s: Floats, _u: Instant, _dt: float) -> None:
     return None
@@ -230,10 +259,11 @@ sensor_nm = _fused("sensor", _of(Slot.SENSOR))
 """True torsion-bar torque from the reported one, at the column."""
 advance = _fused_advance("advance", _remembering(_KERNELS))
 """Moves what effects remember (rest times, …) on by one step."""
-advance_levels = _fused_advance("advance_levels", _remembering(_LEVELS))
-"""The same for effects on the friction's level alone."""
 torque_along = _fused_along("torque", _of(Slot.TORQUE))
 motor_along = _fused_along("motor", _of(Slot.MOTOR))
 sensor_along = _fused_along("sensor", _of(Slot.SENSOR))
 """``(added, motion, i_pi/i_APA, values (n,))``: the slots' values of a whole motion, in place; what
 the effects of the slot remember is moved on with it."""
+levels_along = _fused_levels(_LEVELS)
+"""``(added, motion, i_pi/i_APA, T_fs (n,), T_fs the other way (n,))``: the levels of a motion, in
+place; the second only where neither speed nor travel say a direction."""
