@@ -25,7 +25,7 @@ from eps_hil.series import Series
 Floats = npt.NDArray[np.float64]
 
 CLEAR = 60.0
-"""Noise variances by which one name has to beat another (``diagnose.RIVAL_GAIN``)."""
+"""Noise variances by which one name has to beat another (``finding.RIVAL_GAIN``)."""
 _KNOB_STEP = 0.05
 _PLACES = 6
 _MOSTLY = 0.05

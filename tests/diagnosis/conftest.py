@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.diagnosis.prepare import prepare
+from eps_hil.diagnosis.problem import Problem
+from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
 Recordings = Mapping[str, Mapping[str, Series]]
@@ -36,3 +39,13 @@ def record(other_rig: ModuleType) -> Callable[..., Recordings]:
         return made
 
     return make
+
+
+@pytest.fixture(scope="session")
+def problem(
+    record: Callable[..., Recordings], reference_model: Model, other_rig: ModuleType
+) -> Problem:
+    """Recordings of a rig with a Stribeck effect, against a model without one."""
+    plant = {other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0}
+    recordings = record(plant, ("sweep", "weave"), seconds=12.0)
+    return Problem([prepare(name, one) for name, one in recordings.items()], reference_model)

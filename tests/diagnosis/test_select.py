@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from eps_hil.diagnosis.baseline import ALL, TIMING
-from eps_hil.diagnosis.diagnose import _clear, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.fit import fit, matters
 from eps_hil.diagnosis.numbers import SPANNED, levels_first
 from eps_hil.diagnosis.prepare import prepare
@@ -19,13 +19,6 @@ from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def problem(record: Callable[..., Any], reference_model: Model, other_rig: Any) -> Problem:
-    plant = {other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0}
-    recordings = record(plant, ("sweep", "weave"), seconds=12.0)
-    return Problem([prepare(name, one) for name, one in recordings.items()], reference_model)
 
 
 def limits(problem: Problem, effect: str, parameter: str) -> tuple[float, float]:
@@ -122,26 +115,6 @@ def test_a_stiffer_bristle_is_no_finding_where_the_angles_noise_hides_its_path(
         for one in problem.recordings
     ]
     assert not matters(soft, Problem(blind, problem.model))
-
-
-@pytest.mark.parametrize(
-    ("entry", "half", "expected"),
-    [
-        ({"effect": "inertia", "scale": 1.1}, {"scale": 0.05}, True),
-        ({"effect": "inertia", "scale": 1.1}, {"scale": 0.2}, False),
-        (
-            {"effect": "stribeck", "level_nm": 0.1, "speed_rad_s": 5.0},
-            {"level_nm": 0.2, "speed_rad_s": 20.0},
-            True,  # they are hard to tell apart, not hard to see
-        ),
-    ],
-)
-def test_one_number_that_may_as_well_be_nothing_is_no_finding(
-    problem: Problem, entry: dict[str, Any], half: dict[str, float], expected: bool
-) -> None:
-    found = fit(problem, [entry], 0)
-    found.__dict__["half_width"] = {(0, name): value for name, value in half.items()}
-    assert _clear(problem, found, 0) is expected
 
 
 def test_a_delay_with_a_name_holds_all_of_it(problem: Problem) -> None:
