@@ -4,7 +4,7 @@ Equally spaced knots blur a narrow step and waste themselves on straight parts. 
 where the residual's profile over position still bends, as long as it earns its price.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,8 @@ _LEAST_IN_CELL = 4
 _TRIALS = 5
 _LEAST_PROFILE = 12
 _WAY, _FLAT = 101, 0.3
+_STEPS = 2
+"""The first step is taken beside a model without the curve, where outliers are guessed."""
 _CLEAR_OF_ZERO = 0.1
 MOST_SWINGS, _SWING = 4, 0.35
 """A curve goes up or down by so much of its height, as a swing counts, so many times at most."""
@@ -34,8 +36,8 @@ MOST_SWINGS, _SWING = 4, 0.35
 def knots(problem: Problem, residual: Floats) -> list[float]:
     """Positions (m), ascending, between which the profile of ``residual`` is straight enough.
 
-    Knots are added one at a time in the span with the largest misfit, until the best new one
-    lowers the misfit by less than Schwarz's price. Empty where too little way was covered.
+    Knots are added one at a time in the span with the largest misfit in which one lowers the misfit
+    by Schwarz's price, until there is none. Empty where too little way was covered.
     """
     place, mean, weight = _profile(problem, residual)
     if len(place) < _LEAST_PROFILE:
@@ -44,13 +46,15 @@ def knots(problem: Problem, residual: Floats) -> list[float]:
     chosen = [float(place[0]), float(place[-1])]
     misfit, left = _straight(chosen, place, mean, weight)
     while len(chosen) < MOST_KNOTS:
-        trials = _trials(chosen, place, left)
-        found = [(_straight(sorted([*chosen, x]), place, mean, weight)[0], x) for x in trials]
-        best, x = min(found, default=(np.inf, 0.0))
-        if misfit - best < price:
+        for trials in _trials(chosen, place, left, price):
+            found = [(_straight(sorted([*chosen, x]), place, mean, weight)[0], x) for x in trials]
+            best, x = min(found)
+            if misfit - best > price:
+                chosen = sorted([*chosen, x])
+                misfit, left = _straight(chosen, place, mean, weight)
+                break
+        else:
             break
-        chosen = sorted([*chosen, x])
-        misfit, left = _straight(chosen, place, mean, weight)
     return chosen
 
 
@@ -59,29 +63,36 @@ def _profile(problem: Problem, residual: Floats) -> tuple[Floats, Floats, Floats
     use = problem.sliding
     values = _without_outliers(problem, residual)[use]
     edges, cell = _cells(problem)
-    cell = cell[use]
-    inside = (cell >= 0) & (cell < _CELLS)
-    count: Floats = np.bincount(cell[inside], minlength=_CELLS).astype(np.float64)
-    total = np.bincount(cell[inside], weights=values[inside], minlength=_CELLS)
-    square = np.bincount(cell[inside], weights=values[inside] ** 2, minlength=_CELLS)
+    cell, n = cell[use], len(edges) - 1
+    inside = (cell >= 0) & (cell < n)
+    count: Floats = np.bincount(cell[inside], minlength=n).astype(np.float64)
+    total = np.bincount(cell[inside], weights=values[inside], minlength=n)
+    square = np.bincount(cell[inside], weights=values[inside] ** 2, minlength=n)
     good = count >= _LEAST_IN_CELL
     mean = total[good] / count[good]
-    scatter = float(np.sum(square[good] - count[good] * mean**2) / max(np.sum(count[good]), 1))
+    scatter = square[good] / count[good] - mean**2
+    usual = float(np.median(scatter)) if len(scatter) else 0.0  # not that of one bad cell
     centre = 0.5 * (edges[1:] + edges[:-1])
-    return centre[good], mean, count[good] / max(scatter, 1.0)
+    return centre[good], mean, count[good] / np.maximum(scatter, max(usual, 1.0))
 
 
 def _cells(problem: Problem) -> tuple[Floats, npt.NDArray[np.int64]]:
     """Edges (m) of the cells over all that was slid through, and each sample's cell.
 
-    Outside, -1 or _CELLS. The rarely visited ends count: a curve that ends before them is flat
-    there, and another name would be taken for what it leaves.
+    Outside, -1 or the number of cells. The rarely visited ends count: a curve that ends before them
+    is flat there, and another name would be taken for what it leaves. Where little was seen a cell
+    is wider.
     """
     position = coordinates(problem)["rack_position_m"]
-    slid = position[problem.sliding]
-    low, high = (np.min(slid), np.max(slid)) if len(slid) else problem.visited_m
-    edges = np.linspace(low, high, _CELLS + 1)
-    return edges, np.searchsorted(edges, position, side="right") - 1
+    slid = np.sort(position[problem.sliding])
+    low, high = (slid[0], slid[-1]) if len(slid) else problem.visited_m
+    fine = np.linspace(low, high, _CELLS + 1)
+    before, edges = np.searchsorted(slid, fine), [0]
+    for k in range(1, _CELLS):
+        if before[k] - before[edges[-1]] >= _LEAST_IN_CELL <= len(slid) - before[k]:
+            edges.append(k)
+    cells = fine[[*edges, _CELLS]]
+    return cells, np.searchsorted(cells, position, side="right") - 1
 
 
 def _without_outliers(problem: Problem, residual: Floats) -> Floats:
@@ -89,16 +100,17 @@ def _without_outliers(problem: Problem, residual: Floats) -> Floats:
 
     A strong curve would be cut itself if outliers were judged from zero.
     """
-    _, cell = _cells(problem)
-    middle = np.zeros(_CELLS + 2)
+    edges, cell = _cells(problem)
+    n = len(edges) - 1
+    middle = np.zeros(n + 2)
     order = np.argsort(cell, kind="stable")
     order = order[problem.sliding[order]]
-    bounds = np.searchsorted(cell[order], np.arange(_CELLS + 1))
-    for k in range(_CELLS):
+    bounds = np.searchsorted(cell[order], np.arange(n + 1))
+    for k in range(n):
         inside = residual[order[bounds[k] : bounds[k + 1]]]
         if len(inside) >= _LEAST_IN_CELL:
             middle[k] = np.median(inside)
-    beside = residual - middle[cell]  # outside the cells: -1 and _CELLS, zeros both
+    beside = residual - middle[cell]  # outside the cells: -1 and n, zeros both
     return np.asarray(middle[cell] + clipped(beside, knee(beside)))
 
 
@@ -113,15 +125,20 @@ def _straight(
     return float(np.sum(left)), left
 
 
-def _trials(chosen: Sequence[float], place: Floats, left: Floats) -> list[float]:
-    """A few places for a new knot, in the span that holds most of the misfit."""
+def _trials(
+    chosen: Sequence[float], place: Floats, left: Floats, price: float
+) -> Iterator[list[float]]:
+    """A few places for a new knot in each span of more misfit than ``price``, worst first."""
     span = np.clip(np.searchsorted(chosen, place, side="right") - 1, 0, len(chosen) - 2)
-    for worst in np.argsort(-np.bincount(span, weights=left, minlength=len(chosen) - 1)):
+    misfit = np.bincount(span, weights=left, minlength=len(chosen) - 1)
+    for worst in np.argsort(-misfit):
         inside = place[span == worst][1:-1]
-        if len(inside):
-            picks = np.linspace(0, len(inside) - 1, _TRIALS + 2)[1:-1].round().astype(int)
-            return [float(x) for x in inside[np.unique(picks)] if x not in chosen]
-    return []
+        if not len(inside) or misfit[worst] < price:
+            continue
+        picks = np.linspace(0, len(inside) - 1, _TRIALS + 2)[1:-1].round().astype(int)
+        trials = [float(x) for x in inside[np.unique(picks)] if x not in chosen]
+        if trials:
+            yield trials
 
 
 def with_curve(problem: Problem, found: Fit) -> Fit:
@@ -137,21 +154,33 @@ def with_curve(problem: Problem, found: Fit) -> Fit:
     if len(places) < 3:
         return found
     columns = hats(problem, (others, found.own), catalogue()[ID], places, bare.residual)
-    prior = np.zeros(columns.shape[1] + bare.jacobian.shape[1])
-    own = len(bare.own)
-    prior[columns.shape[1] : columns.shape[1] + own] = 1.0
-    everything = np.column_stack([columns, -bare.jacobian])
-    cut = _without_outliers(problem, bare.residual)
+    way = np.linspace(*problem.visited_m, _WAY)
+    trial, torque = bare, np.zeros(len(places))
+    left = _without_outliers(problem, bare.residual)
+    for _ in range(_STEPS):
+        torque = torque + _jointly(columns, trial, left)
+        torque = torque - _level(np.interp(way, places, torque))
+        curve = [[x, float(y)] for x, y in zip(places, torque, strict=True)]
+        entry: Mapping[str, Any] = {"effect": ID, "curve": curve}
+        beside = [one for one in trial.entries if one["effect"] != ID]
+        trial = fit(problem, [*beside, entry], own=trial.own, like=bare)
+        left = clipped(trial.residual, knee(trial.residual))
+    return trial
+
+
+def _jointly(columns: Floats, found: Fit, left: Floats) -> Floats:
+    """By how much the curve's values (k,) change in a linear step of all numbers of ``found``.
+
+    ``columns`` (n, k): what each value takes off the residual; ``left`` (n,): that residual.
+    """
+    curve, own = columns.shape[1], len(found.own)
+    everything = np.column_stack([columns, -found.jacobian])
+    prior = np.zeros(everything.shape[1])
+    prior[curve : curve + own] = 1.0
     normal = everything.T @ everything + np.diag(prior)
     size = np.sqrt(np.maximum(np.diag(normal), 1e-30))  # a column may be all zero
-    values = np.linalg.lstsq(normal / np.outer(size, size), everything.T @ cut / size, rcond=1e-9)
-    torque = (values[0] / size)[: columns.shape[1]]
-    torque = torque - _level(np.interp(np.linspace(*problem.visited_m, _WAY), places, torque))
-    entry: Mapping[str, Any] = {
-        "effect": ID,
-        "curve": [[x, float(y)] for x, y in zip(places, torque, strict=True)],
-    }
-    return fit(problem, [*others, entry], own=found.own, like=bare)
+    step = np.linalg.lstsq(normal / np.outer(size, size), everything.T @ left / size, rcond=1e-9)
+    return np.asarray((step[0] / size)[:curve])
 
 
 def has_curve(found: Fit) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
+from eps_hil.identification.filters import shifted
 from eps_hil.physics.balance import Motion, residual_nm
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
@@ -176,14 +177,15 @@ class Prepared:
         if delay_s == 0.0:
             return values
         key = (id(values), delay_s)
-        shifted = self._shifted.get(key)  # other threads may clear them at any time
-        if shifted is None:
+        found = self._shifted.get(key)  # other threads may clear them at any time
+        if found is None:
             most = _MOST_SHIFTED_BYTES // values.nbytes
             if len(self._shifted) > min(_MOST_SHIFTED, max(most, _LEAST_SHIFTED)):
                 self._shifted.clear()
-            shifted = np.interp(self.time_s + delay_s, self.time_s, values)
-            self._shifted[key] = shifted
-        return shifted
+            # straight lines would take noise off between the samples, and a delay would gain by it
+            found = shifted(values, delay_s)
+            self._shifted[key] = found
+        return found
 
     @cached_property
     def _kinematics(self) -> Mapping[str, Floats]:

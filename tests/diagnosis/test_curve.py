@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.diagnosis import curve
 from eps_hil.diagnosis.baseline import ALL, OFFSET, OFFSET_NM
 from eps_hil.diagnosis.curve import ID, MOST_KNOTS, knots, levelled, winds, with_curve
 from eps_hil.diagnosis.fit import fit
@@ -100,7 +101,37 @@ def test_a_curve_is_solved_beside_the_rest_and_holds_no_constant(
     assert 0.02 * found.own["motor_torque_offset"] == pytest.approx(0.01, rel=0.3)
 
 
-def test_a_strong_curve_is_not_cut_as_an_outlier(clean: Problem) -> None:
+def test_the_second_step_puts_right_what_the_first_took_beside_a_bent_model(
+    record: Callable[..., Any],
+    reference_model: Model,
+    other_rig: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A bump ten times as high, and a Stribeck effect that the refit without the bump bends."""
+    plant = {other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0}
+    recordings = {}
+    for name, one in record(plant, seconds=12.0).items():
+        torque, place = one["motor_torque_nm"], one["rack_position_m"]
+        bump = 10.0 * bump_nm(np.interp(torque.t_ns, place.t_ns, place.value))
+        recordings[name] = {**one, "motor_torque_nm": Series(torque.t_ns, torque.value + bump)}
+    problem = problem_of(recordings, reference_model)
+    stribeck = {"effect": "stribeck", "level_nm": 0.01, "speed_rad_s": 5.0}
+    bent = fit(problem, [stribeck], own=ALL)
+    costs = []
+    for steps in (1, 2, 3):
+        monkeypatch.setattr(curve, "_STEPS", steps)
+        costs.append(with_curve(problem, bent).cost)
+    assert costs[1] < 0.9 * costs[0]
+    assert costs[1] < 1.05 * costs[2]
+
+
+@pytest.fixture
+def one_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For residuals that were made up: the next step would see the recordings' own."""
+    monkeypatch.setattr(curve, "_STEPS", 1)
+
+
+def test_a_strong_curve_is_not_cut_as_an_outlier(clean: Problem, one_step: None) -> None:
     """A hundred times the noise: its own height is no outlier, and single samples still are."""
     rng = np.random.default_rng(4)
     place = coordinates(clean)["rack_position_m"]
@@ -115,7 +146,36 @@ def test_a_strong_curve_is_not_cut_as_an_outlier(clean: Problem) -> None:
     assert np.max(np.abs(error[clean.sliding])) < 0.15 * 10.0 * PEAK_NM
 
 
-def test_a_number_that_nothing_depends_on_does_not_spoil_the_curve(clean: Problem) -> None:
+def test_where_the_rack_seldom_was_a_strong_curve_is_no_outlier_either(
+    clean: Problem, one_step: None
+) -> None:
+    """A few fast passes: the cells are as wide as it takes to have a median."""
+    place = coordinates(clean)["rack_position_m"]
+    low, high = np.min(place[clean.sliding]), np.max(place[clean.sliding])
+    stretched = copy(clean)  # as if most of the way had been passed forty times as fast
+    end = float(np.percentile(place[clean.sliding], 99.0))
+    stretched.sliding = clean.sliding & ((place > end) | (np.arange(len(place)) % 40 == 0))
+    _, cell = curve._cells(stretched)
+    assert np.min(np.bincount(cell[stretched.sliding])[:-1]) >= 4
+    assert np.max(cell) < 360
+    rng = np.random.default_rng(6)
+    ramp_nm = 0.2 + 0.2 * (place - low) / (high - low)
+    residual = rng.standard_normal(len(place)) + ramp_nm / clean.scale
+    cut = curve._without_outliers(stretched, residual)
+    use = stretched.sliding & (place < end)
+    assert np.max(np.abs(cut - residual)[use]) < 0.1 * np.max(residual[use])
+
+
+def test_a_span_in_which_no_knot_helps_keeps_none_from_the_others() -> None:
+    place = np.linspace(0.0, 1.0, 200)
+    left = np.where(place < 0.5, 3.0, 1.0)
+    worst, next_worst = curve._trials([0.0, 0.5, 0.9, 1.0], place, left, 50.0)
+    assert max(worst) < 0.5 < min(next_worst) < max(next_worst) < 0.9
+
+
+def test_a_number_that_nothing_depends_on_does_not_spoil_the_curve(
+    clean: Problem, one_step: None
+) -> None:
     """Sensitivities that have died out (a dwell without a level) are a column of zeros."""
     place = coordinates(clean)["rack_position_m"]
     rng = np.random.default_rng(5)
@@ -158,8 +218,8 @@ def test_a_constant_is_the_level_of_a_curve_unless_the_curve_keeps_clear_of_zero
 )
 def test_what_goes_to_and_fro_is_no_place(shape: Callable[[Any], Any], expected: bool) -> None:
     x = np.linspace(-1.0, 1.0, 60)
-    curve = [[a, b] for a, b in zip(x, shape(x), strict=True)]
-    assert winds({"curve": curve}, (-1.0, 1.0)) == expected
+    drawn = [[a, b] for a, b in zip(x, shape(x), strict=True)]
+    assert winds({"curve": drawn}, (-1.0, 1.0)) == expected
     assert not winds({"level_nm": 0.1}, (-1.0, 1.0))
 
 

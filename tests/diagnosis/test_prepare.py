@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
-from eps_hil.diagnosis.prepare import low_pass, noise_of, prepare
+from eps_hil.diagnosis.prepare import Floats, low_pass, noise_of, prepare
 from eps_hil.diagnosis.problem import Problem
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -88,3 +88,23 @@ def test_what_a_diagnosis_needs() -> None:
     short = Series(t_ns[:500], np.zeros(500))
     with pytest.raises(ValueError, match="too short"):
         prepare("x", {"motor_torque_nm": short, "motor_speed_rad_s": short})
+
+
+def test_a_shift_by_part_of_a_sample_leaves_noise_what_it_is() -> None:
+    """Or any delay would make the balance's noise smaller, and be found for that."""
+    rng = np.random.default_rng(8)
+    t_ns = np.arange(30_000, dtype=np.int64) * 1_000_000
+    one = {
+        name: Series(t_ns, rng.standard_normal(len(t_ns)))
+        for name in ("motor_torque_nm", "motor_speed_rad_s")
+    }
+    ready = prepare("noise", one)
+    speed = ready.raw["motor_speed_rad_s"]
+
+    def left(values: Floats) -> float:
+        return float(np.std(low_pass(np.gradient(values, 1e-3), 40.0)[300:-300]))
+
+    for delay_s in (2e-4, 5e-4, -3.4e-3):
+        assert left(ready._at(speed, delay_s)) == pytest.approx(left(speed), rel=1e-3)
+    straight = np.interp(ready.time_s + 5e-4, ready.time_s, speed)
+    assert left(straight) < 0.997 * left(speed)
