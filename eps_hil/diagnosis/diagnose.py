@@ -22,7 +22,14 @@ from eps_hil.diagnosis.load import doubted, load_knobs, load_of, missing, not_to
 from eps_hil.diagnosis.misread import misread, with_misread
 from eps_hil.diagnosis.placebo import placebos
 from eps_hil.diagnosis.problem import Problem, clipped, knee, term_of
-from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor, only_kept, still_left
+from eps_hil.diagnosis.proof_of_fit import (
+    Holdout,
+    measures,
+    noise_floor,
+    only_kept,
+    still_left,
+    worse_force,
+)
 from eps_hil.diagnosis.select import Say, Selection, select
 from eps_hil.diagnosis.spread import left_open
 from eps_hil.physics.model import Model
@@ -119,6 +126,7 @@ def diagnose(
         *unseen(every),
         *only_part(problem, selection.part),
         *(_only_kept(problem, selection, findings, judged) or _still_left(content)),
+        *worse_force(content["fit"]["holdout"]),
         *left_open(content["findings"]),
     ]
     augmented = look.in_model(augmented_by(problem, selection.found, findings))

@@ -20,7 +20,7 @@ _FIXED = ("belt_ratio", "pole_pairs", "harmonic", "curve")
 """Not moved by the joint fit: given by the model file, or solved for in one step (a curve)."""
 
 
-_BRISTLE, _LOST_PATHS = "presliding_hysteresis", 1.25
+BRISTLE, _LOST_PATHS = "presliding_hysteresis", 1.25
 """A bristle stiffer by no more than so many lost paths is what the angle's noise makes of it."""
 _FARTHEST = 8.0
 """Usual errors beyond which the model's own numbers are not moved: it is another rig then."""
@@ -251,7 +251,7 @@ def matters(entry: Mapping[str, Any], problem: Problem) -> bool:
     probe = catalogue()[entry["effect"]].probe
     assert probe is not None
     of = neutral_value(probe, problem.model) if np.isnan(probe.neutral) else 1.0
-    if entry["effect"] == _BRISTLE and not _beyond_lost_path(entry, problem):
+    if entry["effect"] == BRISTLE and not _beyond_lost_path(entry, problem):
         return False
     return deviation(entry, problem) > max(probe.least * of, 1e-9)
 

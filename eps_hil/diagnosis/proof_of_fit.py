@@ -29,6 +29,8 @@ MUCH_MORE = 2.0
 """Times the energy of what was fitted: such a hold-out shows something that nothing else did."""
 MOST_RUNS = 24
 """Of each hold-out; a longer one is sampled evenly."""
+_WORSE = 1.02
+"""Times the error that it was, from which a worse estimate is said."""
 _CLEARLY = 1.3
 """Times the sensors' noise that is left of a hold-out's torque, from which that is said."""
 
@@ -66,7 +68,7 @@ def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[s
     ``common`` decides which samples count as sliding and what torque the residual is divided by,
     so that before, after and the noise floor are parts of the same whole.
     """
-    residual, torque, error, speed, force = [], [], [], [], []
+    residual, torque, error, speed = [], [], [], []
     for one in holdouts:
         mask = one.judging(common)
         residual.append(one.prepared.left_over(model)[mask])
@@ -74,16 +76,22 @@ def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[s
         _, simulated, measured = free_runs(one.prepared, model, one.quality)
         error.append(simulated - measured)
         speed.append(measured - np.mean(measured) if len(measured) else measured)
-        found = score(one.estimated(model), one.series, common)
-        if found is not None and np.isfinite(found.rmse_moving_n):
-            force.append(found.rmse_moving_n)
     result = {
         "torque_nrmse": _rms(residual) / max(_rms(torque), 1e-12),
         "speed_fit_percent": 100.0 * (1.0 - _rms(error) / max(_rms(speed), 1e-12)),
     }
-    if force:
-        result["rack_force_rmse_n"] = float(np.sqrt(np.mean(np.square(force))))
+    force = rack_force_error_n(holdouts, common, model)
+    if force is not None:
+        result["rack_force_rmse_n"] = force
     return result
+
+
+def rack_force_error_n(holdouts: Sequence[Holdout], common: Model, model: Model) -> float | None:
+    """Rms error (N, at the rack) of ``model``'s estimate while moving; None: no load cell."""
+    found = [score(one.estimated(model), one.series, common) for one in holdouts]
+    errors = [one.rmse_moving_n for one in found if one is not None]
+    errors = [one for one in errors if np.isfinite(one)]
+    return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
 
 
 def only_kept(holdouts: Sequence[Holdout], before: Model, after: Model, fitted: float) -> list[str]:
@@ -120,6 +128,18 @@ def still_left(told: Mapping[str, Mapping[str, float]]) -> list[str]:
         f"The hold-outs keep {times:.2g} times what the sensors' noise makes, where nothing was "
         "concluded from them (beside an open gap) or for a short while only: there the model is no "
         "better than that."
+    ]
+
+
+def worse_force(told: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """A sentence where the findings make the hold-outs' rack-force estimate worse."""
+    before, after = (told[one].get("rack_force_rmse_n", 0.0) for one in ("baseline", "augmented"))
+    if after <= _WORSE * before:
+        return []
+    return [
+        f"The estimate of the rack force is worse with the findings: {after:.3g} N off on the "
+        f"hold-outs, {before:.3g} N without. They hold for the torque balance; try the written "
+        "model on recordings of your own use before the estimator takes it."
     ]
 
 

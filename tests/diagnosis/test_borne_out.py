@@ -5,9 +5,12 @@ from typing import Any
 
 import pytest
 
+from eps_hil.diagnosis import borne_out
 from eps_hil.diagnosis.borne_out import _clear, augmented_by
 from eps_hil.diagnosis.fit import fit
 from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.select import Selection
+from eps_hil.physics.model import Model
 
 pytestmark = pytest.mark.slow
 
@@ -44,3 +47,32 @@ def test_the_model_with_findings_holds_no_other_entry_and_no_negative_delay(
     assert with_one.effects == ({"effect": "stribeck", "level_nm": 0.0301235, "speed_rad_s": 10.0},)
     assert with_one.delays_s.motor_torque == 0.0
     assert augmented_by(problem, found, []) is problem.model
+
+
+@pytest.mark.parametrize(
+    ("with_it", "without", "kept"),
+    [(40.0, 20.0, False), (24.0, 20.0, True), (10.0, 20.0, True), (None, None, True)],
+)
+def test_a_bristle_that_spoils_the_rack_force_is_no_finding(
+    problem: Problem,
+    monkeypatch: pytest.MonkeyPatch,
+    with_it: float | None,
+    without: float | None,
+    kept: bool,
+) -> None:
+    """Whatever else was found beside it stays."""
+    entries = [
+        {"effect": "stribeck", "level_nm": 0.03, "speed_rad_s": 10.0},
+        {"effect": "presliding_hysteresis", "sigma0_nm_per_rad": 2.0},
+    ]
+    found = fit(problem, entries, 0)
+    gains = {"stribeck": 1e3, "presliding_hysteresis": 1e3}
+    selection = Selection(found, found, [], problem, found, gains=gains)
+
+    def error(_judged: object, _common: Model, model: Model) -> float | None:
+        changed = any(one["effect"] == "presliding_hysteresis" for one in model.effects)
+        return with_it if changed else without
+
+    monkeypatch.setattr(borne_out, "rack_force_error_n", error)
+    left = borne_out._without_spoiling_bristle(problem, selection, [0, 1], [])
+    assert left == ([0, 1] if kept else [0])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from eps_hil.diagnosis.prepare import prepare
-from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor, still_left
+from eps_hil.diagnosis.proof_of_fit import Holdout, measures, noise_floor, still_left, worse_force
 from eps_hil.diagnosis.quality import look_at
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -52,3 +52,12 @@ def test_bad_data_of_a_holdout_count_for_nothing(
     assert told["speed_fit_percent"] == pytest.approx(expected["speed_fit_percent"], abs=3)
     floor = noise_floor([left_out], reference_model)["torque_nrmse"]
     assert floor == pytest.approx(noise_floor([whole], reference_model)["torque_nrmse"], rel=0.2)
+
+
+def test_a_worse_estimate_of_the_rack_force_is_said() -> None:
+    before = {"rack_force_rmse_n": 20.0}
+    assert worse_force({"baseline": before, "augmented": {"rack_force_rmse_n": 20.2}}) == []
+    assert worse_force({"baseline": {}, "augmented": {}}) == []
+    (said,) = worse_force({"baseline": before, "augmented": {"rack_force_rmse_n": 24.0}})
+    assert "24 N off" in said
+    assert "20 N without" in said
