@@ -1,7 +1,5 @@
 """A finding in the JSON's words."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -57,7 +55,7 @@ def test_no_delay_is_known_better_than_when_a_slow_signal_was_taken(problem: Pro
     entry = {"effect": "motor_torque_delay", "delay_s": 0.004}
 
     def width(interval_s: float) -> float:
-        slow = [replace(one, interval_s=interval_s) for one in problem.recordings]
+        slow = [one.changed(interval_s=interval_s) for one in problem.recordings]
         at = Problem(slow, problem.model)
         found = fit(at, [entry], 0)
         found.__dict__["half_width"] = {(0, "delay_s"): 3e-4}
