@@ -12,6 +12,7 @@ import contextlib
 import enum
 import functools
 import inspect
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -129,11 +130,33 @@ def read_each(paths: Sequence[Path], reading: Reading) -> "Iterator[tuple[Path, 
 
 def read_all(paths: Sequence[Path], reading: Reading) -> "dict[str, Mapping[str, Series]]":
     """All recordings' signals by path, as the user wrote it; the same path twice is refused."""
-    found: dict[str, Mapping[str, Series]] = {}
-    for path in paths:
-        if str(path) in found:
+    for k, path in enumerate(paths):
+        if path in paths[:k]:
             raise InputError(path, "", "is given twice", "name each recording once")
-        found[str(path)] = read_recording(path, reading).series
+    if len(paths) < 2:
+        return {str(path): one.series for path, one in read_each(paths, reading)}
+    return _read_side_by_side(paths, reading)
+
+
+def _read_side_by_side(
+    paths: Sequence[Path], reading: Reading
+) -> "dict[str, Mapping[str, Series]]":
+    """On all cores; notes, and the error of the first bad one, in the order they were named."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from eps_hil.recordings.read import read_recording as read
+
+    found: dict[str, Mapping[str, Series]] = {}
+    with (
+        progress(f"reading {len(paths)} recordings") as on_progress,
+        ThreadPoolExecutor(os.cpu_count()) as pool,
+    ):
+        recordings = pool.map(lambda path: read(path, **reading.arguments()), paths)
+        for path, recording in zip(paths, recordings, strict=True):
+            say_notes(path, recording.notes)
+            found[str(path)] = recording.series
+            if on_progress:
+                on_progress(len(found) / len(paths))
     return found
 
 

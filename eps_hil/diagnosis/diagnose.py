@@ -31,6 +31,7 @@ from eps_hil.diagnosis.proof_of_fit import (
     worse_force,
 )
 from eps_hil.diagnosis.select import Say, Selection, select
+from eps_hil.diagnosis.side_by_side import each
 from eps_hil.diagnosis.spread import left_open
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -74,9 +75,10 @@ def diagnose(
     where a recording lacks what a diagnosis needs, or a channel is not what its name says.
     """
     fitted, kept = split(own_samples(recordings), own_samples(holdouts))
-    ready = [(prepared(name, one, unexplained_nm), one) for name, one in fitted.items()]
-    spare = [(prepared(name, one, unexplained_nm), one) for name, one in kept.items()]
-    every = [one for one, _ in (*ready, *spare)]
+    series = [*fitted.items(), *kept.items()]
+    every = each(lambda one: prepared(one[0], one[1], unexplained_nm), series)
+    ready = list(zip(every[: len(fitted)], fitted.values(), strict=True))
+    spare = list(zip(every[len(fitted) :], kept.values(), strict=True))
     same_load(every)
     check_channels({**recordings, **holdouts}, model)
     load = load_of(every, model) if missing(every) else None

@@ -280,21 +280,17 @@ def noise_of(values: Floats) -> float:
     """Standard deviation of white noise on a smooth signal, from its higher differences.
 
     From third and sixth differences, and the smaller: noise is the same in both, motion that is
-    fast beside the samples is not. 0 for a constant.
+    fast beside the samples is not. Heavy tails count, as the filter adds them up; beyond ten usual
+    sizes it is motion (a step, a burst) and counts no more. 0 for a constant.
     """
-    return min(_noise_of(values, 3), _noise_of(values, 6))
+    third = np.diff(values, n=3)
+    return min(_noise_of(np.abs(third), 3), _noise_of(np.abs(np.diff(third, n=3)), 6))
 
 
-def _noise_of(values: Floats, order: int) -> float:
-    """From one order of difference.
-
-    Heavy tails count, as the filter adds them up; beyond ten usual sizes it is motion (a step, a
-    burst) and counts no more.
-    """
-    bends = np.abs(np.diff(values, n=order))
+def _noise_of(bends: Floats, order: int) -> float:
+    """From the sizes of one order of difference."""
     scale = float(comb(2 * order, order))
-    moving = bends[bends > 0]
-    if len(moving) < 0.2 * len(bends):
+    if np.count_nonzero(bends) < 0.2 * len(bends):
         return float(np.sqrt(np.mean(bends**2) / scale))
     usual = float(np.median(bends)) / 0.6745
     return float(np.sqrt(np.mean(np.minimum(bends, _TAIL * usual) ** 2) / scale))
@@ -312,31 +308,32 @@ def low_pass(values: Floats, cutoff_hz: float) -> Floats:
         raise ValueError("is too short for its filters")
     ends = 2 * values[0] - values[edge:0:-1], 2 * values[-1] - values[-2 : -edge - 2 : -1]
     there = np.concatenate([ends[0], values, ends[1]])
-    _forward(there, sos, settled * there[0])
-    _backward(there, sos, settled * there[-1])
+    _there_and_back(there, sos, settled)
     return there[edge:-edge]
 
 
 @njit
-def _forward(values: Floats, sos: Floats, state: Floats) -> None:
-    """Through two second-order sections, (2, 6), in place."""
-    for k in range(len(values)):
-        values[k] = _section(sos[1], state[1], _section(sos[0], state[0], values[k]))
-
-
-@njit
-def _backward(values: Floats, sos: Floats, state: Floats) -> None:
-    for k in range(len(values) - 1, -1, -1):
-        values[k] = _section(sos[1], state[1], _section(sos[0], state[0], values[k]))
+def _there_and_back(values: Floats, sos: Floats, settled: Floats) -> None:
+    """Through two second-order sections, (2, 6), forward and backward, in place."""
+    _through(values, sos, settled * values[0])
+    _through(values[::-1], sos, settled * values[-1])
 
 
 @njit(inline="always")
-def _section(c: Floats, z: Floats, value: float) -> float:
-    """One sample through one section: transposed direct form II."""
-    out = c[0] * value + z[0]
-    z[0] = c[1] * value - c[4] * out + z[1]
-    z[1] = c[2] * value - c[5] * out
-    return out
+def _through(values: Floats, sos: Floats, state: Floats) -> None:
+    """Through both sections (transposed direct form II); in scalars it takes half the time."""
+    b0, b1, b2, a1, a2 = sos[0, 0], sos[0, 1], sos[0, 2], sos[0, 4], sos[0, 5]
+    c0, c1, c2, d1, d2 = sos[1, 0], sos[1, 1], sos[1, 2], sos[1, 4], sos[1, 5]
+    y0, y1, z0, z1 = state[0, 0], state[0, 1], state[1, 0], state[1, 1]
+    for k in range(len(values)):
+        given = values[k]
+        between = b0 * given + y0
+        y0 = b1 * given - a1 * between + y1
+        y1 = b2 * given - a2 * between
+        out = c0 * between + z0
+        z0 = c1 * between - d1 * out + z1
+        z1 = c2 * between - d2 * out
+        values[k] = out
 
 
 @njit

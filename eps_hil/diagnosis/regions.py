@@ -7,6 +7,7 @@ maps only those stand that survive a false discovery rate of 1 %.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 from typing import Any
 
@@ -18,6 +19,7 @@ from eps_hil.diagnosis.prepare import STEP_S, THIN
 from eps_hil.diagnosis.problem import Problem
 
 Floats = npt.NDArray[np.float64]
+Axis = tuple[Floats, npt.NDArray[np.int64]]
 
 CELLS_1D, CELLS_2D = 12, 6
 FALSE_DISCOVERIES = 0.01
@@ -113,10 +115,17 @@ def cells(problem: Problem, energy: Floats) -> list[Cell]:
     maps: list[tuple[str, ...]] = [(name,) for name in values]
     maps += combinations(values, 2)
     looked: list[tuple[tuple[str, ...], Cell]] = []
+
+    @cache
+    def axis(name: str, count: int) -> Axis:
+        return _divided(values[name], count)
+
     for names in maps:
         if {"motor_speed_rad_s", "abs_motor_speed_rad_s"} <= set(names):
             continue
-        for cell in _map(names, [values[name] for name in names], energy, block, total):
+        count = CELLS_1D if len(names) == 1 else CELLS_2D
+        axes = [axis(name, count) for name in names]
+        for cell in _map(names, axes, energy, block, total):
             looked.append((names, cell))
     accepted = _discoveries([cell.p for _, cell in looked])
     best: dict[tuple[str, ...], Cell] = {}
@@ -134,20 +143,25 @@ def _telling(cell: Cell) -> float:
     return cell.share * float(np.log(max(cell.share, 1e-12) / max(cell.time, 1e-12)))
 
 
+def _divided(values: Floats, count: int) -> Axis:
+    """A coordinate in ``count`` parts that hold as many samples each: edges, each sample's part."""
+    edges = np.unique(np.quantile(values, np.linspace(0, 1, count + 1)))
+    place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    return edges, place
+
+
 def _map(
     names: tuple[str, ...],
-    values: list[Floats],
+    axes: list[Axis],
     energy: Floats,
     block: npt.NDArray[np.int64],
     total: float,
 ) -> list[Cell]:
-    count = CELLS_1D if len(names) == 1 else CELLS_2D
-    edges = [np.unique(np.quantile(one, np.linspace(0, 1, count + 1))) for one in values]
+    edges = [one for one, _ in axes]
     if any(len(one) < 3 for one in edges):
         return []
     index = np.zeros(len(energy), dtype=np.int64)
-    for one, edge in zip(values, edges, strict=True):
-        place = np.clip(np.searchsorted(edge, one, side="right") - 1, 0, len(edge) - 2)
+    for edge, place in axes:
         index = index * (len(edge) - 1) + place
     cells, shape = np.prod([len(one) - 1 for one in edges]), (-1, int(np.max(block)) + 1)
     both = index * shape[1] + block
@@ -180,9 +194,9 @@ def _map(
 
 def _tail(t: float, freedom: int) -> float:
     """P(T > t) of Student's t: few blocks make for wide tails."""
-    from scipy.stats import t as student
+    from scipy.special import stdtr
 
-    return float(student.sf(t, max(freedom, 1)))
+    return float(stdtr(max(freedom, 1), -t))
 
 
 def _discoveries(p: list[float]) -> Floats:

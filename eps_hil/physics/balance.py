@@ -51,15 +51,16 @@ def residual_nm(model: Model, motion: Motion) -> tuple[Floats, Floats]:
     Residual = T_1m − F/i_APA − J ω̇ − T_f − added torques; zero for the right model.
     """
     drive, out = drive_of(model), np.empty((len(motion.time_s), 2))
-    use = added.in_use(drive.effects)
-    # read-only arrays are another type: compiled anew, where they can be compiled at all
-    motion = Motion(*(np.require(column, requirements="W") for column in motion))
+    use = drive.use
+    if not all(column.flags.writeable for column in motion):
+        # read-only arrays are another type: compiled anew, where they can be compiled at all
+        motion = Motion(*(np.require(column, requirements="W") for column in motion))
     motor, sensor = motion.motor_torque_nm, motion.torque_sensor_nm
     motor = motor.copy() if use.motor else motor
     sensor = sensor.copy() if use.sensor else sensor
     more = np.zeros(len(out)) if use.torque else _NOTHING
     levels = np.zeros((2, len(out))) if use.level else _NO_LEVELS
-    _balance(drive, use, motion, motor, sensor, more, levels, out)
+    _balance(drive, motion, motor, sensor, more, levels, out)
     return out[:, 0], out[:, 1]
 
 
@@ -71,7 +72,6 @@ _BACKWARD = -1e-300
 @njit
 def _balance(
     drive: Drive,
-    use: added.InUse,
     m: Motion,
     motor: Floats,
     sensor: Floats,
@@ -85,6 +85,7 @@ def _balance(
     The slots' functions are called in here because compiled code out of the disk cache may call
     closures, and Python may not: there, each process would compile them again.
     """
+    use = drive.use
     if use.motor:
         added.motor_along(drive.effects, m, drive.sensor_to_rotor, motor)
     if use.sensor:

@@ -37,6 +37,7 @@ class Drive(NamedTuple):
     sensor_to_rotor: float
     law: FrictionLaw
     effects: added.Added
+    use: added.InUse
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +54,14 @@ class Motion:
 def drive_of(model: Model) -> Drive:
     """The compiled form of a model; ``ValueError`` if one of its effects is wrong."""
     worked_in = with_model_effects(model)
+    effects = added.added(worked_in)
     return Drive(
         worked_in.inertia_kg_m2,
         worked_in.rack_to_rotor_ratio_rad_per_m,
         worked_in.sensor_to_rotor,
         friction_law(worked_in.friction),
-        added.added(worked_in),
+        effects,
+        added.in_use(effects),
     )
 
 
@@ -102,16 +105,33 @@ def instant(drive: Drive, t: float, speed: float, angle: float, row: Floats) -> 
 
 
 @njit
-def friction_and_level(
-    drive: Drive, u: Instant, bristle: float, after: float
-) -> tuple[float, float]:
-    """Friction and added torque (Nm) with the bristle half way, and T_fs."""
-    level = max(
-        added.level_nm(drive.effects, u, static_level_nm(u.speed_rad_s, u.rack_force_n, drive.law)),
-        SMALLEST_LEVEL_NM,
-    )
+def motor_nm(drive: Drive, u: Instant) -> float:
+    """Shaft torque of the motor from the reported one."""
+    reported = u.motor_torque_nm
+    return added.motor_nm(drive.effects, u, reported) if drive.use.motor else reported
+
+
+@njit
+def sensor_nm(drive: Drive, u: Instant) -> float:
+    """True torsion-bar torque from the reported one, at the column."""
+    reported = u.torque_sensor_nm
+    return added.sensor_nm(drive.effects, u, reported) if drive.use.sensor else reported
+
+
+@njit
+def level_nm(drive: Drive, u: Instant) -> float:
+    """T_fs (Nm) with what effects add to it."""
+    level = static_level_nm(u.speed_rad_s, u.rack_force_n, drive.law)
+    if drive.use.level:
+        level = added.level_nm(drive.effects, u, level)
+    return max(level, SMALLEST_LEVEL_NM)
+
+
+@njit
+def friction_nm(drive: Drive, u: Instant, level: float, bristle: float, after: float) -> float:
+    """Friction and added torque (Nm) with the bristle half way."""
     torque = friction_torque_nm(0.5 * (bristle + after), u.speed_rad_s, level, drive.law)
-    return torque + added.torque_nm(drive.effects, u, 0.0), level
+    return torque + added.torque_nm(drive.effects, u, 0.0) if drive.use.torque else torque
 
 
 @njit
@@ -121,7 +141,7 @@ def _integrate(drive: Drive, time_s: Floats, inputs: Floats, start: Floats, out:
     for k in range(len(time_s)):
         u = instant(drive, time_s[k], speed, angle, inputs[k])
         out[k, 0], out[k, 1] = speed, angle
-        out[k, 2] = friction_and_level(drive, u, bristle, bristle)[0]
+        out[k, 2] = friction_nm(drive, u, level_nm(drive, u), bristle, bristle)
         if k + 1 == len(time_s):
             break
         interval = time_s[k + 1] - time_s[k]
@@ -133,8 +153,9 @@ def _integrate(drive: Drive, time_s: Floats, inputs: Floats, start: Floats, out:
                 row[i] = inputs[k, i] + part * (inputs[k + 1, i] - inputs[k, i])
             t = time_s[k] + part * interval
             middle, bristle = _middle(drive, t, speed, angle, bristle, row, dt)
-            u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
-            added.advance(drive.effects, u, dt)
+            if drive.use.memory:
+                u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
+                added.advance(drive.effects, u, dt)
             angle += dt * middle
             speed = 2.0 * middle - speed
 
@@ -151,11 +172,11 @@ def _middle(
     weight = drive.inertia / (0.5 * dt)
     for _ in range(4):
         u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
-        motor = added.motor_nm(drive.effects, u, row[0])
-        sensor = added.sensor_nm(drive.effects, u, row[1])
-        push = motor + drive.sensor_to_rotor * sensor - row[2] / drive.ratio
-        level = friction_and_level(drive, u, bristle, after)[1]
+        push = (
+            motor_nm(drive, u) + drive.sensor_to_rotor * sensor_nm(drive, u) - row[2] / drive.ratio
+        )
+        level = level_nm(drive, u)
         after = bristle_step(bristle, middle * dt, abs(middle) * dt, level, law.sigma0_nm_per_rad)
-        friction = friction_and_level(drive, u, bristle, after)[0]
+        friction = friction_nm(drive, u, level, bristle, after)
         middle = (weight * speed + push - friction + stiff * middle) / (weight + stiff)
     return middle, after

@@ -18,7 +18,7 @@ from eps_hil.compiled import njit
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.effect import Joint
 from eps_hil.physics.friction import bristle_step
-from eps_hil.physics.simulate import Drive, friction_and_level, instant
+from eps_hil.physics.simulate import Drive, friction_nm, instant, level_nm, motor_nm, sensor_nm
 
 STEP_S = 2e-5
 
@@ -52,7 +52,7 @@ def integrate(
     for k in range(len(time_s)):
         u = instant(drive, time_s[k], speed, angle, inputs[k])
         out[k, 0], out[k, 1], out[k, 3] = speed, angle, rack
-        out[k, 2] = friction_and_level(drive, u, bristle, bristle)[0]
+        out[k, 2] = friction_nm(drive, u, level_nm(drive, u), bristle, bristle)
         if k + 1 == len(time_s):
             break
         interval = time_s[k + 1] - time_s[k]
@@ -65,13 +65,13 @@ def integrate(
             t = time_s[k] + part * interval
             u = instant(drive, t, speed, angle, row)
             torque = joint_torque_nm(joint, angle - rack, speed - rack_speed)
-            hand = added.sensor_nm(drive.effects, u, row[1])
-            outer = drive.sensor_to_rotor * hand - row[2] / drive.ratio
+            outer = drive.sensor_to_rotor * sensor_nm(drive, u) - row[2] / drive.ratio
             rack_speed += dt / behind * (torque + outer)
             rack += dt * rack_speed
             middle, bristle = _middle(drive, rotor, t, speed, angle, bristle, row, dt, torque)
-            u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
-            added.advance(drive.effects, u, dt)
+            if drive.use.memory:
+                u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
+                added.advance(drive.effects, u, dt)
             speed = 2.0 * middle - speed
             angle += dt * speed
 
@@ -102,9 +102,9 @@ def _middle(
     weight = inertia / (0.5 * dt)
     for _ in range(4):
         u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
-        push = added.motor_nm(drive.effects, u, row[0]) - load_nm
-        level = friction_and_level(drive, u, bristle, after)[1]
+        push = motor_nm(drive, u) - load_nm
+        level = level_nm(drive, u)
         after = bristle_step(bristle, middle * dt, abs(middle) * dt, level, law.sigma0_nm_per_rad)
-        friction = friction_and_level(drive, u, bristle, after)[0]
+        friction = friction_nm(drive, u, level, bristle, after)
         middle = (weight * speed + push - friction + stiff * middle) / (weight + stiff)
     return middle, after

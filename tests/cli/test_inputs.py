@@ -54,6 +54,24 @@ def test_the_same_recording_twice_is_refused(tmp_path: Path) -> None:
         read_all([path, path], Reading())
 
 
+def test_many_recordings_are_read_in_the_order_they_were_named(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{k}.csv" for k in (3, 1, 2, 5, 4)]
+    for k, path in enumerate(paths):
+        path.write_text(f"time_s,motor_torque_nm\n0,{k}\n0.001,{k}\n")
+    read = read_all(paths, Reading())
+    assert list(read) == [str(path) for path in paths]
+    assert [one["motor_torque_nm"].value[0] for one in read.values()] == [0, 1, 2, 3, 4]
+
+
+def test_of_several_bad_recordings_the_first_is_named(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{k}.csv" for k in range(6)]
+    for k, path in enumerate(paths):
+        long = "".join(f"{0.001 * row:.3f},1\n" for row in range(2000)) if k == 2 else "0,1\n"
+        path.write_text("time_s,motor_torque_nm\n" + long + ("9,x\n" if k in (2, 3) else "9,1\n"))
+    with pytest.raises(InputError, match=r"2\.csv.*'x' is not a number"):
+        read_all(paths, Reading())
+
+
 def test_a_refusal_names_the_file_and_what_it_holds(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time_s,motor_torque_nm,rack_force_n\n0,1,3\n0.001,2,3\n")

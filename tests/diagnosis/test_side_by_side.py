@@ -1,5 +1,7 @@
 """The same work for many recordings: in order, and nothing that goes wrong is swallowed."""
 
+import os
+import threading
 import time
 
 import pytest
@@ -19,3 +21,46 @@ def test_results_come_in_the_order_of_what_was_given() -> None:
 def test_what_goes_wrong_in_one_is_raised() -> None:
     with pytest.raises(ZeroDivisionError):
         each(lambda k: 1 // k, [2, 1, 0])
+
+
+def test_of_several_that_go_wrong_the_first_is_raised_and_the_rest_is_left() -> None:
+    done = []
+
+    def work(k: int) -> None:
+        if k == 0:
+            time.sleep(0.05)  # goes wrong after number 1 did
+        if k < 2:
+            raise ValueError(f"number {k}")
+        time.sleep(0.01)
+        done.append(k)
+
+    with pytest.raises(ValueError, match="number 0"):
+        each(work, range(200))
+    assert len(done) < 20
+
+
+def test_every_core_works_and_the_calling_thread_is_one_of_them() -> None:
+    cores = os.cpu_count() or 1
+    together = threading.Barrier(cores)
+
+    def work(_: int) -> int:
+        together.wait(20.0)  # nobody gets past it alone
+        return threading.get_ident()
+
+    assert {threading.get_ident()} <= set(each(work, range(cores)))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    assert each(abs, [-1, -2, -3]) == [1, 2, 3]
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if each(abs, [-4, -5, -6]) == [4, 5, 6] else 1)
+    until = time.monotonic() + 20.0
+    while (ended := os.waitpid(child, os.WNOHANG)) == (0, 0):
+        if time.monotonic() > until:
+            os.kill(child, 9)
+            os.waitpid(child, 0)
+            pytest.fail("the child waits for threads that only its parent has")
+        time.sleep(0.01)
+    assert os.waitstatus_to_exitcode(ended[1]) == 0

@@ -13,6 +13,7 @@ import pytest
 
 from eps_hil.estimation.batch import estimate
 from eps_hil.physics import effects
+from eps_hil.physics import simulate as simulate_module
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.catalogue import catalogue, values_of, with_model_effects
 from eps_hil.physics.effects.effect import Instant, Slot
@@ -201,6 +202,24 @@ def test_a_kernel_does_its_equation(reference_model: Model, name: str) -> None:
     }
     got = slots[effect.slot](table, u, 0.3)
     assert got == pytest.approx(written_out[name](0.3), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", sorted(EXAMPLES))
+def test_slots_that_are_left_out_would_have_done_nothing(
+    reference_model: Model, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    t = np.arange(300) * 1e-3
+    given = t, 0.6 * np.sin(12 * t), 2.0 * np.sin(9 * t), 300.0 * np.sin(12 * t)
+    model = model_with(reference_model, {"effect": name, **EXAMPLES[name]})
+    short = simulate(model, *given)
+    drive = simulate_module.drive_of(model)
+    assert not all(drive.use)
+    whole = drive._replace(use=added.InUse(*(True for _ in drive.use)))
+    monkeypatch.setattr(simulate_module, "drive_of", lambda _model: whole)
+    for one, other in zip(
+        dataclasses.astuple(short), dataclasses.astuple(simulate(model, *given)), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_end_stop_pushes_back_on_both_sides(reference_model: Model) -> None:

@@ -58,26 +58,22 @@ def added(model: Model) -> Added:
 
 
 class InUse(NamedTuple):
-    """Which slots have an effect that is on, so that the others need not be called at all."""
+    """Which slots have an effect that is on, so that the others need not be called at all.
+
+    ``memory``: an effect remembers something (rest times, …) that has to be moved on.
+    """
 
     level: bool
     torque: bool
     motor: bool
     sensor: bool
+    memory: bool
 
 
 def in_use(table: Added) -> InUse:
     """The slots of a model's table that do anything."""
 
-    def on(effects: list[Effect]) -> bool:
-        return any(bool(table.terms[_ROW[effect.id]] > 0) for effect in effects)
-
-    return InUse(
-        on(_LEVELS),
-        on(_of(Slot.TORQUE)),
-        on(_of(Slot.MOTOR)),
-        on(_of(Slot.SENSOR)),
-    )
+    return InUse(*(bool(table.terms[rows].any()) for rows in _ROWS_OF_SLOTS))
 
 
 def _numbers(values: dict[str, Any]) -> list[float]:
@@ -248,6 +244,17 @@ def _remembering(effects: list[Effect]) -> list[Effect]:
 
 
 _LEVELS = _of(Slot.LEVEL) + _of(Slot.LEVEL_FACTOR)
+_ROWS_OF_SLOTS = [
+    np.array([_ROW[effect.id] for effect in effects], np.int64)
+    for effects in (
+        _LEVELS,
+        _of(Slot.TORQUE),
+        _of(Slot.MOTOR),
+        _of(Slot.SENSOR),
+        _remembering(_KERNELS),
+    )
+]
+"""In the order of :class:`InUse`."""
 
 level_nm = _fused("level", _LEVELS)
 """T_fs (Nm) with the added terms: ``level_nm(added, instant, level of eq. 3)``."""

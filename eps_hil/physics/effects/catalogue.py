@@ -93,7 +93,7 @@ def with_model_effects(model: Model) -> Model:
             model = effect.change(model, values)
         else:
             left.append(entry)
-    return replace(model, effects=tuple(left))
+    return model if len(left) == len(model.effects) else replace(model, effects=tuple(left))
 
 
 def joint_of(model: Model) -> Joint | None:
