@@ -213,9 +213,10 @@ def _proof(
 ) -> dict[str, Any]:
     model = problem.model
     augmented = augmented_by(problem, found, findings)
-    before = measures(judged, augmented, model)
+    models = [model, augmented] if findings else [model]
+    told = each(lambda one: measures(judged, augmented, one), models)
     return {
-        "baseline": before,
-        "augmented": measures(judged, augmented, augmented) if findings else before,
+        "baseline": told[0],
+        "augmented": told[-1],
         "noise_floor": noise_floor(judged, augmented),
     }

@@ -1,15 +1,16 @@
 """Every effect's regressor: the sensitivity of the simulated torque balance to it."""
 
-import os
 from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.compiled import njit
 from eps_hil.diagnosis.problem import TERM, Problem
+from eps_hil.diagnosis.side_by_side import each
 from eps_hil.physics.effects.added import MOST_TERMS
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Effect, Parameter, Probe
@@ -20,6 +21,8 @@ Floats = npt.NDArray[np.float64]
 _ORDERS = np.arange(0.5, 50.01, 0.05)
 _FINE = np.linspace(-0.05, 0.05, 21)
 _MOST_ORDERS = 6
+_PARTS = 8
+_FEWEST = 200
 _APART = 0.3
 """Orders that are nearer are one."""
 _FILTER_HZ = 30.0
@@ -130,6 +133,8 @@ def candidates(
         for shape in _shapes(effect, problem, residual)
     ]
 
+    done = count()
+
     def look(job: tuple[Effect, Mapping[str, float]]) -> Candidate | None:
         effect, shape = job
         others = [entry for entry in entries if entry["effect"] != effect.id]
@@ -140,16 +145,11 @@ def candidates(
         model = problem.with_entries(others, beside)
         base = residual if untouched else problem.residual(model)
         columns = _columns(problem, (others, beside), effect, shape, base)
+        if on_progress:
+            on_progress((next(done) + 1) / len(jobs))
         return None if columns is None else Candidate(effect, shape, columns)
 
-    found = []
-    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:  # compiled code frees the GIL
-        for k, candidate in enumerate(pool.map(look, jobs)):
-            if candidate is not None:
-                found.append(candidate)
-            if on_progress:
-                on_progress((k + 1) / len(jobs))
-    return found
+    return [one for one in each(look, jobs) if one is not None]
 
 
 def _columns(
@@ -268,13 +268,35 @@ def _power(left: Floats, turned: Floats) -> float:
 
 def _periodogram(left: Floats, phi: Floats, omega: Floats) -> Floats:
     """Power at each of _ORDERS of what is ``left`` over the angle (rad), at speeds (rad/s)."""
-    power, between = np.zeros(len(_ORDERS)), _ORDERS[1] - _ORDERS[0]
-    wave, next_order = np.exp(-1j * _ORDERS[0] * phi), np.exp(-1j * between * phi)
-    for k, order in enumerate(_ORDERS):
-        inside = omega * order / (2 * np.pi) < _FILTER_HZ
-        n = int(np.sum(inside))
-        if n >= 200:
-            values = left[inside] - np.mean(left[inside])
-            power[k] = np.abs(np.dot(wave[inside], values)) ** 2 / n
-        wave *= next_order
+    power = np.zeros(len(_ORDERS))
+    parts = np.array_split(np.arange(len(_ORDERS)), _PARTS)
+    each(lambda one: _powers(left, phi, omega, _ORDERS, one[0], one[-1] + 1, power), parts)
     return power
+
+
+@njit
+def _powers(
+    left: Floats,
+    phi: Floats,
+    omega: Floats,
+    orders: Floats,
+    first: int,
+    last: int,
+    power: Floats,
+) -> None:
+    """Orders ``first`` to ``last`` of :func:`_periodogram`; each wave is the one before, turned."""
+    wave = np.exp(-1j * orders[first] * phi)
+    turn = np.exp(-1j * (orders[1] - orders[0]) * phi)
+    for k in range(first, last):
+        n, total = 0, 0.0
+        waves, found = 0j, 0j
+        for i in range(len(left)):
+            if omega[i] * orders[k] / (2 * np.pi) < _FILTER_HZ:
+                n += 1
+                total += left[i]
+                waves += wave[i]
+                found += wave[i] * left[i]
+            wave[i] *= turn[i]
+        if n >= _FEWEST:
+            found -= waves * (total / n)
+            power[k] = (found.real**2 + found.imag**2) / n

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis.drift import drift_matters
 from eps_hil.diagnosis.prepare import Prepared, low_pass
 from eps_hil.diagnosis.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
+from eps_hil.diagnosis.side_by_side import each
 from eps_hil.diagnosis.spread import Integers, half_widths
 from eps_hil.physics.model import Model
 
@@ -186,14 +187,15 @@ def _accepted(rows: Sequence[Rows], without: Collection[str]) -> list[str]:
     """Effects in the order of their gain on blocks that were not fitted, while it is enough."""
     names = list(_ALWAYS)
     accepted: list[str] = []
+
+    def gained(effects: Sequence[str]) -> dict[str, float]:
+        found = each(lambda effect: _held_out_gain(rows, names, _GROUPS[effect]), effects)
+        return dict(zip(effects, found, strict=True))
+
     while True:
         left = solved(rows, names)[1]
         excess = robust_cost(left) - len(left)
-        gains = {
-            effect: _held_out_gain(rows, names, group)
-            for effect, group in _GROUPS.items()
-            if effect not in accepted and effect not in without
-        }
+        gains = gained([name for name in _GROUPS if name not in accepted and name not in without])
         best = max(gains, key=lambda effect: gains[effect], default=None)
         if best is None or gains[best] < max(LEAST_GAIN, LEAST_SHARE * excess):
             return accepted

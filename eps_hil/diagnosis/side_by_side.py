@@ -1,6 +1,7 @@
 """The same work for each of many recordings, on all cores: what is compiled frees the GIL."""
 
 import os
+import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
@@ -9,26 +10,35 @@ from typing import TypeVar
 Taken = TypeVar("Taken")
 Given = TypeVar("Given")
 
+_mine = threading.local()
+
 
 def each(work: Callable[[Taken], Given], things: Iterable[Taken]) -> list[Given]:
     """``work`` of every thing, in their order; what the first of them raises is raised.
 
     The calling thread works too: a pool of one thread for each core, made anew for every call and
-    handed one thing at a time, gave half its time away. Not for work that itself calls this.
+    handed one thing at a time, gave half its time away. Work that itself calls this does its own
+    things one after the other: the cores are taken.
     """
     given = list(things)
+    if getattr(_mine, "at_work", False):
+        return [work(one) for one in given]
     done: dict[int, Given] = {}
     wrong: dict[int, BaseException] = {}
     numbers = iter(range(len(given)))
 
     def take() -> None:
-        for k in numbers:  # each number goes to one thread only
-            if wrong:
-                return
-            try:
-                done[k] = work(given[k])
-            except BaseException as error:
-                wrong[k] = error
+        _mine.at_work = True
+        try:
+            for k in numbers:  # each number goes to one thread only
+                if wrong:
+                    return
+                try:
+                    done[k] = work(given[k])
+                except BaseException as error:
+                    wrong[k] = error
+        finally:
+            _mine.at_work = False
 
     beside = min(_cores(), len(given)) - 1
     others = [_pool().submit(take) for _ in range(beside)]

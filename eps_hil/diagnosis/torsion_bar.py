@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.prepare import Prepared, low_pass, with_play
 from eps_hil.diagnosis.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
+from eps_hil.diagnosis.side_by_side import each
 from eps_hil.diagnosis.spread import Integers, half_widths
 from eps_hil.physics.model import Model
 
@@ -119,13 +120,14 @@ def sensor_play(
     passed = np.sqrt(2e-3 * _PLAY_HZ)
     sigma = float(passed * np.hypot(rows[0].sigma, slope * rows[0].noise))
 
+    def left(p: Floats, records: Sequence[_Twisted]) -> list[Floats]:
+        return each(lambda one: one.left(slope * p[0], slope * p[1], p[2], p[3]), records)
+
     def residual(p: Floats) -> Floats:
-        return np.concatenate([one.left(slope * p[0], slope * p[1], p[2], p[3]) for one in rows])
+        return np.concatenate(left(p, rows))
 
     def cost(p: Floats, records: Sequence[_Twisted]) -> float:
-        return sum(
-            robust_cost(one.left(slope * p[0], slope * p[1], p[2], p[3]) / sigma) for one in records
-        )
+        return sum(robust_cost(one / sigma) for one in left(p, records))
 
     plain = least_squares(lambda p: residual(np.append(p, 0.0)), [1.0, 0.0, 0.0])
     start = np.append(plain.x, 0.0)

@@ -50,6 +50,23 @@ def test_every_core_works_and_the_calling_thread_is_one_of_them() -> None:
     assert {threading.get_ident()} <= set(each(work, range(cores)))
 
 
+def test_work_that_asks_for_more_does_it_itself() -> None:
+    """The threads are taken: waiting for one of them would never end."""
+
+    def row(i: int) -> list[int]:
+        here = threading.get_ident()
+
+        def cell(j: int) -> int:
+            assert threading.get_ident() == here
+            return 10 * i + j
+
+        return each(cell, range(4))
+
+    rows = each(row, range(6))
+    assert rows == [[10 * i + j for j in range(4)] for i in range(6)]
+    assert each(lambda k: k, range(3)) == [0, 1, 2]
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_process_has_threads_of_its_own() -> None:
     assert each(abs, [-1, -2, -3]) == [1, 2, 3]
