@@ -17,7 +17,7 @@ def each(work: Callable[[Taken], Given], things: Iterable[Taken]) -> list[Given]
     """``work`` of every thing, in their order; what the first of them raises is raised.
 
     The calling thread works too: a pool of one thread for each core, made anew for every call and
-    handed one thing at a time, gave half its time away. Work that itself calls this does its own
+    handed one thing at a time, gave much of its time away. Work that itself calls this does its own
     things one after the other: the cores are taken.
     """
     given = list(things)
@@ -42,8 +42,11 @@ def each(work: Callable[[Taken], Given], things: Iterable[Taken]) -> list[Given]
 
     beside = min(_cores(), len(given)) - 1
     others = [_pool().submit(take) for _ in range(beside)]
-    take()
-    wait(others)
+    try:
+        take()
+        wait(others)
+    except BaseException as error:  # Ctrl-C between two things
+        wrong[-1] = error
     if wrong:
         raise wrong[min(wrong)]
     return [done[k] for k in range(len(given))]

@@ -1,6 +1,7 @@
 """The same work for many recordings: in order, and nothing that goes wrong is swallowed."""
 
 import os
+import signal
 import threading
 import time
 
@@ -37,6 +38,23 @@ def test_of_several_that_go_wrong_the_first_is_raised_and_the_rest_is_left() -> 
     with pytest.raises(ValueError, match="number 0"):
         each(work, range(200))
     assert len(done) < 20
+
+
+def test_an_interrupt_ends_it_soon() -> None:
+    done = []
+
+    def work(k: int) -> None:
+        if k == 3:
+            signal.raise_signal(signal.SIGINT)
+        time.sleep(0.005)
+        done.append(k)
+
+    with pytest.raises(KeyboardInterrupt):
+        each(work, range(2000))
+    stopped = len(done)
+    time.sleep(0.05)
+    assert len(done) <= stopped + (os.cpu_count() or 1)
+    assert stopped < 200
 
 
 def test_every_core_works_and_the_calling_thread_is_one_of_them() -> None:
