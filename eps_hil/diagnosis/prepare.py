@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
-from eps_hil.identification.filters import shifted
+from eps_hil.identification.filters import between, shifted
 from eps_hil.physics.balance import Motion, residual_nm
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
@@ -258,7 +258,7 @@ def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:
     if np.array_equal(at[first : first + len(t_ns)], t_ns):
         return value[first : first + len(t_ns)]  # on the grid as it is
     if float(np.median(np.diff(at))) > 0.9e9 * STEP_S:
-        return np.asarray(np.interp(t_ns, at, value))
+        return between(at, value, t_ns)
     # faster than the grid: the mean over a step, so that noise above it does not fold down
     area = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(at))])
     half = round(0.5e9 * STEP_S)

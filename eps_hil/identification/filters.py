@@ -18,6 +18,8 @@ HALF = 20
 """Half the length in samples: 40 ms in all, −6 dB at 25 Hz."""
 THIN = 5
 """Every THIN-th filtered sample is kept (200 Hz)."""
+_HOLE = 3.5
+"""Steps of a signal without a value that are a hole: two lost frames in a row are none."""
 
 
 @cache
@@ -45,6 +47,28 @@ def shifted(values: Floats, seconds: float) -> Floats:
     first = pad + whole - 1
     n = len(values)
     return np.asarray(sum(w * held[first + i : first + i + n] for i, w in enumerate(weights)))
+
+
+def between(
+    t_ns: npt.NDArray[np.int64], values: Floats, grid_ns: npt.NDArray[np.int64]
+) -> Floats:
+    """A sampled signal read at other instants (ns, ascending); ends held, straight through holes.
+
+    Slower than 1 kHz by a cubic spline: straight lines take noise off between the samples, and off
+    fast motion too (7 % of 30 Hz at 200 values a second, sinc²). Stamps in bunches are no signal
+    that a spline may be laid through.
+    """
+    steps = np.diff(t_ns)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    straight = np.asarray(np.interp(grid_ns, t_ns, values), dtype=np.float64)
+    if usual <= 1.5e9 * STEP_S or len(values) < 4 or steps.min() <= 0.2 * usual:
+        return straight
+    from scipy.interpolate import CubicSpline
+
+    inside = np.clip(grid_ns, t_ns[0], t_ns[-1])
+    bent = np.asarray(CubicSpline(t_ns * 1e-9, values)(inside * 1e-9), dtype=np.float64)
+    step = np.clip(np.searchsorted(t_ns, inside, side="right") - 1, 0, len(steps) - 1)
+    return np.where(steps[step] > _HOLE * usual, straight, bent)
 
 
 def slope(values: Floats) -> Floats:

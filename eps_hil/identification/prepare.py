@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from eps_hil.errors import InputError
 from eps_hil.identification import gaps
-from eps_hil.identification.filters import STEP_S
+from eps_hil.identification.filters import STEP_S, between
 from eps_hil.identification.finding import Finding
 from eps_hil.series import Series
 
@@ -22,7 +22,6 @@ SHORTEST_S = 3.0
 SLOWEST_S = 0.05
 """Between values of torque and motion: beyond it, reversals and inertia fall between them."""
 _SPIKE_SIGMA = 12.0
-_SLOW_S = 1.5e-3
 _USED = (
     "motor_torque_nm",
     "torque_sensor_nm",
@@ -84,7 +83,7 @@ def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
         if spikes:
             summary = f"{spikes} outliers (single samples far from their neighbours) left out"
             findings.append(Finding("outliers", name, key, summary))
-        raw[key] = _on_grid(t_ns - origin, mended, grid, step)
+        raw[key] = between(t_ns - origin, mended, grid)
         density[key] = max(2.0 * sigma**2 * step, 1e-18)
         findings += _shape(name, key, mended, sigma)
         for before, after in gaps.holes(t_ns):
@@ -151,17 +150,6 @@ def _finite(name: str, key: str, one: Series) -> tuple[npt.NDArray[np.int64], Fl
     if good.sum() < 8:
         raise InputError(name, key, "has fewer than 8 values", "leave the column out")
     return one.t_ns[good], one.value[good]
-
-
-def _on_grid(
-    t_ns: npt.NDArray[np.int64], values: Floats, grid: npt.NDArray[np.int64], step: float
-) -> Floats:
-    steps = np.diff(t_ns)
-    if step > _SLOW_S and steps.min() > 0.2e9 * step:
-        from scipy.interpolate import CubicSpline
-
-        return np.asarray(CubicSpline(t_ns * 1e-9, values)(grid * 1e-9), dtype=np.float64)
-    return np.asarray(np.interp(grid, t_ns, values), dtype=np.float64)
 
 
 def _shape(name: str, key: str, values: Floats, sigma: float) -> list[Finding]:
