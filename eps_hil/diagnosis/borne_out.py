@@ -17,6 +17,10 @@ from eps_hil.physics.model import Model
 
 _SPOILT = 1.5
 """Times the rack force's error without it: right ones were up to 1.2 on development cases."""
+_SILENT = 0.1
+"""Share of the gain that counts: an entry that changes hold-outs by less cannot be judged there."""
+_BEYOND_DOUBT = 10.0
+"""Times the gain that counts: what hold-outs cannot judge has to show as clearly as this."""
 
 
 def borne_out(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Sequence[int]:
@@ -31,7 +35,9 @@ def borne_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
     findings = _refitted(
         problem, selection, _without_spoiling_bristle(problem, selection, findings, judged)
     )
-    if findings and not _better(problem, selection.found, findings, judged):
+    silent = not_shown(selection.found, findings, judged, problem.model)
+    told = [k for k in findings if k not in silent]
+    if told and not _better(problem, selection.found, findings, judged):
         return []
     return findings
 
@@ -72,9 +78,53 @@ def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
             continue
         refitted = selection.without[term_of(entry)]
         without = test.residual(test.with_entries(refitted.entries, refitted.own))
-        if float(np.sum(clipped(without, at) ** 2)) - cost > least:
+        gain = float(np.sum(clipped(without, at) ** 2)) - cost
+        unseen = k in not_shown(selection.found, [k], judged, problem.model)
+        if gain > least or (unseen and _beyond_doubt(problem, selection, k)):
             keep.append(k)
     return keep
+
+
+def not_shown(
+    found: Fit, places: Sequence[int], judged: Sequence[Holdout], model: Model
+) -> list[int]:
+    """Those of the entries at ``places`` that do nothing in the hold-outs, to judge them by.
+
+    A stop that is not touched there, a rest that is never long enough: their residual is the same
+    with the entry and without, to less than what would count.
+    """
+    test = Problem([one.prepared for one in judged], model)
+    full = test.residual(test.with_entries(found.entries, found.own))
+    kept = []
+    for k in places:
+        others = [entry for i, entry in enumerate(found.entries) if i != k]
+        change = full - test.residual(test.with_entries(others, found.own))
+        if float(np.sum(change**2)) < _SILENT * threshold(test, full, FINAL_SHARE):
+            kept.append(k)
+    return kept
+
+
+def unjudged(
+    found: Fit, findings: Sequence[int], judged: Sequence[Holdout], model: Model
+) -> list[str]:
+    """A sentence for each finding that the hold-outs do not show."""
+    return [
+        f"The hold-outs never come where {found.entries[k]['effect']} acts, and cannot bear it "
+        "out: it rests on the fitted recordings alone. Keep one from the fit that shows it."
+        for k in not_shown(found, findings, judged, model)
+    ]
+
+
+def _beyond_doubt(problem: Problem, selection: Selection, k: int) -> bool:
+    """Whether the fitted recordings alone show an entry: by far, and in more stretches than one."""
+    found, term = selection.found, term_of(selection.found.entries[k])
+    without = selection.without[term].residual
+    at = knee(found.residual)
+    gained = clipped(without, at) ** 2 - clipped(found.residual, at) ** 2
+    by_stretch = np.bincount(problem.stretch, np.where(problem.sliding, gained, 0.0))
+    least = threshold(problem, found.residual, FINAL_SHARE)
+    elsewhere = float(np.sum(by_stretch) - np.max(by_stretch))
+    return selection.gains[term] > _BEYOND_DOUBT * least and elsewhere > least
 
 
 def _clear(problem: Problem, found: Fit, k: int) -> bool:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis import locate, regions
 from eps_hil.diagnosis.baseline import HOLD
-from eps_hil.diagnosis.borne_out import augmented_by, beside_unknown, borne_out
+from eps_hil.diagnosis.borne_out import augmented_by, beside_unknown, borne_out, unjudged
 from eps_hil.diagnosis.channels import check_channels
 from eps_hil.diagnosis.excerpt import only_part
 from eps_hil.diagnosis.finding import finding, unknown
@@ -128,6 +128,7 @@ def diagnose(
         *unseen(every),
         *only_part(problem, selection.part),
         *(_only_kept(problem, selection, findings, judged) or _still_left(content)),
+        *unjudged(selection.found, findings, judged, problem.model),
         *worse_force(content["fit"]["holdout"]),
         *left_open(content["findings"]),
     ]

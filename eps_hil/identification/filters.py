@@ -49,9 +49,7 @@ def shifted(values: Floats, seconds: float) -> Floats:
     return np.asarray(sum(w * held[first + i : first + i + n] for i, w in enumerate(weights)))
 
 
-def between(
-    t_ns: npt.NDArray[np.int64], values: Floats, grid_ns: npt.NDArray[np.int64]
-) -> Floats:
+def between(t_ns: npt.NDArray[np.int64], values: Floats, grid_ns: npt.NDArray[np.int64]) -> Floats:
     """A sampled signal read at other instants (ns, ascending); ends held, straight through holes.
 
     Slower than 1 kHz by a cubic spline: straight lines take noise off between the samples, and off

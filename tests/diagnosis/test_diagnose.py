@@ -249,6 +249,22 @@ def test_what_only_the_hold_out_shows_is_said(
     assert same.content["limits"] == []
 
 
+def test_what_no_hold_out_can_judge_is_named_if_the_fitted_show_it_beyond_doubt(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    """A stop at 12 mm that the hold-out stays away from; then one that knows of none there."""
+    stop = {other_rig.STOP_X: 0.012, other_rig.STOP_K: 2e5}
+    made = record(stop, ("sweep", "weave", "slow"))
+    away = record(stop, ("sweep",), seed=2)
+    result = diagnose(reference_model, made, away)
+    assert names(result) == ["end_stop"]
+    assert value(result, "position_m") == pytest.approx(0.012, rel=0.01)
+    (limit,) = result.content["limits"]
+    assert limit.startswith("The hold-outs never come where end_stop acts")
+    against = record({}, ("weave",), seed=2)
+    assert "end_stop" not in names(diagnose(reference_model, made, against))
+
+
 @pytest.mark.parametrize("second_nm", [0.005, 0.015])
 def test_every_order_of_cogging_is_a_finding_of_its_own(
     record: Callable[..., Any], reference_model: Model, other_rig: Any, second_nm: float
