@@ -35,10 +35,9 @@ def borne_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
     findings = _refitted(
         problem, selection, _without_spoiling_bristle(problem, selection, findings, judged)
     )
-    silent = not_shown(selection.found, findings, judged, problem.model)
-    told = [k for k in findings if k not in silent]
-    if told and not _better(problem, selection.found, findings, judged):
-        return []
+    if findings and not _better(problem, selection.found, findings, judged):
+        silent = not_shown(selection.found, findings, judged, problem.model)
+        return findings if len(silent) == len(findings) else []
     return findings
 
 
@@ -79,8 +78,10 @@ def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
         refitted = selection.without[term_of(entry)]
         without = test.residual(test.with_entries(refitted.entries, refitted.own))
         gain = float(np.sum(clipped(without, at) ** 2)) - cost
-        unseen = k in not_shown(selection.found, [k], judged, problem.model)
-        if gain > least or (unseen and _beyond_doubt(problem, selection, k)):
+        if gain > least or (
+            _beyond_doubt(problem, selection, k)
+            and not_shown(selection.found, [k], judged, problem.model)
+        ):
             keep.append(k)
     return keep
 

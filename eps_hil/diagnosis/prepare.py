@@ -321,7 +321,7 @@ def _there_and_back(values: Floats, sos: Floats, settled: Floats) -> None:
 
 @njit(inline="always")
 def _through(values: Floats, sos: Floats, state: Floats) -> None:
-    """Through both sections (transposed direct form II); in scalars it takes half the time."""
+    """Through both sections (transposed direct form II); scalars stay in registers."""
     b0, b1, b2, a1, a2 = sos[0, 0], sos[0, 1], sos[0, 2], sos[0, 4], sos[0, 5]
     c0, c1, c2, d1, d2 = sos[1, 0], sos[1, 1], sos[1, 2], sos[1, 4], sos[1, 5]
     y0, y1, z0, z1 = state[0, 0], state[0, 1], state[1, 0], state[1, 1]

@@ -22,7 +22,9 @@ _ORDERS = np.arange(0.5, 50.01, 0.05)
 _FINE = np.linspace(-0.05, 0.05, 21)
 _MOST_ORDERS = 6
 _PARTS = 8
+"""Of the periodogram, to be worked out side by side; not by cores, so that all machines agree."""
 _FEWEST = 200
+"""Samples that an order has to be seen in."""
 _APART = 0.3
 """Orders that are nearer are one."""
 _FILTER_HZ = 30.0
@@ -124,7 +126,7 @@ def candidates(
     """All candidates against the model with ``entries``, whose weighted residual is given.
 
     ``own``: how far the model's own numbers are moved. Effects whose id is in ``without`` are left
-    out.
+    out. ``on_progress`` is called from any of the threads at work.
     """
     jobs = [
         (effect, shape)

@@ -58,7 +58,7 @@ def _cores() -> int:
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    """Threads beside the calling one, kept: starting them costs as much as a small recording."""
+    """Threads beside the calling one, kept from call to call."""
     return ThreadPoolExecutor(max(1, _cores() - 1), "eps-hil-each")
 
 

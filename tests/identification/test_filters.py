@@ -65,7 +65,7 @@ def test_a_hole_is_bridged_straight() -> None:
     np.testing.assert_allclose(read[away], np.sin(8 * np.pi * grid_ns[away] * 1e-9), atol=1e-3)
 
 
-def test_one_lost_frame_is_no_hole() -> None:
+def test_two_lost_frames_are_no_hole() -> None:
     at = np.delete(stamps(10.0), [150, 151])
     read = between(at, np.sin(2 * np.pi * 2.0 * at * 1e-9), grid_ns)
     np.testing.assert_allclose(read, np.sin(4 * np.pi * grid_ns * 1e-9), atol=5e-3)
