@@ -22,6 +22,7 @@ from eps_hil.errors import BusError, EpsHilError, InputError
 
 FLUSH_S = 0.5
 _WAIT_S = 0.2
+_REST_S = 0.5  # a bus that never pauses is left after that long
 
 
 class RecordError(EpsHilError):
@@ -195,8 +196,9 @@ def record(
 ) -> RecordReport:
     """Write everything ``port`` receives until ``stop()``, ``duration_s`` or the end of the bus.
 
-    Closes ``log`` in every case. :class:`RecordError` when the disk is full or the bus is gone;
-    the file then holds what the message says.
+    What waits in the port by then is written too. Closes ``log`` in every case.
+    :class:`RecordError` when the disk is full or the bus is gone; the file then holds what the
+    message says.
     """
     started_s = flushed_s = time.monotonic()
     written = kept = 0
@@ -217,6 +219,8 @@ def record(
                 flushed_s, kept = now_s, written
                 if progress is not None:
                     progress(written)
+        if not gone:
+            written += _write_rest(port, log)
         log.close()
     except OSError as error:
         log.cut_back()
@@ -234,3 +238,19 @@ def record(
         duration_s=time.monotonic() - started_s,
         file_bytes=Path(path).stat().st_size,
     )
+
+
+def _write_rest(port: Port, log: LogFile) -> int:
+    """Write what came before the stop and is not read yet; how many frames it was.
+
+    A machine that was busy elsewhere may not have read for a while when it is told to stop.
+    """
+    until_s = time.monotonic() + _REST_S
+    written = 0
+    with contextlib.suppress(BusError):  # gone while it was left anyway
+        while frames := port.recv(0.0):
+            log.write(frames)
+            written += len(frames)
+            if time.monotonic() >= until_s:
+                break
+    return written

@@ -5,7 +5,7 @@ import shutil
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import pytest
 
@@ -80,3 +80,17 @@ def collect() -> Callable[[Port, int], list[Frame]]:
         return frames
 
     return collected
+
+
+@pytest.fixture
+def send_all() -> Callable[[Port, Iterable[Frame]], None]:
+    """Send every frame, waiting where the kernel's queue is full: ``Port.send`` then drops it."""
+
+    def sent(port: Port, frames: Iterable[Frame]) -> None:
+        until = time.monotonic() + 20.0
+        for frame in frames:
+            while not port.send(frame):
+                assert time.monotonic() < until, "the queue stays full"
+                time.sleep(0.001)
+
+    return sent

@@ -6,15 +6,18 @@ import subprocess
 import sys
 import time
 import uuid
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
 
 from eps_hil.bus import record, replay
 from eps_hil.bus.frame import Frame
-from eps_hil.bus.port import BusState, Deliver, OnLost, PortCounts, open_port
+from eps_hil.bus.port import BusState, Deliver, OnLost, Port, PortCounts, open_port
 from eps_hil.cli.main import main
 from eps_hil.errors import BusError, InputError
+
+SendAll = Callable[[Port, Iterable[Frame]], None]
 
 GROUP = "239.74.163.2"
 SUFFIXES = pytest.mark.parametrize("suffix", [".log", ".blf"])
@@ -101,6 +104,16 @@ def test_a_bus_that_ends_leaves_a_whole_file(tmp_path: Path, suffix: str) -> Non
 
 
 @SUFFIXES
+def test_what_waits_at_the_stop_is_written_and_the_bus_may_go_then(
+    tmp_path: Path, suffix: str
+) -> None:
+    out = tmp_path / f"x{suffix}"
+    source = Source([FRAMES[:2], FRAMES[2:]], end="vcan0: the interface went down")
+    report = record.record(source, record.open_log(out, "can0"), out, stop=lambda: True)
+    assert report.frames == len(list(replay.read_log(out))) == 4
+
+
+@SUFFIXES
 def test_a_full_disk_ends_in_one_line_and_a_readable_file(tmp_path: Path, suffix: str) -> None:
     """A limit on the file's size stands in for the disk: the same refusal, from the kernel."""
     out = tmp_path / f"x{suffix}"
@@ -134,14 +147,16 @@ def test_a_full_disk_ends_in_one_line_and_a_readable_file(tmp_path: Path, suffix
 
 
 @SUFFIXES
-def test_a_killed_recorder_loses_under_a_second(tmp_path: Path, suffix: str, udp_port: int) -> None:
+def test_a_killed_recorder_loses_under_a_second(
+    tmp_path: Path, suffix: str, udp_port: int, send_all: SendAll
+) -> None:
     out = tmp_path / f"x{suffix}"
     recorder = start_recorder(out, udp_port)
     sender = open_port("udp_multicast", GROUP, options={"port": udp_port})
     started_s = time.monotonic()
     sent_at_s: list[float] = []
     while time.monotonic() - started_s < 2.0:
-        sender.send(Frame(0, 0x10, struct.pack("<I", len(sent_at_s))))
+        send_all(sender, [Frame(0, 0x10, struct.pack("<I", len(sent_at_s)))])
         sent_at_s.append(time.monotonic())
         time.sleep(0.001)
     recorder.kill()
@@ -156,12 +171,13 @@ def test_a_killed_recorder_loses_under_a_second(tmp_path: Path, suffix: str, udp
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_cleanly(tmp_path: Path, udp_port: int, number: signal.Signals) -> None:
+def test_a_signal_ends_it_cleanly(
+    tmp_path: Path, udp_port: int, send_all: SendAll, number: signal.Signals
+) -> None:
     out = tmp_path / "x.blf"
     recorder = start_recorder(out, udp_port)
     sender = open_port("udp_multicast", GROUP, options={"port": udp_port})
-    for k in range(300):
-        sender.send(Frame(0, 0x10, struct.pack("<I", k)))
+    send_all(sender, (Frame(0, 0x10, struct.pack("<I", k)) for k in range(300)))
     sender.close()
     time.sleep(0.3)
     recorder.send_signal(number)
@@ -170,6 +186,26 @@ def test_a_signal_ends_it_cleanly(tmp_path: Path, udp_port: int, number: signal.
     assert "recorded 300 frames in" in said
     assert "lost in the kernel 0" in said
     assert len(list(replay.read_log(out))) == 300
+
+
+def test_what_waited_when_the_stop_came_is_kept(
+    tmp_path: Path, udp_port: int, send_all: SendAll
+) -> None:
+    """A machine that was busy elsewhere: 2,000 frames came, none was read, and then the stop."""
+    out = tmp_path / "x.blf"
+    recorder = start_recorder(out, udp_port)
+    sender = open_port("udp_multicast", GROUP, options={"port": udp_port})
+    recorder.send_signal(signal.SIGSTOP)
+    time.sleep(0.3)  # longer than one wait for frames: it is surely not reading
+    send_all(sender, (Frame(0, 0x10, struct.pack("<I", k)) for k in range(2_000)))
+    sender.close()
+    recorder.send_signal(signal.SIGTERM)
+    recorder.send_signal(signal.SIGCONT)
+    said, error = recorder.communicate(timeout=20)
+    assert recorder.returncode == 0, error
+    assert "recorded 2000 frames in" in said
+    got = [struct.unpack("<I", frame.data)[0] for frame in replay.read_log(out)]
+    assert got == list(range(2_000))
 
 
 def start_recorder(out: Path, udp_port: int) -> "subprocess.Popen[str]":

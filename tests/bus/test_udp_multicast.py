@@ -8,7 +8,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import pytest
 
@@ -18,6 +18,7 @@ from eps_hil.errors import BusError
 
 GROUP = "239.74.163.2"
 Collect = Callable[[Port, int], list[Frame]]
+SendAll = Callable[[Port, Iterable[Frame]], None]
 
 
 def opened(port: int, **more: object) -> Port:
@@ -78,7 +79,7 @@ def test_python_can_is_a_peer_both_ways(udp_port: int, collect: Collect) -> None
     ours.close()
 
 
-def test_the_loop_gets_batches_only_of_the_ids_asked_for(udp_port: int) -> None:
+def test_the_loop_gets_batches_only_of_the_ids_asked_for(udp_port: int, send_all: SendAll) -> None:
     batches: list[list[Frame]] = []
 
     async def run() -> None:
@@ -86,8 +87,7 @@ def test_the_loop_gets_batches_only_of_the_ids_asked_for(udp_port: int) -> None:
         ours = open_port("udp_multicast", GROUP, receive_ids=[0x10], options=options)
         other = opened(udp_port)
         ours.start(asyncio.get_running_loop(), batches.append)
-        for k in range(100):
-            other.send(Frame(0, 0x10 + k % 2, bytes([k])))
+        send_all(other, (Frame(0, 0x10 + k % 2, bytes([k])) for k in range(100)))
         other.send(Frame(0, 0x10, bytes(12), fd=True))  # ours is not open for FD
         other.send(Frame(0, 0x10, b"end"))
         for _ in range(100):
@@ -104,10 +104,9 @@ def test_the_loop_gets_batches_only_of_the_ids_asked_for(udp_port: int) -> None:
     assert got == [bytes([k]) for k in range(0, 100, 2)] + [b"end"]
 
 
-def test_loss_in_the_kernel_is_counted_to_the_frame(udp_port: int) -> None:
+def test_loss_in_the_kernel_is_counted_to_the_frame(udp_port: int, send_all: SendAll) -> None:
     slow, fast = opened(udp_port, receive_buffer_bytes=20_000), opened(udp_port)
-    for _ in range(500):
-        fast.send(Frame(0, 1, bytes(8)))
+    send_all(fast, [Frame(0, 1, bytes(8))] * 500)
     got = len(slow.recv(0.5))
     assert 0 < got < 500
     assert slow.counts.lost_in_kernel == 500 - got
