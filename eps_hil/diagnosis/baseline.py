@@ -138,6 +138,14 @@ _BY_NAME = {knob.name: knob for knob in KNOBS}
 _TERMS = (OFFSET, SPRING)
 
 
+def levels_of(model: Model) -> dict[str, float]:
+    """Knobs of both directions' friction levels, each with how far it is to twice its own level."""
+    return {
+        name: getattr(model.friction, name) / _LEVEL(model)
+        for name in ("offset_pos_nm", "offset_neg_nm")
+    }
+
+
 def turned(model: Model, values: Mapping[str, float]) -> Model:
     """The model with its own numbers moved by ``values`` (knob name -> multiples of its width)."""
     if not values:

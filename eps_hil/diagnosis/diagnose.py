@@ -33,6 +33,7 @@ from eps_hil.diagnosis.proof_of_fit import (
 from eps_hil.diagnosis.select import Say, Selection, select
 from eps_hil.diagnosis.side_by_side import each
 from eps_hil.diagnosis.spread import left_open
+from eps_hil.diagnosis.zero_reading import ZeroReadings
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -95,12 +96,12 @@ def diagnose(
         raise RecordingError(
             look.kept[-1].name, "kept from the fit to judge it, but slides for less than 1 s"
         )
-    selection = select(problem, say, without)
+    look, problem, selection = _searched(look, problem, load_knobs(load), judged, say, without)
     wrong = misread(selection.part, selection, set.intersection(*map(set, fitted.values())))
     if wrong is not None:
         look = look.with_signal(wrong.put_right, wrong.in_model(look.model))
         problem = Problem(look.fitted, look.model, tied=load_knobs(load))
-        selection = select(problem, say, without)
+        selection = _selected(problem, look, say, without)
         judged = _holdouts(look, kept)
     findings = borne_out(problem, selection, judged)
     if say:
@@ -134,6 +135,35 @@ def diagnose(
     ]
     augmented = look.in_model(augmented_by(problem, selection.found, findings))
     return Diagnosis(content, augmented, problem, selection, judged, findings)
+
+
+def _searched(
+    look: FirstLook,
+    problem: Problem,
+    tied: Mapping[str, float],
+    judged: Sequence[Holdout],
+    say: Say | None,
+    without: Collection[str],
+) -> tuple[FirstLook, Problem, Selection]:
+    """Effects that the balance shows, again where it takes back what sensors were read to be."""
+    selection = _selected(problem, look, say, without)
+    zero = look.zero.behind(selection.found)
+    if zero.refuted(problem, selection.found, [one.prepared for one in judged]):
+        zero = ZeroReadings()
+    if zero != look.zero:
+        look = look.with_zero(zero)
+        problem = Problem(look.fitted, look.model, tied=tied)
+        selection = _selected(problem, look, say, without)
+    return look, problem, selection
+
+
+def _selected(
+    problem: Problem, look: FirstLook, say: Say | None, without: Collection[str]
+) -> Selection:
+    """Effects that the balance shows, less those that sensors with nothing on them have settled."""
+    selection = select(problem, say, {*without, *look.zero.settled})
+    selection.aside = frozenset(look.zero.possible)
+    return selection
 
 
 def _holdouts(look: FirstLook, kept: Mapping[str, Mapping[str, Series]]) -> list[Holdout]:

@@ -36,7 +36,8 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     rivals = selection.rivals.get(term_of(entry), [])
     twins = [name for name, part in rivals if part > RIVAL or (1 - part) * gain < RIVAL_GAIN]
     if effect.id in CONSTANTS:  # what presliding says of the difference rests on the bristle's form
-        pool = {one.effect.id for one in selection.pool} - {effect.id, *twins}
+        pool = {one.effect.id for one in selection.pool} | selection.aside
+        pool -= {effect.id, *twins}
         twins += [name for name in CONSTANTS if name in pool]
         near = dict(rivals)
         rivals = [(name, max(near.get(name, 0.0), 1.0)) for name in twins]

@@ -6,7 +6,7 @@ twist, and a wrong ratio goes into the model, before any friction is looked at.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from eps_hil.diagnosis import kinematics, quality
@@ -17,6 +17,7 @@ from eps_hil.diagnosis.excerpt import evenly
 from eps_hil.diagnosis.prepare import Prepared
 from eps_hil.diagnosis.seen import finding
 from eps_hil.diagnosis.side_by_side import each
+from eps_hil.diagnosis.zero_reading import ZeroReadings, zero_readings
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -45,6 +46,8 @@ class FirstLook:
     """Of each recording in ``kept``, where its data are bad."""
     left: Apart | None = None
     """What of rotor against rack no name stands for."""
+    zero: ZeroReadings = field(default_factory=ZeroReadings)
+    """What the torque sensors read with nothing on them; ``model`` has the errors among it."""
 
     @property
     def put_right(self) -> bool:
@@ -76,6 +79,19 @@ class FirstLook:
         fitted, kept = ([put_right(one) for one in some] for some in (self.fitted, self.kept))
         return replace(self, fitted=fitted, kept=kept, model=model)
 
+    def with_zero(self, zero: ZeroReadings) -> "FirstLook":
+        """The same with other readings of sensors that have nothing on them."""
+        names = {one.effect for one in self.zero.clear}
+        entries = [one.entry for one in self.zero.clear]
+        effects = tuple(one for one in self.model.effects if one not in entries)
+        others = tuple(one for one in self.findings if one["effect"] not in names)
+        return replace(
+            self,
+            model=zero.in_model(replace(self.model, effects=effects)),
+            findings=(*others, *(one.finding() for one in zero.clear)),
+            zero=zero,
+        )
+
     def in_model(self, model: Model) -> Model:
         """A model file's model with this look's effects that it does not hold yet."""
         held = {entry["effect"] for entry in model.effects}
@@ -95,7 +111,7 @@ def first_look(
         one.changed(barred=look.barred(one))
         for look, (one, _) in zip(looks, (*fitted, *kept), strict=True)
     ]
-    n = len(fitted)
+    n, barred = len(fitted), [one.barred for one in ready]
     findings: list[dict[str, Any]] = []
     entries: list[dict[str, Any]] = []
     lost = quality.finding(looks)
@@ -120,14 +136,19 @@ def first_look(
             entries.append(dict(effect.entry))
         else:
             entries.append(dict(effect.entry))
+    # an open gap bars the balance, not a sensor
+    whole = [one.changed(barred=bad) for one, bad in zip(ready, barred, strict=True)]
+    zero = zero_readings(whole, model, without)
+    findings += [one.finding() for one in zero.clear]
     return FirstLook(
         ready[:n],
         ready[n:],
-        model,
+        zero.in_model(model),
         tuple(findings),
         tuple(entries),
         tuple(look.content() for look in looks),
         seen.content,
         tuple(looks[n:]),
         seen.left,
+        zero,
     )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.baseline import HOLD, HOLD_S, OFFSET, SIDES, TIMING
+from eps_hil.diagnosis.baseline import HOLD, HOLD_S, OFFSET, SIDES, TIMING, levels_of
 from eps_hil.diagnosis.curve import has_curve
 from eps_hil.diagnosis.fit import Fit, ablated, fit, matters, own_column
 from eps_hil.diagnosis.probes import Candidate, neutral_value
@@ -161,7 +161,7 @@ def _linear(
     """The linear problem at the refit, so that no set is judged by how far it bends on the way."""
     some = [one for one in pool if one.effect.id in (*SPANNED, *SCALES)]
     names = [one.effect.id for one in some]
-    columns = [one.columns[:, 0] for one in some]
+    columns = [_column(problem, one) for one in some]
     for name, sides in SIDES.items():
         if name == HOLD or (name and name not in names):
             continue
@@ -188,6 +188,18 @@ def _linear(
     prior[len(names)] += 1.0 / float(size[len(names)] ** 2)  # of how the torque is held
     gram = (everything / size).T @ (everything / size)
     return _Linear(names, gram, size, prior, price, max(scales, 1))
+
+
+def _column(problem: Problem, one: Candidate) -> Floats:
+    """What one number of an effect does, beside the model file's own numbers.
+
+    Both levels by one factor are each by its own: not those of the refit, which may have bent one
+    up and the other down with a constant against the two.
+    """
+    if one.effect.id != "coulomb_level":
+        return one.columns[:, 0]
+    sides = levels_of(problem.model).items()
+    return np.asarray(sum(part * own_column(problem, name) for name, part in sides))
 
 
 def _best_sets(linear: _Linear) -> list[frozenset[int]]:

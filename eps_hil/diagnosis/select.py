@@ -48,6 +48,7 @@ class Selection:
     """The accepted effects' fit, the null's, and for each term what else was nearly as good.
 
     ``without``: for each accepted term the fit that does without it, the others refitted.
+    ``aside``: effects that were not considered, and may be what an accepted one is called by.
     ``pool`` and ``searched``, the fit it belongs to, are of the problem ``part`` that was searched.
     """
 
@@ -59,6 +60,7 @@ class Selection:
     rivals: dict[str, list[tuple[str, float]]] = field(default_factory=dict)
     gains: dict[str, float] = field(default_factory=dict)
     without: dict[str, Fit] = field(default_factory=dict)
+    aside: frozenset[str] = frozenset()
 
 
 def select(problem: Problem, say: Say | None = None, without: Collection[str] = ()) -> Selection:

@@ -67,7 +67,8 @@ def identify(
     rows = cases(ready, [kinematics.kinematics(one, late_s) for one in ready])
     say(0.05)
     plausibility.check(rows, start)
-    offsets = {name: offset(rows, name) for name in ("torque_sensor_nm", "motor_torque_nm")}
+    wheel = 1.0 / model.sensor_to_rotor
+    offsets = {name: offset(rows, name, wheel) for name in ("torque_sensor_nm", "motor_torque_nm")}
     ready = [_without_offsets(one, offsets) for one in ready]
     rows = cases(ready, [case.motion for case in rows])
     signals = {name for one in ready for name in one.raw}

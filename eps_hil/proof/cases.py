@@ -67,20 +67,26 @@ def make(plan: Plan) -> Case:
     world = _with_decoy(World(plan.simple), plan.decoy, rng)
     noise = _noise(world, train, rng)
     form = _measure(world, train, noise)
-    # strengths are set on the model file's own form, so that what the form leaves over is no part
     same_form = replace(world, simple=True)
     base = _measure(same_form, train, noise)
+
+    def ground(effect: HiddenEffect) -> tuple[World, Strength]:
+        # the model file's own form, so that what the form leaves over is no part of a strength
+        return (world, form) if effect.placed else (same_form, base)
+
     raw = bool(plan.twin)  # what a twin can do, a refit may be able to do as well
-    hidden = [
-        _hide(same_form, find(name), ratio, train, base, rng, raw=raw or find(name).free)
-        for name, ratio in plan.wanted
-    ]
+    hidden = []
+    for name, ratio in plan.wanted:
+        effect = find(name)
+        hidden.append(_hide(*ground(effect), effect, ratio, train, rng, raw=raw or effect.free))
     drive = world.drive
-    last, kept = _judging(plan, same_form, hidden, last, noise, rng)
+    judge = ground(hidden[-1].effect)[0] if hidden else world
+    last, kept = _judging(plan, judge, hidden, last, noise, rng)
 
     def again(one: _Hidden) -> Strength:
-        changed = one.effect.apply(same_form, one.strength, one.shape)
-        return _beyond(_measure(changed, train, noise), base)
+        plain, without = ground(one.effect)
+        changed = one.effect.apply(plain, one.strength, one.shape)
+        return _beyond(_measure(changed, train, noise), without)
 
     world, hidden, truth = _with_hidden(world, hidden, (*train, last), again)
     clean = [_seen(world, one) for one in truth]
@@ -189,10 +195,10 @@ def _beyond(found: Strength, base: Strength) -> Strength:
 
 def _hide(
     world: World,
+    base: Strength,
     effect: HiddenEffect,
     wanted: float,
     train: Sequence[Floats],
-    base: Strength,
     rng: np.random.Generator,
     *,
     raw: bool,

@@ -174,7 +174,7 @@ _PLACES = (
         "end_stop", "structure", 0.6, 3.0, _stop,
         lambda s, shape, _w: {"position_m": _stop_at(s), **shape},
         lambda r: {"stiffness_n_per_m": float(r.uniform(1e5, 4e5))},
-        twins=("position_torque", "unmodelled_spring"),
+        twins=("position_torque", "unmodelled_spring"), placed=True,
     ),
     HiddenEffect(
         "position_torque", "structure", 0.02, 0.3, _static,

@@ -31,7 +31,8 @@ class HiddenEffect:
     ``free`` says that the baseline's own parameters can imitate it (it is then measured before
     projection); ``twins`` are ids that recordings cannot be expected to tell from it
     (DIAGNOSIS 5); ``signed`` effects take either sign. ``knots`` makes the curve of an effect
-    that a model file holds as one.
+    that a model file holds as one. ``placed`` ones act only where the rack comes to, which the two
+    forms of the plant do not share to the millimetre.
     """
 
     id: str
@@ -46,6 +47,7 @@ class HiddenEffect:
     twins: tuple[str, ...] = ()
     alien: bool = False
     knots: Callable[[float, Shape], list[list[float]]] | None = None
+    placed: bool = False
 
     def entry(self, strength: float, shape: Shape, world: World) -> dict[str, Any] | None:
         """What a model file (CONTRACT 4) would say of it; None where it cannot."""

@@ -160,17 +160,40 @@ def multisine(rng: np.random.Generator, seconds: float) -> Floats:
     return segment(seconds, rig_n_per_m=1.2e5, rig_n_s_per_m=4.0e3, feed_nm=feed)
 
 
+def motor_off(rng: np.random.Generator, seconds: float) -> Floats:
+    """The rig moves the rack to and fro, the motor is switched off: what each sensor reads then."""
+    t = _times(seconds)
+    phase = 2 * np.pi * rng.uniform(0.4, 0.6) * t + rng.uniform(0, 2 * np.pi)
+    return segment(
+        seconds,
+        force_n=faded(rng.uniform(700, 1000) * np.sin(phase)),
+        rig_n_per_m=1.0e5,
+        rig_n_s_per_m=3.0e4,
+        motor_off=1.0,
+    )
+
+
 def training(rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Programs of the two training recordings, 40 and 45 s."""
-    first = [sweep(rng, 16.0), constant_speed(rng, 15.0), steps(rng, 9.0)]
+    """Programs of the two training recordings, 48 and 45 s."""
+    first = [sweep(rng, 16.0), constant_speed(rng, 15.0), steps(rng, 9.0), motor_off(rng, 8.0)]
     second = [weave(rng, 14.0), slow_reversals(rng, 11.0), dwell(rng, 12.0), multisine(rng, 8.0)]
     return np.concatenate(first), np.concatenate(second)
 
 
 def holdout(rng: np.random.Generator) -> Floats:
-    """Program of the recording that judges, 34 s: other mixtures of the same rig."""
+    """Program of the recording that judges, 39 s: other mixtures of the same rig."""
     parts = [weave(rng, 9.0), sweep(rng, 9.0, 3.0), slow_reversals(rng, 8.0), dwell(rng, 8.0)]
-    return np.concatenate(parts)
+    return np.concatenate([*parts, motor_off(rng, 5.0)])
+
+
+def held(rng: np.random.Generator, program: Floats) -> Floats:
+    """The same with the motor always on, and a hand that is never still at the wheel."""
+    held = program[program[:, _COLUMN["motor_off"]] == 0.0].copy()
+    t = _times(len(held) * 1e-3)
+    swing = np.sin(2 * np.pi * rng.uniform(0.2, 0.3) * t + rng.uniform(0, 2 * np.pi))
+    held[:, _COLUMN["hand_nm"]] += faded(rng.uniform(1.0, 1.5) * swing)
+    held[:, _COLUMN["wheel_nm_s_per_rad"]] += 0.5
+    return held
 
 
 def poor(rng: np.random.Generator) -> tuple[Floats, Floats]:

@@ -27,11 +27,11 @@ KINDS = (
 )
 DECOYS = ("nothing", "noise_x3", "heavy_tails", "coarse_encoder", "parameters_off")
 TWINS = (
-    ("motor_torque_offset", "torque_sensor_offset", "training"),
+    ("motor_torque_offset", "torque_sensor_offset", "never_free"),
     ("quadratic_drag", "viscous_friction", "one_speed"),
     ("torque_ripple", "cogging_torque", "one_torque"),
-    ("torque_sensor_offset", "motor_torque_offset", "training"),
-    ("friction_asymmetry", "motor_torque_offset", "training"),
+    ("torque_sensor_offset", "motor_torque_offset", "never_free"),
+    ("friction_asymmetry", "motor_torque_offset", "never_free"),
 )
 """(hidden, what it cannot be told from, in which manoeuvres it cannot)."""
 MIX: Mapping[str, int] = {

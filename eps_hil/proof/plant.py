@@ -40,6 +40,7 @@ PROGRAM = (
     "wheel_target_rad",
     "wheel_nm_per_rad",
     "wheel_nm_s_per_rad",
+    "motor_off",
 )
 """Columns of a manoeuvre at 1 kHz: what rig, motor controller and driver are told to do."""
 TRUTH = (
@@ -88,7 +89,7 @@ def _kinetic(c: Chain, v: Floats, wheel_speed: float) -> float:
 
 
 @njit
-def _integrate(  # noqa: PLR0915
+def _integrate(  # noqa: PLR0912, PLR0915
     d: Drive, h: Hidden, c: Chain, s: Slip, program: Floats, out: Floats
 ) -> None:
     n, rack, per_m = len(c.inertia), c.rack, d.rack_rad_per_m
@@ -121,6 +122,8 @@ def _integrate(  # noqa: PLR0915
             torque = delayed(past, tick, h.motor_late_s / _DT_S)
             iron = min(max(iron, torque - h.alien_iron_play_nm), torque + h.alien_iron_play_nm)
             shaft = on_the_shaft(d, h, iron, q[0], heat)
+            if row[12] > 0.0:  # no current: the shaft is free, and what is off is all that is read
+                shaft, reported = 0.0, -h.motor_offset_nm / h.motor_gain
             # friction and drag
             felt = abs(load) + h.alien_load_memory * (memory - abs(load))
             forth = sliding_level(d, h, 1.0, v[0], felt, place, aged, t)
@@ -169,7 +172,7 @@ def _integrate(  # noqa: PLR0915
 def run(d: Drive, h: Hidden, c: Chain, s: Slip, program: Floats) -> dict[str, Floats]:
     """The truth of a manoeuvre: columns of :data:`TRUTH`, each (n,), at 1 kHz.
 
-    ``program`` (n, 12) as :data:`PROGRAM`: forces and hand torques are straight between their
+    ``program`` (n, 13) as :data:`PROGRAM`: forces and hand torques are straight between their
     samples, the motor command is held. Everything starts at rest in the middle.
     """
     out = np.zeros((len(program), len(TRUTH)))

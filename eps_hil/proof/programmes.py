@@ -25,6 +25,12 @@ def _ordinary(rng: np.random.Generator) -> Programme:
     return first, second, m.holdout(rng)
 
 
+def _never_free(rng: np.random.Generator) -> Programme:
+    """The ordinary one, in which no sensor is ever seen with nothing on it."""
+    first, second, last = _ordinary(rng)
+    return m.held(rng, first), m.held(rng, second), m.held(rng, last)
+
+
 def _poor(rng: np.random.Generator) -> Programme:
     first, second = m.poor(rng)
     return first, second, m.holdout(rng)
@@ -112,6 +118,7 @@ def _shaken(rng: np.random.Generator, seconds: float) -> Floats:
 
 PROGRAMMES: Mapping[str, Callable[[np.random.Generator], Programme]] = {
     "training": _ordinary,
+    "never_free": _never_free,
     "poor": _poor,
     "free_rack": _free_rack,
     "one_speed": _one_speed,

@@ -75,6 +75,11 @@ def size(finding: Mapping[str, Any], model: Model) -> str:
         case "torque_sensor_hysteresis":
             force = values["play_nm"] * model.pinion_ratio_rad_per_m
             return f"±{force:.3g} N of rack force that is not there"
+        case "torque_sensor_offset":
+            force = values["offset_nm"] * model.pinion_ratio_rad_per_m
+            return f"{force:.3g} N of rack force that is not there"
+        case "motor_torque_offset":
+            return f"{values['offset_nm'] * ratio:.3g} N of rack force that nobody reports"
         case _:
             return ""
 

@@ -204,6 +204,20 @@ def test_a_kernel_does_its_equation(reference_model: Model, name: str) -> None:
     assert got == pytest.approx(written_out[name](0.3), rel=1e-12)
 
 
+def test_a_sensor_is_undone_from_what_it_reports_to_what_acts(reference_model: Model) -> None:
+    """reported = gain · true + offset, whatever the order in the file; the joint comes behind."""
+    entries = [{"effect": name, **EXAMPLES[name]} for name in reversed(sorted(EXAMPLES))]
+    motor = ("motor_torque_gain", "motor_torque_offset", "motor_torque_saturation")
+    sensor = ("torque_sensor_offset", "torque_sensor_gain", "cardan_joint")
+    u = Instant(1.7, -12.0, 7.3, 0.003, 400.0, 0.4, 0.6, 0.0)
+    model = model_with(reference_model, *(e for e in entries if e["effect"] in motor + sensor))
+    table = added.added(model)
+    acts = (2.3 - 0.8) / 1.5 * (1 + 0.3 * math.cos(2 * 0.4 + 0.5))
+    assert added.sensor_nm(table, u, 2.3) == pytest.approx(acts, rel=1e-12)
+    shaft = 1.15 * 0.9 + 0.05
+    assert added.motor_nm(table, u, 0.9) == pytest.approx(shaft / (1 + 0.5 * shaft**2), rel=1e-12)
+
+
 @pytest.mark.parametrize("name", sorted(EXAMPLES))
 def test_slots_that_are_left_out_would_have_done_nothing(
     reference_model: Model, name: str, monkeypatch: pytest.MonkeyPatch

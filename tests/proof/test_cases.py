@@ -179,6 +179,18 @@ def test_a_holdout_shows_what_it_is_to_judge() -> None:
     assert case.answer["holdout_to_noise"] > 0.1
 
 
+def test_a_stop_is_met_in_the_recordings_that_are_to_show_it() -> None:
+    """Seen on a development seed: a stop placed on the simple plant, which the full one missed."""
+    case = make(Plan("singles", 105019, (("end_stop", 0.6),)))
+    (told,) = case.answer["effects"]
+    stop = told["parameters"]["position_m"]
+    farthest = [
+        np.abs(case.recordings[one]["rack_position_m"]).max() for one in ("train_1", "train_2")
+    ]
+    assert max(farthest) > stop
+    assert told["effect_to_noise"] == pytest.approx(0.6, rel=0.1)
+
+
 def test_a_loop_that_runs_away_is_no_case() -> None:
     """A torque 20 ms late would drive the rotor out of its controller's hands."""
     late = [one for one in plans("poor", 73, 27) if one.wanted[0][0] == "motor_torque_delay"]

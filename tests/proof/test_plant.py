@@ -51,6 +51,17 @@ def test_rack_force_and_hand_torque_act_through_their_ratios() -> None:
     assert truth["torque_sensor_nm"][10] == pytest.approx(1000.0 / 125.7)
 
 
+def test_a_motor_that_is_off_turns_freely_and_reads_its_offset() -> None:
+    off = np.where(np.arange(600) < 300, 0.0, 1.0)
+    program = _program(0.6, feed_nm=0.01, motor_off=off)
+    truth = _without_friction(one_mass(FREE), program, motor_offset_nm=0.004, motor_gain=0.8)
+    speed, torque = truth["motor_speed_rad_s"], truth["motor_torque_nm"]
+    driven = (0.8 * 0.01 + 0.004) / FREE.inertia_kg_m2
+    assert np.polyfit(np.arange(50, 290) * 1e-3, speed[50:290], 1)[0] == pytest.approx(driven, 1e-3)
+    assert np.ptp(speed[301:]) < 1e-9
+    assert torque[301:] == pytest.approx(np.full(len(torque[301:]), -0.004 / 0.8))
+
+
 def test_motor_as_a_spring_swings_at_its_frequency() -> None:
     stiffness = FREE.inertia_kg_m2 * (2 * math.pi * 2.0) ** 2
     target = np.where(np.arange(4000) < 5, 0.0, 1.0)

@@ -236,7 +236,7 @@ def _stay(_p: Floats, _s: Floats, _u: Instant, _dt: float) -> None:
 
 
 def _of(slot: Slot) -> list[Effect]:
-    return [effect for effect in _KERNELS if effect.slot is slot]
+    return sorted((one for one in _KERNELS if one.slot is slot), key=lambda one: one.stage)
 
 
 def _remembering(effects: list[Effect]) -> list[Effect]:

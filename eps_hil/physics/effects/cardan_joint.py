@@ -15,6 +15,7 @@ EFFECT = Effect(
     id="cardan_joint",
     kind=Kind.STRUCTURE,
     slot=Slot.SENSOR,
+    stage=3,
     equation="T_sen · (1 + fraction · cos(2ψ + phase))",
     parameters=(
         Parameter("fraction", "1", 0.0, 0.5, "relative amplitude"),

@@ -145,6 +145,8 @@ class Effect:
     """For ``Slot.JOINT``: the joint with the effect in it."""
     probe: Probe | None = None
     """None: this tool cannot look for it yet."""
+    stage: int = 0
+    """Place among the effects of its slot, on the way from what is reported to what acts."""
     simulated: bool = True
     """Whether simulator and estimator can use it (a model file may then hold it)."""
 

@@ -30,8 +30,8 @@ EFFECT = Effect(
     sentence="Friction differs between the directions by 2 × {half_difference_nm:.3g} Nm more than "
     "the model says.",
     twins={
-        "motor_torque_offset": "rest at zero torque: an offset is still there, asymmetry is not",
-        "torque_sensor_offset": "hands off, motor off: an offset is still read",
+        "motor_torque_offset": "motor off while the rig moves the rack: an offset is still read",
+        "torque_sensor_offset": "hands off while the rotor moves: an offset is still read",
     },
     change=_change,
     probe=Probe("half_difference_nm", 0.0, 2e-3),

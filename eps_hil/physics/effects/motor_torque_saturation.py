@@ -13,6 +13,7 @@ EFFECT = Effect(
     id="motor_torque_saturation",
     kind=Kind.STRUCTURE,
     slot=Slot.MOTOR,
+    stage=2,
     equation="T_em / (1 + curvature · T_em²)",
     parameters=(Parameter("curvature_per_nm2", "1/Nm²", -0.05, 1.0, "curvature"),),
     sentence="The motor gives less than it reports at high torque (curvature "

@@ -15,6 +15,7 @@ EFFECT = Effect(
     id="torque_ripple",
     kind=Kind.STRUCTURE,
     slot=Slot.MOTOR,
+    stage=3,
     equation="T_em · (1 + fraction · sin(6·pole_pairs·φ + phase))",
     parameters=(
         Parameter("fraction", "1", 0.0, 0.5, "ripple per motor torque"),

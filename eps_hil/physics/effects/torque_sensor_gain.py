@@ -13,6 +13,7 @@ EFFECT = Effect(
     id="torque_sensor_gain",
     kind=Kind.INSTRUMENT,
     slot=Slot.SENSOR,
+    stage=1,
     equation="reported = gain · true",
     parameters=(Parameter("gain", "1", 0.3, 3.0, "reported per true torque"),),
     sentence="The torque sensor reads {gain:.3g} times the true torque.",

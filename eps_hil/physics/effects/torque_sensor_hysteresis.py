@@ -31,6 +31,7 @@ EFFECT = Effect(
     id="torque_sensor_hysteresis",
     kind=Kind.INSTRUMENT,
     slot=Slot.SENSOR,
+    stage=2,
     equation="reported follows true with play (half width)",
     parameters=(Parameter("play_nm", "Nm", 0.0, 2.0, "half width, at the column"),),
     sentence="The torque sensor has play of ±{play_nm:.3g} Nm.",

@@ -19,8 +19,8 @@ EFFECT = Effect(
     ),
     sentence="The torque sensor reads {offset_nm:.3g} Nm too much.",
     twins={
-        "motor_torque_offset": "hands off: only one of the two sensors then reads other than zero",
-        "friction_asymmetry": "rest at zero torque: an offset is still there",
+        "motor_torque_offset": "hands off while the rotor moves: this sensor then reads its offset",
+        "friction_asymmetry": "hands off while the rotor moves: an offset is still read",
     },
     kernel=_torque_nm,
     probe=Probe("offset_nm", 0.0, 0.02),

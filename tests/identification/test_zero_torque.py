@@ -1,0 +1,97 @@
+"""What a sensor reads with nothing on it: seen where it is so, and nowhere else."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eps_hil.identification.zero_torque import WINDOW_S, readings
+from eps_hil.proof import sensors
+from eps_hil.proof.programmes import programme
+from eps_hil.proof.truth import Drive, Floats
+from eps_hil.proof.world import World
+
+RATIO = 20.0
+"""rad of the rotor per rad of the wheel."""
+NOISE_NM = 0.01
+T = np.arange(12_000) * 1e-3
+GOOD = np.ones(len(T), dtype=bool)
+HZ = np.array([0.6, 1.1, 1.9])[:, None]
+ANGLE = 20.0 * np.sum(np.sin(2 * np.pi * HZ * T + HZ) / HZ, axis=0)
+SPEED = np.gradient(ANGLE, 1e-3)
+
+
+def noise(seed: int = 1) -> Floats:
+    return NOISE_NM * np.random.default_rng(seed).standard_normal(len(T))
+
+
+def free_wheel(inertia: float, damping: float) -> Floats:
+    """−J ψ̈ − d ψ̇, at the column."""
+    return -(inertia * np.gradient(SPEED, 1e-3) + damping * SPEED) / RATIO
+
+
+@settings(max_examples=40)
+@given(
+    inertia=st.floats(0.0, 0.1),
+    damping=st.floats(0.0, 0.3),
+    offset=st.floats(-0.4, 0.4),
+    seed=st.integers(0, 99),
+)
+def test_a_free_wheel_shows_the_sensors_offset(
+    inertia: float, damping: float, offset: float, seed: int
+) -> None:
+    torque = free_wheel(inertia, damping) + offset + noise(seed)
+    found = readings(torque, SPEED, GOOD, NOISE_NM, RATIO)
+    assert len(found) == int((len(T) * 1e-3 - 0.3) / WINDOW_S)
+    assert np.median(found) == pytest.approx(offset, abs=3e-3)
+
+
+@pytest.mark.parametrize(
+    "torque",
+    [
+        2.0 * np.sin(2 * np.pi * 0.3 * T),  # a hand
+        8.0 * ANGLE / RATIO,  # a hand against the spring of a parked car: in step with the motion
+        0.3 * SPEED / RATIO + 0.2,  # a hand that drives
+        1.0 * np.sign(np.sin(2 * np.pi * 0.9 * T)),
+    ],
+)
+def test_a_hand_at_the_wheel_is_no_reading(torque: Floats) -> None:
+    assert readings(torque + noise(), SPEED, GOOD, NOISE_NM, RATIO) == []
+
+
+def test_a_motor_that_is_off_reads_its_offset_and_one_that_damps_does_not() -> None:
+    found = readings(0.004 + noise(), SPEED, GOOD, NOISE_NM)
+    assert np.mean(found) == pytest.approx(0.004, abs=1e-3)
+    assert readings(-3e-4 * SPEED + noise(), SPEED, GOOD, NOISE_NM) == []
+    assert readings(free_wheel(0.05, 0.1) + noise(), SPEED, GOOD, NOISE_NM) == []
+
+
+def test_nothing_from_rest_from_bad_data_or_from_a_constant_in_a_file() -> None:
+    torque = free_wheel(0.04, 0.1) + noise()
+    assert readings(torque, np.zeros(len(T)), GOOD, NOISE_NM, RATIO) == []
+    assert readings(torque, SPEED, ~GOOD, NOISE_NM, RATIO) == []
+    holes = GOOD.copy()
+    holes[1000::2000] = False
+    assert readings(torque, SPEED, holes, NOISE_NM, RATIO) == []
+    assert readings(np.zeros(len(T)), SPEED, GOOD, 0.0, RATIO) == []
+    assert readings(torque[:200], SPEED[:200], GOOD[:200], NOISE_NM, RATIO) == []
+
+
+@pytest.mark.parametrize(("name", "free"), [("training", True), ("never_free", False)])
+def test_on_a_truth_plant_with_a_wheel_on_its_bar(name: str, free: bool) -> None:
+    """Five masses, a wheel that swings at 8 Hz: all hands-off stretches, and no other."""
+    rng = np.random.default_rng(4)
+    world = World(simple=False)
+    ratio = Drive().rack_rad_per_m / Drive().pinion_rad_per_m
+    torque, motor = [], []
+    for program in programme(name, rng):
+        truth = world.run(program)
+        seen = sensors.measured(sensors.reported(truth, world.instruments), world.instruments, rng)
+        speed, good = seen["motor_speed_rad_s"], np.ones(len(seen["time_s"]), dtype=bool)
+        torque += readings(seen["torque_sensor_nm"], speed, good, 1e-2, ratio)
+        motor += readings(seen["motor_torque_nm"], speed, good, 4e-3)
+    assert (len(torque) > 20, len(motor) > 3) == (free, free)
+    if free:
+        assert np.median(torque) == pytest.approx(0.0, abs=1e-3)
+        assert np.max(np.abs(torque)) < 0.03
+        assert np.max(np.abs(motor)) < 5e-4
