@@ -160,9 +160,9 @@ def _searched(
 def _selected(
     problem: Problem, look: FirstLook, say: Say | None, without: Collection[str]
 ) -> Selection:
-    """Effects that the balance shows, less those that sensors with nothing on them have settled."""
-    selection = select(problem, say, {*without, *look.zero.settled})
-    selection.aside = frozenset(look.zero.possible)
+    """Effects that the balance shows, its constant as sensors with nothing on them have settled."""
+    selection = select(problem, say, without, look.zero.settled)
+    selection.possible = frozenset(look.zero.possible)
     return selection
 
 

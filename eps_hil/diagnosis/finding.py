@@ -35,9 +35,10 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     gain = selection.gains[term_of(entry)]
     rivals = selection.rivals.get(term_of(entry), [])
     twins = [name for name, part in rivals if part > RIVAL or (1 - part) * gain < RIVAL_GAIN]
+    ruled_out = selection.settled - selection.possible
+    twins = [name for name in twins if name not in ruled_out]
     if effect.id in CONSTANTS:  # what presliding says of the difference rests on the bristle's form
-        pool = {one.effect.id for one in selection.pool} | selection.aside
-        pool -= {effect.id, *twins}
+        pool = {one.effect.id for one in selection.pool} - {effect.id, *twins, *ruled_out}
         twins += [name for name in CONSTANTS if name in pool]
         near = dict(rivals)
         rivals = [(name, max(near.get(name, 0.0), 1.0)) for name in twins]

@@ -131,23 +131,44 @@ def _with_delay(problem: Problem, found: Fit) -> Fit:
     return fit(problem, [*found.entries, delay], own=own, like=found)
 
 
-def levels_first(problem: Problem, found: Fit, least: float, considered: Collection[str]) -> Fit:
+def levels_first(
+    problem: Problem,
+    found: Fit,
+    least: float,
+    considered: Collection[str],
+    settled: Collection[str] = (),
+) -> Fit:
     """Friction that differs with direction, where friction is off anyway and an offset does no
-    better: one cause, not two.
+    better: one cause, not two. And where a sensor with nothing on it has ``settled`` that the
+    offset is not its own.
 
     What tells the constants apart is presliding, whose form no model knows well: what it says of
-    them counts only beyond a tenth of what the constant gains.
+    them counts only beyond a tenth of what the constant gains, and nothing beside such a sensor.
     """
-    asymmetry = CONSTANTS[0]
+    asymmetry, *others = CONSTANTS
     names = [str(entry["effect"]) for entry in found.entries]
-    offsets = [k for k, name in enumerate(names) if name in CONSTANTS[1:]]
-    if not _FRICTION.intersection(names) or not offsets or asymmetry not in considered:
+    offsets = [k for k, name in enumerate(names) if name in others]
+    if not offsets or asymmetry not in considered:
+        return found
+    ruled_out = names[offsets[0]] in settled
+    if not ruled_out and not _FRICTION.intersection(names):
         return found
     without = ablated(problem, found, offsets[0])
-    start = {"effect": asymmetry, "half_difference_nm": 1e-4}
-    trial = fit(problem, [*without.entries, start], own=without.own, like=without)
     margin = max(least, _FORM * (without.cost - found.cost))
-    return trial if trial.cost < found.cost + margin else found
+    best = _with_constant(problem, without, asymmetry)
+    if not ruled_out:
+        return best if best.cost < found.cost + margin else found
+    for name in set(others) & set(considered) - set(settled):
+        trial = _with_constant(problem, without, name)
+        best = trial if trial.cost < best.cost - margin else best
+    return best
+
+
+def _with_constant(problem: Problem, without: Fit, name: str) -> Fit:
+    probe = catalogue()[name].probe
+    assert probe is not None
+    start = {"effect": name, probe.amplitude: 1e-4}
+    return fit(problem, [*without.entries, start], own=without.own, like=without)
 
 
 def _linear(
@@ -194,12 +215,13 @@ def _column(problem: Problem, one: Candidate) -> Floats:
     """What one number of an effect does, beside the model file's own numbers.
 
     Both levels by one factor are each by its own: not those of the refit, which may have bent one
-    up and the other down with a constant against the two.
+    up and the other down with a constant against the two. Of the sign of a candidate's columns:
+    what its amplitude takes off the residual.
     """
     if one.effect.id != "coulomb_level":
         return one.columns[:, 0]
     sides = levels_of(problem.model).items()
-    return np.asarray(sum(part * own_column(problem, name) for name, part in sides))
+    return np.asarray(-sum(part * own_column(problem, name) for name, part in sides))
 
 
 def _best_sets(linear: _Linear) -> list[frozenset[int]]:

@@ -48,7 +48,7 @@ class Selection:
     """The accepted effects' fit, the null's, and for each term what else was nearly as good.
 
     ``without``: for each accepted term the fit that does without it, the others refitted.
-    ``aside``: effects that were not considered, and may be what an accepted one is called by.
+    ``settled``: constants that a sensor with nothing on it has ruled out, but for the ``possible``.
     ``pool`` and ``searched``, the fit it belongs to, are of the problem ``part`` that was searched.
     """
 
@@ -60,16 +60,23 @@ class Selection:
     rivals: dict[str, list[tuple[str, float]]] = field(default_factory=dict)
     gains: dict[str, float] = field(default_factory=dict)
     without: dict[str, Fit] = field(default_factory=dict)
-    aside: frozenset[str] = frozenset()
+    settled: frozenset[str] = frozenset()
+    possible: frozenset[str] = frozenset()
 
 
-def select(problem: Problem, say: Say | None = None, without: Collection[str] = ()) -> Selection:
+def select(
+    problem: Problem,
+    say: Say | None = None,
+    without: Collection[str] = (),
+    settled: Collection[str] = (),
+) -> Selection:
     """Effects that the recordings show, searched for in an excerpt if there are hours of them.
 
-    ``without``: ids of effects that are not considered.
+    ``without``: ids of effects that are not considered; ``settled``: constants that are not what a
+    constant is called in the end.
     """
     part = excerpt(problem)
-    selection = _search(part, say, without)
+    selection = _search(part, say, without, frozenset(settled))
     return selection if part is problem else _on_all(problem, selection)
 
 
@@ -90,7 +97,9 @@ def _on_all(problem: Problem, selection: Selection) -> Selection:
     return selection
 
 
-def _search(problem: Problem, say: Say | None, without: Collection[str]) -> Selection:
+def _search(
+    problem: Problem, say: Say | None, without: Collection[str], settled: frozenset[str]
+) -> Selection:
     """Structures beside a free baseline, then the baseline's own deviations by name.
 
     The regressors are taken once, at the refitted model without effects; each step's fit is exact.
@@ -108,7 +117,7 @@ def _search(problem: Problem, say: Say | None, without: Collection[str]) -> Sele
         here.own,
         without,
     )
-    selection = Selection(null, found, pool, problem, found)
+    selection = Selection(null, found, pool, problem, found, settled=settled)
     structures = [one for one in pool if one.effect.id not in SPANNED]
     curves = any(is_curve(one) for one in structures)
     for step in range(MOST_EFFECTS):
@@ -134,7 +143,8 @@ def _search(problem: Problem, say: Say | None, without: Collection[str]) -> Sele
     found = bettered(problem, exchanged(problem, found, pool), pool)
     considered = {one.effect.id for one in pool}
     least = threshold(problem, found.residual, FORWARD_SHARE)
-    found = _backward(problem, levels_first(problem, found, least, considered))
+    found = levels_first(problem, found, least, considered, settled)
+    found = _backward(problem, found)
     selection.found = selection.searched = timed(problem, found)
     _rivals(problem, selection)
     return selection

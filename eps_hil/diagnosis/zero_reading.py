@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from eps_hil.diagnosis.fit import Fit
-from eps_hil.diagnosis.prepare import Floats, Prepared
+from eps_hil.diagnosis.prepare import STEP_S, Floats, Prepared
 from eps_hil.diagnosis.problem import Problem, clipped, knee
 from eps_hil.identification.zero_torque import WINDOW_S, readings
 from eps_hil.physics.effects.catalogue import catalogue
@@ -27,6 +27,8 @@ _MOST_NM = {"torque_sensor_nm": 0.5, "motor_torque_nm": 0.2}
 _LEAST_GAIN = 60.0
 """Noise variances that a constant has to be worth in the balance, as any effect that is seen."""
 _SLIDING_RAD_S = 0.5
+_AS_NOISE = 1.5
+"""Times the scatter that noise alone makes, up to which it is noise."""
 _REFUTED = 0.5
 """Of a reading, that the balance takes back under another name."""
 _SURE = 0.95
@@ -104,7 +106,7 @@ class ZeroReadings:
 
     @property
     def settled(self) -> set[str]:
-        """Effects that the balance need not look for."""
+        """Constants that what the balance shows beside the model is not called by."""
         return {one.effect for one in self.seen}
 
     @property
@@ -162,7 +164,8 @@ def zero_readings(
         if effect in without or not all(signal in one.raw for one in recordings):
             continue
         values = [value for one in recordings for value in _windows(one, signal, model)]
-        reading = _reading(signal, np.array(values))
+        white = float(np.mean([one.noise[signal] for one in recordings]))
+        reading = _reading(signal, np.array(values), white * float(np.sqrt(STEP_S / WINDOW_S)))
         if reading is None:
             continue
         per_nm = sliding * (_at_rotor({"effect": effect, "offset_nm": 1.0}, model) / floor) ** 2
@@ -181,19 +184,25 @@ def _windows(one: Prepared, signal: str, model: Model) -> list[float]:
     return readings(one.raw[signal], one.raw["motor_speed_rad_s"], good, one.noise[signal], wheel)
 
 
-def _reading(signal: str, values: Floats) -> ZeroReading | None:
-    """Median of the windows, and its interval from their scatter."""
+def _reading(signal: str, values: Floats, noise: float) -> ZeroReading | None:
+    """What windows read together; ``noise`` is what noise alone makes of one (rms).
+
+    Their mean, where they scatter as that noise does; else their median, by their own scatter.
+    """
     from scipy.stats import t
 
     n = len(values)
     if n < FEWEST:
         return None
-    middle = float(np.median(values))
-    spread = max(1.4826 * float(np.median(np.abs(values - middle))), float(np.std(values)) / 3.0)
-    half = 1.2533 * float(t.ppf(0.975, n - 1)) * spread / float(np.sqrt(n))
+    if float(np.std(values)) < _AS_NOISE * noise:
+        middle, half = float(np.mean(values)), 1.96 * noise
+    else:
+        middle = float(np.median(values))
+        usual = 1.4826 * float(np.median(np.abs(values - middle)))
+        half = 1.2533 * float(t.ppf(0.975, n - 1)) * max(usual, float(np.std(values)) / 3.0)
     if abs(middle) > _MOST_NM[signal]:
         return None
-    return ZeroReading(signal, middle, half, n * WINDOW_S, 0.0)
+    return ZeroReading(signal, middle, half / float(np.sqrt(n)), n * WINDOW_S, 0.0)
 
 
 def _at_rotor(entry: Mapping[str, Any], model: Model) -> float:
