@@ -14,7 +14,7 @@ from eps_hil.diagnosis.channels import check_channels
 from eps_hil.diagnosis.excerpt import only_part
 from eps_hil.diagnosis.finding import finding, unknown
 from eps_hil.diagnosis.first_look import FirstLook, first_look
-from eps_hil.diagnosis.fit import Fit
+from eps_hil.diagnosis.fit import BRISTLE, Fit
 from eps_hil.diagnosis.held import own_samples
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
 from eps_hil.diagnosis.leftover import Leftover, late_torque, leftover
@@ -30,6 +30,8 @@ from eps_hil.diagnosis.proof_of_fit import (
     still_left,
     worse_force,
 )
+from eps_hil.diagnosis.reversals import borne_out as reversals_agree
+from eps_hil.diagnosis.reversals import bristle
 from eps_hil.diagnosis.select import Say, Selection, select
 from eps_hil.diagnosis.side_by_side import each
 from eps_hil.diagnosis.spread import left_open
@@ -101,7 +103,8 @@ def diagnose(
     if wrong is not None:
         look = look.with_signal(wrong.put_right, wrong.in_model(look.model))
         problem = Problem(look.fitted, look.model, tied=load_knobs(load))
-        selection = _selected(problem, look, say, without)
+        settled = {one["effect"] for one in look.findings} & {BRISTLE}
+        selection = _selected(problem, look, say, {*without, *settled})
         judged = _holdouts(look, kept)
     findings = borne_out(problem, selection, judged)
     if say:
@@ -145,7 +148,11 @@ def _searched(
     say: Say | None,
     without: Collection[str],
 ) -> tuple[FirstLook, Problem, Selection]:
-    """Effects that the balance shows, again where it takes back what sensors were read to be."""
+    """Effects that the balance shows; again beside what only then is known of sensor and bristle.
+
+    Again where the balance takes back what sensors were read to be, and where full reversals show
+    another stiffness than the model's, or none where the balance named one.
+    """
     selection = _selected(problem, look, say, without)
     zero = look.zero.behind(selection.found)
     if zero.refuted(problem, selection.found, [one.prepared for one in judged]):
@@ -154,6 +161,16 @@ def _searched(
         look = look.with_zero(zero)
         problem = Problem(look.fitted, look.model, tied=tied)
         selection = _selected(problem, look, say, without)
+    seen = None if BRISTLE in without else bristle(selection.part, selection.searched)
+    if seen is None:
+        return look, problem, selection
+    named = any(entry["effect"] == BRISTLE for entry in selection.found.entries)
+    off = seen.off and reversals_agree(seen, problem, selection.found, judged)
+    if off:
+        look = look.with_bristle(seen)
+        problem = Problem(look.fitted, look.model, tied=tied)
+    if off or named:
+        selection = _selected(problem, look, say, {*without, BRISTLE})
     return look, problem, selection
 
 

@@ -15,6 +15,7 @@ from eps_hil.diagnosis.belt import belt_of, with_belt
 from eps_hil.diagnosis.drift import Drift
 from eps_hil.diagnosis.excerpt import evenly
 from eps_hil.diagnosis.prepare import Prepared
+from eps_hil.diagnosis.reversals import Bristle
 from eps_hil.diagnosis.seen import finding
 from eps_hil.diagnosis.side_by_side import each
 from eps_hil.diagnosis.zero_reading import ZeroReadings, zero_readings
@@ -90,6 +91,15 @@ class FirstLook:
             model=zero.in_model(replace(self.model, effects=effects)),
             findings=(*others, *(one.finding() for one in zero.clear)),
             zero=zero,
+        )
+
+    def with_bristle(self, seen: Bristle) -> "FirstLook":
+        """The same with the stiffness that full reversals showed."""
+        effects = (*self.model.effects, seen.entry)
+        return replace(
+            self,
+            model=replace(self.model, effects=effects),
+            findings=(*self.findings, seen.finding()),
         )
 
     def in_model(self, model: Model) -> Model:

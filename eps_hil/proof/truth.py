@@ -128,6 +128,8 @@ def lugre() -> Slip:
 def maxwell_slip(breaks: tuple[float, ...] = (0.2, 0.5, 0.9, 1.5, 2.4, 4.0)) -> Slip:
     """Elements that reverse from sliding along a LuGre bristle's curve, 2 T_fs (1 − e^−u).
 
+    With other levels each way the curve has one length, (T + T')/2σ0, where LuGre's has two.
+
     ``breaks``: distances u from the reversal, in units of T_fs/σ0, where the elements begin to
     slip; between them the curve is straight. By Masing's rule the virgin curve is that of the
     reversal at half its size, so it starts out twice as stiff as LuGre's; inner loops close,

@@ -1,6 +1,7 @@
 """Noise, filters and rest: what the residual is made of, against closed forms."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ from scipy.signal import butter, sosfiltfilt
 
 from eps_hil.diagnosis.prepare import Floats, low_pass, noise_of, prepare
 from eps_hil.diagnosis.problem import Problem
-from eps_hil.physics.model import Model
+from eps_hil.physics.model import Model, load_model
 from eps_hil.series import Series
+
+REFERENCE = Path(__file__).parents[2] / "configs" / "reference_rig.yaml"
 
 
 @given(st.floats(1e-6, 1e3), st.integers(0, 100))
@@ -108,3 +111,23 @@ def test_a_shift_by_part_of_a_sample_leaves_noise_what_it_is() -> None:
         assert left(ready._at(speed, delay_s)) == pytest.approx(left(speed), rel=1e-3)
     straight = np.interp(ready.time_s + 5e-4, ready.time_s, speed)
     assert left(straight) < 0.997 * left(speed)
+
+
+def test_the_bristle_moves_by_what_the_rotor_did_between_two_samples() -> None:
+    """Not by half a sample more: friction turns over in a few milliseconds."""
+    t = np.arange(6000) * 1e-3
+    t_ns = np.arange(6000) * 1_000_000
+    angle, speed = 12.0 * np.sin(2.0 * t), 24.0 * np.cos(2.0 * t)
+    columns = {
+        "motor_torque_nm": 0.0 * t,
+        "motor_speed_rad_s": speed,
+        "motor_angle_rad": angle,
+    }
+    one = prepare("a", {name: Series(t_ns, values) for name, values in columns.items()})
+    motion = one.motion(load_model(REFERENCE))
+    inside = slice(50, -50)  # signals that are late are held at the ends
+    moved = np.cumsum(motion.travel_rad[inside]) - motion.travel_rad[50]
+    way = motion.angle_rad[inside] - motion.angle_rad[50]
+    assert np.max(np.abs(moved - way)) < 1e-3  # a rest of a sample or two at each reversal
+    late = np.cumsum(motion.speed_rad_s[inside]) * 1e-3
+    assert np.max(np.abs(late - late[0] - way)) > 0.01

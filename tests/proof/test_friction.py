@@ -76,6 +76,20 @@ def test_masing_reversal_is_the_virgin_curve_twice_as_large(distance: float) -> 
     assert LEVEL - reversed_ == pytest.approx(2 * virgin, rel=1e-6)
 
 
+@given(st.floats(0.05, 3.0), st.floats(0.04, 0.2), st.floats(0.04, 0.2))
+def test_unequal_levels_have_one_length_both_ways(
+    distance: float, forth: float, back: float
+) -> None:
+    """T − (T + T') exp(−u/ℓ) with ℓ = (T + T')/2σ0 whichever way; LuGre has ℓ = T/σ0."""
+    length = 0.5 * (forth + back) / DRIVE.sigma0
+    turns = np.linspace(0.0, distance * length, 400)[1:]
+    for way, ahead, behind in ((1.0, forth, back), (-1.0, back, forth)):
+        path = np.concatenate([np.linspace(0.0, -2.0, 4000) * way, -2.0 * way + turns * way])
+        found = way * _torques(path, forth, back)[-1]
+        expected = ahead - (ahead + behind) * np.exp(-distance)
+        assert found == pytest.approx(expected, abs=0.03 * (ahead + behind))
+
+
 @given(st.floats(0.05, 3.9))
 def test_reversal_from_sliding_follows_the_lugre_curve(distance: float) -> None:
     """Straight between points of 2 T_fs (1 − e^−u): never further off than its chords are."""
