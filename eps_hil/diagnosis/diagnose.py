@@ -19,7 +19,7 @@ from eps_hil.diagnosis.held import own_samples
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
 from eps_hil.diagnosis.leftover import Leftover, late_torque, leftover
 from eps_hil.diagnosis.load import doubted, load_knobs, load_of, missing, not_told_apart, with_load
-from eps_hil.diagnosis.misread import misread, with_misread
+from eps_hil.diagnosis.misread import Misread, misread, refined, with_misread
 from eps_hil.diagnosis.placebo import placebos
 from eps_hil.diagnosis.problem import Problem, clipped, knee, term_of
 from eps_hil.diagnosis.proof_of_fit import (
@@ -101,10 +101,10 @@ def diagnose(
     look, problem, selection = _searched(look, problem, load_knobs(load), judged, say, without)
     wrong = misread(selection.part, selection, set.intersection(*map(set, fitted.values())))
     if wrong is not None:
-        look = look.with_signal(wrong.put_right, wrong.in_model(look.model))
-        problem = Problem(look.fitted, look.model, tied=load_knobs(load))
-        settled = {one["effect"] for one in look.findings} & {BRISTLE}
-        selection = _selected(problem, look, say, {*without, *settled})
+        given, tied = look, load_knobs(load)
+        look, problem, selection = _beside(wrong, given, tied, say, without)
+        wrong = refined(wrong, selection.part, selection)
+        look, problem, selection = _beside(wrong, given, tied, say, without)
         judged = _holdouts(look, kept)
     findings = borne_out(problem, selection, judged)
     if say:
@@ -172,6 +172,20 @@ def _searched(
     if off or named:
         selection = _selected(problem, look, say, {*without, BRISTLE})
     return look, problem, selection
+
+
+def _beside(
+    wrong: Misread,
+    look: FirstLook,
+    tied: Mapping[str, float],
+    say: Say | None,
+    without: Collection[str],
+) -> tuple[FirstLook, Problem, Selection]:
+    """What is found once a signal that nobody has a name for is put right."""
+    right = look.with_signal(wrong.put_right, wrong.in_model(look.model))
+    problem = Problem(right.fitted, right.model, tied=tied)
+    seen = {one["effect"] for one in right.findings} & {BRISTLE}
+    return right, problem, _selected(problem, right, say, {*without, *seen})
 
 
 def _selected(

@@ -148,7 +148,9 @@ def first_look(
             entries.append(dict(effect.entry))
     # an open gap bars the balance, not a sensor
     whole = [one.changed(barred=bad) for one, bad in zip(ready, barred, strict=True)]
-    zero = zero_readings(whole, model, without)
+    play = [one for one in seen.seen if one.entry["effect"] == "torque_sensor_hysteresis"]
+    unsure = play[0].half_width["play_nm"] if play else 0.0
+    zero = zero_readings(whole, model, without, unsure)
     findings += [one.finding() for one in zero.clear]
     return FirstLook(
         ready[:n],

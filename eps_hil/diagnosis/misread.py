@@ -126,6 +126,18 @@ def misread(problem: Problem, selection: Selection, measured: Collection[str]) -
     return replace(best[1], low=float(low), high=float(high))
 
 
+def refined(wrong: Misread, problem: Problem, selection: Selection) -> Misread:
+    """The same once more, beside what is found now that it is known.
+
+    ``problem`` has it put right. What was found before may have made up for a part of it.
+    """
+    others = [e for e in selection.searched.entries if e["effect"] not in SPANNED]
+    bare = fit(problem, others, own={**ALL, **problem.tied})
+    still = Misread(wrong.signal, gain=1.0 if wrong.gain == 1.0 else 1.0 + LEAST_GAIN)
+    more, _ = _followed(problem, bare, others, still)
+    return replace(wrong, late_s=wrong.late_s + more.late_s, gain=wrong.gain * more.gain)
+
+
 def _instead(
     problem: Problem, found: Fit, start: Misread, names: Sequence[str]
 ) -> tuple[float, Misread] | None:

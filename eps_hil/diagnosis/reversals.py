@@ -33,7 +33,7 @@ _FORM = 0.02
 """Deviation of ln σ0 for what a curve may be beside both forms: 0.03 on six slip elements."""
 _SURE, _BEYOND_DOUBT, _SAME = 4.0, 8.0, 2.0
 """Deviations from nothing: of a finding, of one that no hold-out can judge, and of a hold-out's."""
-_AS_NOISE = 1.5
+_AS_NOISE = 1.25
 """Times the sensors' noise that may be left: where more is, something else acts at reversals."""
 _MOST_LOG = 1.5
 """Farther off is left to the balance, which then shows it plainly."""

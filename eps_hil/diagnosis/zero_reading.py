@@ -151,9 +151,13 @@ class ZeroReadings:
 
 
 def zero_readings(
-    recordings: Sequence[Prepared], model: Model, without: Collection[str]
+    recordings: Sequence[Prepared], model: Model, without: Collection[str], play_nm: float = 0.0
 ) -> ZeroReadings:
-    """Of the sensors whose effect is not in ``without``; none where too little was recorded."""
+    """Of the sensors whose effect is not in ``without``; none where too little was recorded.
+
+    ``play_nm``: half width of what is known of the torque sensor's play, whose middle is not
+    known any better.
+    """
     floor = float(np.sqrt(np.mean([one.floor_nm(model) ** 2 for one in recordings])))
     sliding = sum(
         int(np.sum(np.abs(one.thin(one.raw["motor_speed_rad_s"])) > _SLIDING_RAD_S))
@@ -168,6 +172,8 @@ def zero_readings(
         reading = _reading(signal, np.array(values), white * float(np.sqrt(STEP_S / WINDOW_S)))
         if reading is None:
             continue
+        unsure = play_nm if signal == "torque_sensor_nm" else 0.0
+        reading = replace(reading, half=float(np.hypot(reading.half, unsure)))
         per_nm = sliding * (_at_rotor({"effect": effect, "offset_nm": 1.0}, model) / floor) ** 2
         one = replace(reading, gain=per_nm * reading.value**2)
         if one.clear or per_nm * reading.half**2 < _LEAST_GAIN:
