@@ -19,7 +19,7 @@ from eps_hil.diagnosis.fit import BRISTLE, Fit
 from eps_hil.diagnosis.prepare import STEP_S, THIN, Floats, Prepared
 from eps_hil.diagnosis.problem import SETTLED_RAD, Problem
 from eps_hil.diagnosis.proof_of_fit import Holdout
-from eps_hil.physics.balance import residual_nm
+from eps_hil.physics.balance import residual_nm, sliding_levels_nm
 from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
 from eps_hil.physics.friction import FrictionLaw, friction_law, static_level_nm
 from eps_hil.physics.model import Model
@@ -216,12 +216,11 @@ def _left_over(one: Prepared, model: Model, masing: bool) -> Floats:
     """As ``one.left_over``; under Masing's rule the bristle's path is times T over their mean."""
     motion = one.motion(model)
     if masing:
-        law = friction_law(model.friction)
-        ways = np.ones_like(motion.speed_rad_s), -np.ones_like(motion.speed_rad_s)
-        up, down = (
-            _levels(way * np.abs(motion.speed_rad_s), motion.rack_force_n, law) for way in ways
-        )
-        share = np.where(motion.speed_rad_s >= 0.0, up, down) / (0.5 * (up + down))
+        law, speed = friction_law(model.friction), np.abs(motion.speed_rad_s)
+        up, down = (_levels(way, motion.rack_force_n, law) for way in (speed, -speed))
+        now = np.where(motion.speed_rad_s >= 0.0, up, down)
+        more = sliding_levels_nm(model, motion) - now  # of effects: the same either way
+        share = (now + more) / (0.5 * (up + down) + more)
         motion = motion._replace(
             travel_rad=motion.travel_rad * share, slip_rad=motion.slip_rad * share
         )

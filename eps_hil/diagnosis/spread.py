@@ -42,7 +42,7 @@ def parts(
 
     The first partition is samples alone.
     """
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     normal = jacobian.T @ jacobian
     known = np.zeros(len(normal))
@@ -64,7 +64,7 @@ def parts(
         deviations.append(np.sqrt(np.sum(each**2, axis=0) * (free + 1.0) / free + own))
         freedom.append(free)
     sigma, degrees = np.array(deviations), np.array(freedom)
-    return np.asarray(t.ppf(0.975, degrees) * sigma), sigma, degrees
+    return np.asarray(stdtrit(degrees, 0.975) * sigma), sigma, degrees
 
 
 def left_open(findings: Sequence[Mapping[str, Any]]) -> list[str]:

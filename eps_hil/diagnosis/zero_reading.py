@@ -195,7 +195,7 @@ def _reading(signal: str, values: Floats, noise: float) -> ZeroReading | None:
 
     Their mean, where they scatter as that noise does; else their median, by their own scatter.
     """
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     n = len(values)
     if n < FEWEST:
@@ -205,7 +205,7 @@ def _reading(signal: str, values: Floats, noise: float) -> ZeroReading | None:
     else:
         middle = float(np.median(values))
         usual = 1.4826 * float(np.median(np.abs(values - middle)))
-        half = 1.2533 * float(t.ppf(0.975, n - 1)) * max(usual, float(np.std(values)) / 3.0)
+        half = 1.2533 * float(stdtrit(n - 1, 0.975)) * max(usual, float(np.std(values)) / 3.0)
     if abs(middle) > _MOST_NM[signal]:
         return None
     return ZeroReading(signal, middle, half / float(np.sqrt(n)), n * WINDOW_S, 0.0)

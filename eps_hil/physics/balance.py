@@ -64,6 +64,20 @@ def residual_nm(model: Model, motion: Motion) -> tuple[Floats, Floats]:
     return out[:, 0], out[:, 1]
 
 
+def sliding_levels_nm(model: Model, motion: Motion) -> Floats:
+    """T_fs (n,) of a motion in the direction of its speed, effects included, Nm at the rotor."""
+    drive, levels = drive_of(model), np.zeros((2, len(motion.time_s)))
+    _levels_with_effects(drive, motion, levels)
+    return levels[0]
+
+
+@njit
+def _levels_with_effects(drive: Drive, m: Motion, levels: Floats) -> None:
+    _levels(m, drive.law, levels)
+    if drive.use.level:
+        added.levels_along(drive.effects, m, drive.sensor_to_rotor, levels[0], levels[1])
+
+
 _NOTHING, _NO_LEVELS = np.zeros(0), np.zeros((2, 0))
 _BACKWARD = -1e-300
 """A direction without a speed."""

@@ -9,9 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eps_hil.physics.balance import Floats, Motion, residual_nm
+from eps_hil.physics.balance import Floats, Motion, residual_nm, sliding_levels_nm
 from eps_hil.physics.effects import added
-from eps_hil.physics.friction import bristle_step, friction_torque_nm, static_level_nm
+from eps_hil.physics.friction import (
+    bristle_step,
+    friction_law,
+    friction_torque_nm,
+    static_level_nm,
+)
 from eps_hil.physics.model import load_model
 from eps_hil.physics.simulate import drive_of
 
@@ -90,6 +95,21 @@ def test_levels_along_a_motion_are_the_kernels_sample_by_sample(names: list[str]
         added.advance(drive.effects, added.crept(m, k, u, 1e-3), 1e-3)
     assert rests > {-1.0, 1.0}
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
+
+
+def test_levels_of_a_motion_hold_the_effects() -> None:
+    """Eq. 3 by the way it goes, and a Stribeck term on top."""
+    model = load_model(_MODEL)
+    speed = np.array([-20.0, -2.0, 3.0, 30.0])
+    force = np.array([500.0, -800.0, 0.0, 100.0])
+    rest = [np.zeros(4)] * 10
+    motion = Motion(*rest)._replace(speed_rad_s=speed, rack_force_n=force)
+    law = friction_law(model.friction)
+    static = [static_level_nm(v, f, law) for v, f in zip(speed, force, strict=True)]
+    np.testing.assert_allclose(sliding_levels_nm(model, motion), static)
+    effect = {"effect": "stribeck", "level_nm": 0.05, "speed_rad_s": 10.0}
+    more = sliding_levels_nm(replace(model, effects=(effect,)), motion) - static
+    np.testing.assert_allclose(more, 0.05 * np.exp(-((speed / 10.0) ** 2)), rtol=1e-9)
 
 
 def _with_rests() -> Motion:
