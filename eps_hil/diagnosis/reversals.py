@@ -37,7 +37,7 @@ _AS_NOISE = 1.25
 """Times the sensors' noise that may be left: where more is, something else acts at reversals."""
 _MOST_LOG = 1.5
 """Farther off is left to the balance, which then shows it plainly."""
-_MOST_STEP, _ROUNDS, _CLOSE = 0.4, 8, 0.01
+_MOST_STEP, _ROUNDS, _CLOSE, _STRAIGHT = 0.4, 8, 0.01, 0.2
 _REST_SAMPLES = 20
 """At 1 kHz: a rotor that stays longer has rested."""
 _SPEED_RAD_S = 1.0
@@ -153,9 +153,8 @@ def _asked(
         return None
     if sum(len(_reversals(one, model)) for one in recordings) < fewest:
         return None
-    total = 0.0
+    total, windows = 0.0, _windows(recordings, model, masing)
     for _ in range(_ROUNDS):
-        windows = _windows(recordings, _stiffer(model, total), masing)
         step, sigma, usual_nm = _step(windows)
         step = float(np.clip(step, -_MOST_STEP, _MOST_STEP))
         total += step
@@ -163,6 +162,8 @@ def _asked(
             return None
         if abs(step) < _CLOSE:
             break
+        slopes = windows if abs(step) < _STRAIGHT else None
+        windows = _windows(recordings, _stiffer(model, total), masing, slopes)
     else:
         return None
     floor = float(np.sqrt(np.mean([one.floor_nm(model) ** 2 for one in recordings])))
@@ -186,8 +187,14 @@ def _later(model: Model, seconds: float) -> Model:
     return replace(model, delays_s=moved)
 
 
-def _windows(recordings: Sequence[Prepared], model: Model, masing: bool) -> list[_Window]:
-    found = []
+def _windows(
+    recordings: Sequence[Prepared],
+    model: Model,
+    masing: bool,
+    like: Sequence[_Window] | None = None,
+) -> list[_Window]:
+    """All windows; what changes them as in those ``like`` them, or taken anew."""
+    found: list[_Window] = []
     pairs = (
         (_stiffer(model, _SMALL), _stiffer(model, -_SMALL), 2 * _SMALL),
         (_later(model, _SMALL_S), _later(model, -_SMALL_S), 2 * _SMALL_S),
@@ -200,15 +207,18 @@ def _windows(recordings: Sequence[Prepared], model: Model, masing: bool) -> list
         left = _left_over(turning, model, masing)
         slopes = [
             (_left_over(turning, a, masing) - _left_over(turning, b, masing)) / size
-            for a, b, size in pairs
+            for a, b, size in (pairs if like is None else ())
         ]
         way = np.tanh(one.thin(turning.motion(model).speed_rad_s) / _SPEED_RAD_S)
         for instant_s in at:
             rows = np.flatnonzero(np.abs(one.thin_time_s - instant_s) < HALF_WINDOW_S)
             own, _ = np.linalg.qr(np.column_stack([np.ones(len(rows)), way[rows]]))
+            alone = left[rows] - own @ (own.T @ left[rows])
+            if like is not None:
+                found.append(_Window(alone, like[len(found)].columns))
+                continue
             columns = np.column_stack([slope[rows] for slope in slopes])
-            less = left[rows] - own @ (own.T @ left[rows]), columns - own @ (own.T @ columns)
-            found.append(_Window(*less))
+            found.append(_Window(alone, columns - own @ (own.T @ columns)))
     return found
 
 
