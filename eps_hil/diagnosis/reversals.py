@@ -42,6 +42,10 @@ _REST_SAMPLES = 20
 """At 1 kHz: a rotor that stays longer has rested."""
 _SPEED_RAD_S = 1.0
 """Below this the two levels of a window pass into one another."""
+_LUGRE = "the form that the model file knows (LuGre's)"
+_MASING = (
+    "one length both ways, as slip elements have (Masing), where the model file's form has two"
+)
 _SMALL, _SMALL_S = 0.05, 1e-4
 """Of ln σ0 and of a delay, for a difference."""
 
@@ -82,7 +86,8 @@ class Bristle:
             "kind": str(effect.kind),
             "confidence": 0.95,
             "equation": effect.equation,
-            "summary": f"{sentence.format(**values)} Seen in {self.count} full reversals.",
+            "summary": f"{sentence.format(**values)} Seen in {self.count} full reversals of "
+            f"{_MASING if self.masing else _LUGRE}.",
             "parameters": {
                 "sigma0_nm_per_rad": {
                     "value": value,
