@@ -103,8 +103,10 @@ def diagnose(
     if wrong is not None:
         given, tied = look, load_knobs(load)
         look, problem, selection = _beside(wrong, given, tied, say, without)
-        wrong = refined(wrong, selection.part, selection)
-        look, problem, selection = _beside(wrong, given, tied, say, without)
+        better = refined(wrong, selection.part, selection)
+        if better is not wrong:
+            wrong = better
+            look, problem, selection = _beside(wrong, given, tied, say, without)
         judged = _holdouts(look, kept)
     findings = borne_out(problem, selection, judged)
     if say:

@@ -129,12 +129,15 @@ def misread(problem: Problem, selection: Selection, measured: Collection[str]) -
 def refined(wrong: Misread, problem: Problem, selection: Selection) -> Misread:
     """The same once more, beside what is found now that it is known.
 
-    ``problem`` has it put right. What was found before may have made up for a part of it.
+    ``problem`` has it put right. What was found before may have made up for a part of it. The very
+    same where it did not.
     """
     others = [e for e in selection.searched.entries if e["effect"] not in SPANNED]
     bare = fit(problem, others, own={**ALL, **problem.tied})
     still = Misread(wrong.signal, gain=1.0 if wrong.gain == 1.0 else 1.0 + LEAST_GAIN)
     more, _ = _followed(problem, bare, others, still)
+    if abs(more.late_s) < _RESOLUTION_S and abs(more.gain - 1.0) < _RESOLUTION:
+        return wrong
     return replace(wrong, late_s=wrong.late_s + more.late_s, gain=wrong.gain * more.gain)
 
 

@@ -158,7 +158,7 @@ def levels_first(
     best = _with_constant(problem, without, asymmetry)
     if not ruled_out:
         return best if best.cost < found.cost + margin else found
-    for name in set(others) & set(considered) - set(settled):
+    for name in (one for one in others if one in considered and one not in settled):
         trial = _with_constant(problem, without, name)
         best = trial if trial.cost < best.cost - margin else best
     return best

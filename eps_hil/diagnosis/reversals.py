@@ -14,14 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from eps_hil.compiled import njit
 from eps_hil.diagnosis.fit import BRISTLE, Fit
 from eps_hil.diagnosis.prepare import STEP_S, THIN, Floats, Prepared
 from eps_hil.diagnosis.problem import SETTLED_RAD, Problem
 from eps_hil.diagnosis.proof_of_fit import Holdout
 from eps_hil.physics.balance import residual_nm, sliding_levels_nm
 from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
-from eps_hil.physics.friction import FrictionLaw, friction_law, static_level_nm
 from eps_hil.physics.model import Model
 
 FEWEST, FEWEST_KEPT = 20, 8
@@ -30,7 +28,7 @@ HALF_WINDOW_S = 0.12
 LONGEST_INTERVAL_S = 2e-3
 """Between samples: a reversal is over in ten to thirty milliseconds."""
 _FORM = 0.02
-"""Deviation of ln σ0 for what a curve may be beside both forms: 0.03 on six slip elements."""
+"""Deviation of ln σ0 for what a curve may be beside both forms, as of a few slip elements."""
 _SURE, _BEYOND_DOUBT, _SAME = 4.0, 8.0, 2.0
 """Deviations from nothing: of a finding, of one that no hold-out can judge, and of a hold-out's."""
 _AS_NOISE = 1.25
@@ -231,23 +229,15 @@ def _left_over(one: Prepared, model: Model, masing: bool) -> Floats:
     """As ``one.left_over``; under Masing's rule the bristle's path is times T over their mean."""
     motion = one.motion(model)
     if masing:
-        law, speed = friction_law(model.friction), np.abs(motion.speed_rad_s)
-        up, down = (_levels(way, motion.rack_force_n, law) for way in (speed, -speed))
-        now = np.where(motion.speed_rad_s >= 0.0, up, down)
-        more = sliding_levels_nm(model, motion) - now  # of effects: the same either way
-        share = (now + more) / (0.5 * (up + down) + more)
+        speed = np.abs(motion.speed_rad_s)
+        up, down = (
+            sliding_levels_nm(model, motion._replace(speed_rad_s=way)) for way in (speed, -speed)
+        )
+        share = np.where(motion.speed_rad_s >= 0.0, up, down) / (0.5 * (up + down))
         motion = motion._replace(
             travel_rad=motion.travel_rad * share, slip_rad=motion.slip_rad * share
         )
     return one.thin(residual_nm(model, motion)[0])
-
-
-@njit
-def _levels(speed: Floats, force: Floats, law: FrictionLaw) -> Floats:
-    levels = np.empty(len(speed))
-    for k in range(len(speed)):
-        levels[k] = static_level_nm(speed[k], force[k], law)
-    return levels
 
 
 def _step(windows: Sequence[_Window]) -> tuple[float, float, float]:

@@ -36,7 +36,7 @@ _SURE = 0.95
 
 @dataclass(frozen=True)
 class ZeroReading:
-    """What one sensor reads (Nm) with nothing on it, and its 95 % half width."""
+    """What one sensor reads (Nm) with nothing on it, less what the model knows; 95 % half width."""
 
     signal: str
     value: float
@@ -173,12 +173,23 @@ def zero_readings(
         if reading is None:
             continue
         unsure = play_nm if signal == "torque_sensor_nm" else 0.0
-        reading = replace(reading, half=float(np.hypot(reading.half, unsure)))
+        beside = reading.value - _held(signal, model)
+        reading = replace(reading, value=beside, half=float(np.hypot(reading.half, unsure)))
         per_nm = sliding * (_at_rotor({"effect": effect, "offset_nm": 1.0}, model) / floor) ** 2
         one = replace(reading, gain=per_nm * reading.value**2)
         if one.clear or per_nm * reading.half**2 < _LEAST_GAIN:
             seen.append(one)
     return ZeroReadings(tuple(seen))
+
+
+def _held(signal: str, model: Model) -> float:
+    """What a sensor reads with nothing on it by the model's own effects, Nm."""
+    effects = model.effects
+    offset = sum(float(e["offset_nm"]) for e in effects if e["effect"] == SENSORS[signal])
+    if signal == "torque_sensor_nm":
+        return offset
+    gains = [float(e["gain"]) for e in effects if e["effect"] == "motor_torque_gain"]
+    return -offset / float(np.prod(gains))
 
 
 def _windows(one: Prepared, signal: str, model: Model) -> list[float]:

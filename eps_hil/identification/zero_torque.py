@@ -24,7 +24,7 @@ _SHARE = 0.05
 """Of what a free wheel makes the sensor read, what inertia and damping need not explain: a bar that
 swings, a gain that turns with a joint. A hand leaves as much as it explains."""
 _INERTIA_KG_M2 = (-0.01, 0.15)
-"""Three times any steering wheel's: a hand that turns slowly against a spring looks heavier…"""
+"""Well beyond a steering wheel's: a hand that turns slowly against a spring looks heavier…"""
 _LEAST_DAMPING_NM_S_PER_RAD = -0.05
 """…and one that drives feeds what a free wheel takes."""
 

@@ -85,11 +85,10 @@ def test_too_few_reversals_slow_samples_or_something_else_there_say_nothing(
     assert asked(short, reference_model)[2] is None
     slow = [one.changed(interval_s=5e-3) for one in ready(rig, 3)]
     assert asked(slow, reference_model)[2] is None
-    shaken = [
-        one.changed(raw={**one.raw, name: one.raw[name] + 0.02 * np.sin(90.0 * one.time_s)})
-        for one in ready(rig, 3)
-        for name in ("motor_torque_nm",)
-    ]
+    shaken = []
+    for one in ready(rig, 3):
+        torque = one.raw["motor_torque_nm"] + 0.02 * np.sin(90.0 * one.time_s)
+        shaken.append(one.changed(raw={**one.raw, "motor_torque_nm": torque}))
     assert asked(shaken, reference_model)[2] is None
 
 

@@ -24,7 +24,7 @@ Diagnosed = Callable[..., Diagnosis]
 def diagnosed(reference_model: Model) -> Diagnosed:
     """A diagnosis of a world of the proof's plant, driven through a programme."""
 
-    def at(world: World, name: str = "training") -> Diagnosis:
+    def at(world: World, name: str = "training", model: Model = reference_model) -> Diagnosis:
         rng = np.random.default_rng(8)
         made = {}
         for role, program in zip(("a", "b", "kept"), programme(name, rng), strict=True):
@@ -32,7 +32,7 @@ def diagnosed(reference_model: Model) -> Diagnosed:
             columns = sensors.measured(clean, world.instruments, rng)
             t_ns = np.round(columns.pop("time_s") * 1e9).astype(np.int64)
             made[role] = {key: Series(t_ns, value) for key, value in columns.items()}
-        return diagnose(reference_model, {k: made[k] for k in "ab"}, {"kept": made["kept"]})
+        return diagnose(model, {k: made[k] for k in "ab"}, {"kept": made["kept"]})
 
     return at
 
@@ -79,6 +79,17 @@ def test_without_such_stretches_all_three_are_possible(diagnosed: Diagnosed) -> 
     (finding,) = diagnosed(OFF_SENSOR, "never_free").content["findings"]
     family = {"motor_torque_offset", "torque_sensor_offset", "friction_asymmetry"}
     assert {finding["effect"], *finding["confusable_with"]} == family
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", [OFF_MOTOR, OFF_SENSOR])
+def test_an_offset_that_the_model_knows_is_not_found_again(
+    diagnosed: Diagnosed, world: World
+) -> None:
+    written = diagnosed(world).model
+    again = diagnosed(world, model=written)
+    assert again.content["verdict"] == "no_mismatch"
+    assert again.model.effects == written.effects
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eps_hil.identification.zero_torque import WINDOW_S, readings
+from eps_hil.identification.zero_torque import WINDOW_S, _kernel, readings
 from eps_hil.proof import sensors
 from eps_hil.proof.programmes import programme
 from eps_hil.proof.truth import Drive, Floats
@@ -64,6 +64,12 @@ def test_a_motor_that_is_off_reads_its_offset_and_one_that_damps_does_not() -> N
     assert np.mean(found) == pytest.approx(0.004, abs=1e-3)
     assert readings(-3e-4 * SPEED + noise(), SPEED, GOOD, NOISE_NM) == []
     assert readings(free_wheel(0.05, 0.1) + noise(), SPEED, GOOD, NOISE_NM) == []
+
+
+def test_what_is_slower_than_a_wheel_swings_passes_by_half_at_3_3_hz() -> None:
+    response = np.abs(np.fft.rfft(_kernel(), 1 << 16))
+    hz = np.fft.rfftfreq(1 << 16, 1e-3)
+    assert hz[np.argmax(response < 0.5)] == pytest.approx(3.3, abs=0.05)
 
 
 def test_nothing_from_rest_from_bad_data_or_from_a_constant_in_a_file() -> None:
