@@ -71,6 +71,39 @@ def test_intervals_must_be_neither_too_narrow_nor_too_wide(inside: int, met: boo
     assert _row(rows, "90 %").met is met
 
 
+def test_the_right_set_is_whole_and_nothing_more() -> None:
+    cases = [Scored(_judged("singles", 0.6), {}), Scored(_judged("pairs"), {})]
+    cases += [Scored(_judged("singles", 1.5, invented=("inertia",)), {})]
+    cases += [Scored(_judged("pairs", truths=("stribeck", "backlash")), {})]
+    cases += [Scored(_judged("singles", 0.3, in_set=()), {})]
+    row = _row(figures(cases), "right set and nothing else")
+    assert (row.value, row.cases, row.met) == (0.5, 4, False)
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "most"),
+    [
+        ("stribeck", "level_nm", 0.15),
+        ("breakaway_dwell", "time_s", 0.15),
+        ("motor_torque_delay", "delay_s", 0.15),
+        ("cogging_torque", "amplitude_nm", 0.10),
+    ],
+)
+def test_a_parameter_is_close_or_not(effect: str, parameter: str, most: float) -> None:
+    errors = (most - 0.01, 0.01 - most, most + 0.01, -most - 0.01)
+    estimates = tuple(Estimate(effect, parameter, error, None) for error in errors)
+    faint = Scored(_judged("singles", 0.3, estimates=estimates), {})
+    row = _row(figures([Scored(_judged("singles", estimates=estimates), {}), faint]), "parameters")
+    assert (row.value, row.cases, row.met) == (0.5, 4, None)
+
+
+def test_a_hold_out_is_as_good_as_the_truth_or_not() -> None:
+    cases = [Scored(_judged("singles"), _worth(30.0, one, 10.0)) for one in (10.0, 11.4, 11.6, 9.0)]
+    rows = figures(cases)
+    row = _row(rows, "held-out residual ÷ the true model's, at most 1.15")
+    assert (row.value, row.cases) == (0.75, 4)
+
+
 def test_the_gain_counts_against_the_true_models() -> None:
     cases = [Scored(_judged("singles"), _worth(30.0, 12.0, 10.0)) for _ in range(9)]
     cases += [Scored(_judged("singles"), _worth(20.0, 20.0, 10.0))]
