@@ -12,9 +12,10 @@ from eps_hil.axis.emps import ARM_M, AxisRecord, published_model
 from eps_hil.axis.findings import findings
 from eps_hil.axis.identify import axis_numbers
 from eps_hil.axis.phase import rephased
-from eps_hil.diagnosis.prepare import EDGE_S, SMOOTH_HZ, STEP_S, low_pass, prepare
+from eps_hil.diagnosis.prepare import EDGE_S, SMOOTH_HZ, STEP_S, prepare
 from eps_hil.estimation import batch
 from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.identification.butterworth import low_pass
 from eps_hil.physics.balance import residual_nm
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model

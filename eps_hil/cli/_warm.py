@@ -17,8 +17,9 @@ import time
 
 SAID, COMPLAINED = "stdout.txt", "stderr.txt"
 _LOADED = (
-    "scipy.signal",
     "scipy.interpolate",
+    "scipy.ndimage",
+    "scipy.optimize",
     "jinja2",
     "eps_hil.diagnosis.diagnose",
     "eps_hil.recordings.read",

@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.baseline import OFFSET, SPRING
-from eps_hil.diagnosis.prepare import Prepared, low_pass
+from eps_hil.diagnosis.prepare import Prepared
 from eps_hil.diagnosis.problem import sliding
+from eps_hil.identification.butterworth import low_pass
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 

@@ -7,7 +7,7 @@ pass the same one.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 from math import comb
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
+from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.identification.filters import between, shifted
 from eps_hil.physics.balance import Motion, residual_nm
 from eps_hil.physics.effects.catalogue import with_model_effects
@@ -151,7 +152,7 @@ class Prepared:
 
         Under ``model``: what it multiplies a signal with, it multiplies the signal's noise with.
         """
-        share = _passed(CUTOFF_HZ, 0)
+        share = passed(CUTOFF_HZ, 0)
         worked_in = with_model_effects(model)
         gains = {str(e["effect"]): float(e["gain"]) for e in worked_in.effects if "gain" in e}
         motor = gains.get("motor_torque_gain", 1.0)
@@ -177,8 +178,8 @@ class Prepared:
     def _acceleration_variance(self) -> float:
         """Of the filtered acceleration, by noise alone, rad²/s⁴."""
         if self.speed_is_derived:
-            return self.noise["motor_angle_rad"] ** 2 * _passed(CUTOFF_HZ, 4)
-        return self.noise["motor_speed_rad_s"] ** 2 * _passed(CUTOFF_HZ, 2)
+            return self.noise["motor_angle_rad"] ** 2 * passed(CUTOFF_HZ, 4)
+        return self.noise["motor_speed_rad_s"] ** 2 * passed(CUTOFF_HZ, 2)
 
     def _signal(self, name: str, delay_s: float) -> Floats:
         if name not in self.raw:
@@ -257,7 +258,7 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
         raw["motor_speed_rad_s"] = np.gradient(low_pass(raw["motor_angle_rad"], SMOOTH_HZ), STEP_S)
         # as a white speed noise that leaves as much in the smoothed speed
         noise["motor_speed_rad_s"] = noise["motor_angle_rad"] * float(
-            np.sqrt(_passed(SMOOTH_HZ, 2) / _passed(SMOOTH_HZ, 0))
+            np.sqrt(passed(SMOOTH_HZ, 2) / passed(SMOOTH_HZ, 0))
         )
     time_s = np.asarray(t_ns * 1e-9 + (origin - start) * 1e-9, dtype=np.float64)
     balance = ("motor_torque_nm", "motor_speed_rad_s", "motor_angle_rad", "rack_force_n")
@@ -313,46 +314,6 @@ def _noise_of(bends: Floats, order: int) -> float:
     return float(np.sqrt(np.mean(np.minimum(bends, _TAIL * usual) ** 2) / scale))
 
 
-def low_pass(values: Floats, cutoff_hz: float) -> Floats:
-    """Fourth-order Butterworth forward and backward at 1 kHz: no phase.
-
-    As ``scipy.signal.sosfiltfilt``, which works its starting state out anew for every call and
-    lets no other thread run meanwhile.
-    """
-    sos, settled = _settled(cutoff_hz)
-    edge = 3 * (2 * len(sos) + 1)
-    if len(values) <= edge:
-        raise ValueError("is too short for its filters")
-    ends = 2 * values[0] - values[edge:0:-1], 2 * values[-1] - values[-2 : -edge - 2 : -1]
-    there = np.concatenate([ends[0], values, ends[1]])
-    _there_and_back(there, sos, settled)
-    return there[edge:-edge]
-
-
-@njit
-def _there_and_back(values: Floats, sos: Floats, settled: Floats) -> None:
-    """Through two second-order sections, (2, 6), forward and backward, in place."""
-    _through(values, sos, settled * values[0])
-    _through(values[::-1], sos, settled * values[-1])
-
-
-@njit(inline="always")
-def _through(values: Floats, sos: Floats, state: Floats) -> None:
-    """Through both sections (transposed direct form II); scalars stay in registers."""
-    b0, b1, b2, a1, a2 = sos[0, 0], sos[0, 1], sos[0, 2], sos[0, 4], sos[0, 5]
-    c0, c1, c2, d1, d2 = sos[1, 0], sos[1, 1], sos[1, 2], sos[1, 4], sos[1, 5]
-    y0, y1, z0, z1 = state[0, 0], state[0, 1], state[1, 0], state[1, 1]
-    for k in range(len(values)):
-        given = values[k]
-        between = b0 * given + y0
-        y0 = b1 * given - a1 * between + y1
-        y1 = b2 * given - a2 * between
-        out = c0 * between + z0
-        z0 = c1 * between - d1 * out + z1
-        z1 = c2 * between - d2 * out
-        values[k] = out
-
-
 @njit
 def with_play(angle: Floats, half_width: float) -> Floats:
     """The angle followed only past a gap: noise inside it is no path, and wears no bristle down."""
@@ -365,28 +326,3 @@ def with_play(angle: Floats, half_width: float) -> Floats:
             held = angle[k] + half_width
         out[k] = held
     return out
-
-
-@cache
-def _passed(cutoff_hz: float, power: int) -> float:
-    """What the filter leaves of the variance of white noise, times (2πf) to this power."""
-    from scipy.signal import sosfreqz
-
-    frequency, response = sosfreqz(_filter(cutoff_hz), 4096, fs=1 / STEP_S)
-    gain = np.abs(response) ** 4  # forward and backward
-    return float(np.mean(gain * (2 * np.pi * frequency) ** power))
-
-
-@cache
-def _settled(cutoff_hz: float) -> tuple[Floats, Floats]:
-    """The filter, and its state after a constant of one."""
-    from scipy.signal import sosfilt_zi
-
-    return _filter(cutoff_hz), np.asarray(sosfilt_zi(_filter(cutoff_hz)))
-
-
-@cache
-def _filter(cutoff_hz: float) -> Floats:
-    from scipy.signal import butter
-
-    return np.asarray(butter(4, cutoff_hz, fs=1 / STEP_S, output="sos"))

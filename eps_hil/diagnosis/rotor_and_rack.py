@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.drift import drift_matters
-from eps_hil.diagnosis.prepare import Prepared, low_pass
+from eps_hil.diagnosis.prepare import CUTOFF_HZ, Prepared
 from eps_hil.diagnosis.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
 from eps_hil.diagnosis.side_by_side import each
 from eps_hil.diagnosis.spread import Integers, half_widths
+from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -90,7 +91,7 @@ class Rows:
         sigma = np.hypot(
             one.noise.get("motor_angle_rad", 0.0), ratio * one.noise["rack_position_m"]
         )
-        self.sigma = max(float(sigma) * np.sqrt(_passed()), 1e-6)
+        self.sigma = max(float(sigma) * np.sqrt(passed(CUTOFF_HZ, 0)), 1e-6)
         block = (one.thin_time_s - one.thin_time_s[0]) // BLOCK_S
         self.block = block[usable].astype(np.int64)
 
@@ -100,14 +101,6 @@ def may_be_open(torque: Floats) -> Flags:
     small = np.abs(torque) < _OPEN_NM
     small |= np.append(np.diff(np.sign(torque)) != 0, False)
     return np.asarray(np.convolve(small, np.ones(_WIDE), mode="same") > 0)
-
-
-def _passed() -> float:
-    """Share of white noise's power that the low-pass of ``thin`` lets through."""
-    from scipy.signal import butter, sosfreqz
-
-    sos = butter(4, 40.0, fs=1000.0, output="sos")
-    return float(np.mean(np.abs(sosfreqz(sos, 2048)[1]) ** 4))
 
 
 def has_rack(one: Prepared, model: Model) -> bool:

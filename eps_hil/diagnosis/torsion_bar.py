@@ -9,10 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.prepare import Prepared, low_pass, with_play
+from eps_hil.diagnosis.prepare import Prepared, with_play
 from eps_hil.diagnosis.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
 from eps_hil.diagnosis.side_by_side import each
 from eps_hil.diagnosis.spread import Integers, half_widths
+from eps_hil.identification.butterworth import low_pass
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.identification import filters
-from eps_hil.identification.filters import STEP_S, low_pass
+from eps_hil.identification.butterworth import low_pass
+from eps_hil.identification.filters import STEP_S
 from eps_hil.identification.friction_rows import COLUMNS, friction_rows
 from eps_hil.identification.kinematics import FREQUENCY, Kinematics
 from eps_hil.identification.prepare import Prepared

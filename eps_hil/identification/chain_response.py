@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
+from eps_hil.identification.butterworth import low_pass
 from eps_hil.identification.frequency_response import (
     INPUT,
     Complexes,
@@ -205,9 +206,7 @@ def _drive(
 
 def _smoothed(value: Floats) -> Floats:
     """Zero-phase low-pass at 20 Hz: force and position alike, so their relation stays."""
-    from scipy.signal import butter, sosfiltfilt
-
-    return np.asarray(sosfiltfilt(butter(2, 20.0, fs=1000.0, output="sos"), value))
+    return low_pass(value, 20.0, 2)
 
 
 def _rms(value: npt.NDArray[np.float64]) -> float:

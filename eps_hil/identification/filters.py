@@ -91,15 +91,8 @@ def thinned(values: Floats) -> Floats:
     return values[HALF : len(values) - HALF : THIN]
 
 
-def low_pass(values: Floats, corner_hz: float, order: int = 4) -> Floats:
-    """Butterworth forward and backward: no phase."""
-    from scipy.signal import butter, sosfiltfilt
-
-    return np.asarray(sosfiltfilt(butter(order, corner_hz, fs=1 / STEP_S, output="sos"), values))
-
-
 def low_pass_power(frequency_hz: Floats, corner_hz: float, order: int = 4) -> Floats:
-    """Gain of :func:`low_pass` for power."""
+    """Gain of ``butterworth.low_pass`` for power, well below half the sampling rate."""
     return np.asarray(1.0 / (1.0 + (frequency_hz / corner_hz) ** (2 * order)) ** 2)
 
 

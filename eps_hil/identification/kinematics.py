@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.identification import filters
-from eps_hil.identification.filters import STEP_S, low_pass
+from eps_hil.identification.butterworth import low_pass
+from eps_hil.identification.filters import STEP_S
 from eps_hil.identification.finding import Finding
 from eps_hil.identification.motion_check import check_speed
 from eps_hil.identification.prepare import Prepared

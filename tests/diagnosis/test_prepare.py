@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import butter, sosfiltfilt
 
-from eps_hil.diagnosis.prepare import Floats, low_pass, noise_of, prepare
+from eps_hil.diagnosis.prepare import Floats, noise_of, prepare
 from eps_hil.diagnosis.problem import Problem
+from eps_hil.identification.butterworth import low_pass
 from eps_hil.physics.model import Model, load_model
 from eps_hil.series import Series
 
@@ -30,25 +30,6 @@ def test_noise_is_seen_through_motion(sigma: float, seed: int) -> None:
 def test_no_noise_is_no_noise() -> None:
     assert noise_of(np.ones(1000)) == 0.0
     assert noise_of(np.linspace(0, 1, 1000) ** 2) < 1e-8
-
-
-def test_the_filter_has_no_phase() -> None:
-    t = np.arange(4000) * 1e-3
-    slow = np.sin(2 * np.pi * 3 * t)
-    assert np.max(np.abs(low_pass(slow, 40.0) - slow)[500:-500]) < 1e-3
-
-
-@pytest.mark.parametrize("samples", [16, 17, 40, 5000])
-def test_the_filter_is_scipys(samples: int) -> None:
-    """To the last bit: only the starting state is not worked out anew."""
-    values = np.random.default_rng(samples).normal(size=samples)
-    sos = butter(4, 40.0, fs=1000.0, output="sos")
-    np.testing.assert_array_equal(low_pass(values, 40.0), sosfiltfilt(sos, values))
-
-
-def test_too_short_for_the_filter_is_said() -> None:
-    with pytest.raises(ValueError, match="too short"):
-        low_pass(np.zeros(15), 40.0)
 
 
 def test_a_copy_keeps_what_is_remembered_of_its_signals_only(

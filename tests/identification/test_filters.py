@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eps_hil.diagnosis.prepare import low_pass
+from eps_hil.identification.butterworth import low_pass
 from eps_hil.identification.filters import between
 
 Stamps = npt.NDArray[np.int64]

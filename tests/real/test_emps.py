@@ -62,7 +62,7 @@ def proof(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, A
 def test_least_squares_agrees_with_the_published_parameters(
     records: tuple[AxisRecord, AxisRecord],
 ) -> None:
-    from eps_hil.diagnosis.prepare import low_pass
+    from eps_hil.identification.butterworth import low_pass
 
     fitted, _ = records
     speed = np.gradient(low_pass(fitted.position_m, 100.0), 1e-3)
