@@ -201,6 +201,7 @@ def _say(content: Mapping[str, Any]) -> None:
 def _advise(result: "Diagnosis", path: Path) -> None:
     """Simulate the menu of rig tests; write the one that separates the least sure finding."""
     from eps_hil.diagnosis.advise import advise
+    from eps_hil.diagnosis.zero_reading import zero_readings
     from eps_hil.recordings.files import replacing
     from eps_hil.rig.menu import menu, write
 
@@ -214,7 +215,9 @@ def _advise(result: "Diagnosis", path: Path) -> None:
     name, rivals = finding["effect"], finding["confusable_with"]
     with progress("simulating rig tests") as bar:
         tests = menu(result.problem.model, bar)
-    advice = advise(result.problem.model, entries[name], rivals, tests)
+    recordings, model = result.problem.recordings, result.problem.model
+    read = zero_readings(recordings, model, ()).settled
+    advice = advise(model, entries[name], rivals, tests, read)
     content["next_manoeuvre"] = {
         "effect": name,
         "against": rivals,

@@ -3,10 +3,11 @@
 Each test of a menu is simulated. On its motion the finding, as fitted, changes the torque balance
 in one way; its rival, in whatever shape and strength and with every number of the model moved
 along, can copy a part of that. What cannot be copied, in variances of the sensors' noise and per
-minute of test, is the separation. The menu comes from outside: this package knows no rig.
+minute of test, is the separation. So is what a sensor reads with nothing on it, where one of the
+two is that sensor's constant error. The menu comes from outside: this package knows no rig.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from eps_hil.diagnosis.baseline import ALL, HOLD, turned
 from eps_hil.diagnosis.locate import coordinates
 from eps_hil.diagnosis.prepare import prepare
 from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.zero_reading import told_apart
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Effect
 from eps_hil.physics.model import Model
@@ -59,17 +61,24 @@ def advise(
     entry: Mapping[str, Any],
     rivals: Sequence[str],
     menu: Mapping[str, Mapping[str, Series]],
+    settled: Collection[str] = (),
 ) -> list[Advice]:
     """Tests of ``menu`` (name -> its simulated recording), that which tells most first.
 
     ``model`` is without ``entry``, the finding as fitted; a test is worth what it tells of the
-    rival that copies the finding best.
+    rival that copies the finding best. ``settled``: constant errors of sensors that were read with
+    nothing on them already, and that it would not help to read again.
     """
     found = []
+    model = replace(model, effects=_others(model, entry))
     for name, series in menu.items():
-        problem = Problem([prepare(name, series)], replace(model, effects=_others(model, entry)))
+        recording = prepare(name, series)
+        problem = Problem([recording], model)
         seconds = float(problem.recordings[0].time_s[-1] - problem.recordings[0].time_s[0])
-        least = min(separation(problem, entry, rival) for rival in rivals)
+        least = min(
+            separation(problem, entry, rival) + told_apart(recording, model, entry, rival, settled)
+            for rival in rivals
+        )
         found.append(Advice(name, 60.0 * least / seconds, seconds))
     return sorted(found, key=lambda one: -one.separation_per_min)
 

@@ -20,6 +20,8 @@ from eps_hil.physics.model import Model
 
 SENSORS = {"torque_sensor_nm": "torque_sensor_offset", "motor_torque_nm": "motor_torque_offset"}
 """Signals, and the effects that are their constant errors."""
+_UNEVEN = "friction_asymmetry"
+"""What a constant may be that no sensor reads."""
 FEWEST = 3
 """Windows: one may be a hand that lies still."""
 _MOST_NM = {"torque_sensor_nm": 0.5, "motor_torque_nm": 0.2}
@@ -169,7 +171,7 @@ def zero_readings(
             continue
         values = [value for one in recordings for value in _windows(one, signal, model)]
         white = float(np.mean([one.noise[signal] for one in recordings]))
-        reading = _reading(signal, np.array(values), white * float(np.sqrt(STEP_S / WINDOW_S)))
+        reading = _reading(signal, np.array(values), _of_a_window(white))
         if reading is None:
             continue
         unsure = play_nm if signal == "torque_sensor_nm" else 0.0
@@ -180,6 +182,33 @@ def zero_readings(
         if one.clear or per_nm * reading.half**2 < _LEAST_GAIN:
             seen.append(one)
     return ZeroReadings(tuple(seen))
+
+
+def told_apart(
+    one: Prepared, model: Model, entry: Mapping[str, Any], rival: str, without: Collection[str]
+) -> float:
+    """Noise variances by which sensors with nothing on them tell ``entry`` from a ``rival``.
+
+    The rival is as large as the entry is while sliding. What sensors of the effects ``without``
+    read tells nothing.
+    """
+    size = _at_rotor(entry, model)
+    if size == 0.0 or rival not in (*SENSORS.values(), _UNEVEN):
+        return 0.0
+    told = 0.0
+    for signal, effect in SENSORS.items():
+        if effect in without or effect not in (entry["effect"], rival) or signal not in one.raw:
+            continue
+        count = len(_windows(one, signal, model))
+        offset_nm = size / _at_rotor({"effect": effect, "offset_nm": 1.0}, model)
+        if count >= FEWEST:
+            told += count * (offset_nm / _of_a_window(one.noise[signal])) ** 2
+    return told
+
+
+def _of_a_window(noise: float) -> float:
+    """What white noise (rms) makes of one window's reading (rms)."""
+    return noise * float(np.sqrt(STEP_S / WINDOW_S))
 
 
 def _held(signal: str, model: Model) -> float:
@@ -228,6 +257,6 @@ def _at_rotor(entry: Mapping[str, Any], model: Model) -> float:
         return -model.sensor_to_rotor * float(entry["offset_nm"])
     if entry["effect"] == "motor_torque_offset":
         return float(entry["offset_nm"])
-    if entry["effect"] == "friction_asymmetry":
+    if entry["effect"] == _UNEVEN:
         return -float(entry["half_difference_nm"])
     return 0.0

@@ -83,6 +83,16 @@ def _fast_load() -> dict[str, Any]:
     }
 
 
+def _motor_off() -> dict[str, Any]:
+    """The rig moves the rack; hands and motor are off, so both torque sensors should read none."""
+    way = {"sine": {"amplitude": 0.02, "frequency_hz": 0.5, "fade_s": 1.0}}
+    rig = {"stiffness_n_per_m": 200e3, "damping_n_s_per_m": 20e3, "position_m": way}
+    return {
+        "description": "the rig moves the rack, hands off the wheel and motor off",
+        "segments": [{"duration_s": 20.0, "rig": rig, "driver": "hands_off"}],
+    }
+
+
 VARIANTS: Mapping[str, Callable[[], dict[str, Any]]] = {
     "slow_reversals": _slow_reversals,
     "hold_series": _hold_series,
@@ -90,6 +100,7 @@ VARIANTS: Mapping[str, Callable[[], dict[str, Any]]] = {
     "speeds_under_load": lambda: _speeds([0.0, 1500.0, -1500.0]),
     "long_travel": _long_travel,
     "fast_load": _fast_load,
+    "motor_off": _motor_off,
 }
 
 

@@ -56,12 +56,51 @@ def test_running_the_advised_test_settles_it(
     assert costs[RIVAL] - costs["stribeck"] > 60.0
 
 
-def test_what_no_motion_tells_apart_is_not_promised(
-    tests: Mapping[str, Mapping[str, Series]], reference_model: Model
+CONSTANTS = ("motor_torque_offset", "torque_sensor_offset", "friction_asymmetry")
+FREE = ("weave", "slow_reversals", "fast_load", "motor_off")
+"""A driver and assist; a driver alone; the motor alone; neither."""
+
+
+@pytest.fixture(scope="module")
+def free(reference_model: Model) -> Mapping[str, Mapping[str, Series]]:
+    return menu(reference_model, names=FREE)
+
+
+def of_one(name: str) -> Mapping[str, Any]:
+    parameter = "half_difference_nm" if name == "friction_asymmetry" else "offset_nm"
+    return {"effect": name, parameter: 0.1 if name == "torque_sensor_offset" else 0.006}
+
+
+@pytest.mark.parametrize("name", CONSTANTS)
+def test_constants_are_told_apart_where_sensors_have_nothing_on_them(
+    free: Mapping[str, Mapping[str, Series]], reference_model: Model, name: str
 ) -> None:
-    offset = {"effect": "motor_torque_offset", "offset_nm": 0.01}
-    advice = advise(reference_model, offset, ["torque_sensor_offset"], tests)
-    assert advice[0].minutes > 60.0
+    rivals = [one for one in CONSTANTS if one != name]
+    advice = {one.manoeuvre: one for one in advise(reference_model, of_one(name), rivals, free)}
+    assert advice["motor_off"].minutes < 1.0
+    assert advice["weave"].minutes > 60.0  # hand and motor at work: nothing to read
+
+
+@pytest.mark.parametrize(
+    ("name", "rival", "manoeuvre"),
+    [
+        ("motor_torque_offset", "friction_asymmetry", "slow_reversals"),
+        ("torque_sensor_offset", "motor_torque_offset", "fast_load"),
+    ],
+)
+def test_what_was_read_already_is_not_advised_again(
+    free: Mapping[str, Mapping[str, Series]],
+    reference_model: Model,
+    name: str,
+    rival: str,
+    manoeuvre: str,
+) -> None:
+    """A motor torque that is a command reads none with the motor off, whatever it is."""
+    one = {manoeuvre: free[manoeuvre]}
+    (fresh,) = advise(reference_model, of_one(name), [rival], one)
+    (known,) = advise(reference_model, of_one(name), [rival], one, CONSTANTS)
+    assert fresh.minutes < 1.0
+    assert known.minutes > 60.0
 
 
 @pytest.mark.parametrize("name", sorted(contents()))
