@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from eps_hil.diagnosis.fit import BRISTLE, Fit
 from eps_hil.diagnosis.prepare import STEP_S, THIN, Floats, Prepared
@@ -21,6 +22,8 @@ from eps_hil.diagnosis.proof_of_fit import Holdout
 from eps_hil.physics.balance import residual_nm, sliding_levels_nm
 from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
 from eps_hil.physics.model import Model
+
+Integers = npt.NDArray[np.intp]
 
 FEWEST, FEWEST_KEPT = 20, 8
 """Reversals that an answer needs, and that a hold-out needs to bear it out."""
@@ -212,17 +215,52 @@ def _windows(
             (_left_over(turning, a, masing) - _left_over(turning, b, masing)) / size
             for a, b, size in (pairs if like is None else ())
         ]
-        way = np.tanh(one.thin(turning.motion(model).speed_rad_s) / _SPEED_RAD_S)
+        way = _way(turning, model)
         for instant_s in at:
-            rows = np.flatnonzero(np.abs(one.thin_time_s - instant_s) < HALF_WINDOW_S)
-            own, _ = np.linalg.qr(np.column_stack([np.ones(len(rows)), way[rows]]))
-            alone = left[rows] - own @ (own.T @ left[rows])
+            rows = _rows(one, instant_s)
+            alone = _less_levels(left[rows], way[rows])
             if like is not None:
                 found.append(_Window(alone, like[len(found)].columns))
                 continue
             columns = np.column_stack([slope[rows] for slope in slopes])
-            found.append(_Window(alone, columns - own @ (own.T @ columns)))
+            found.append(_Window(alone, _less_levels(columns, way[rows])))
     return found
+
+
+def _rows(one: Prepared, instant_s: float) -> Integers:
+    """Thinned samples of the window about a reversal."""
+    return np.flatnonzero(np.abs(one.thin_time_s - instant_s) < HALF_WINDOW_S)
+
+
+def _way(one: Prepared, model: Model) -> Floats:
+    """Which way the rotor slides, −1 to 1, at the thinned samples."""
+    return np.asarray(np.tanh(one.thin(one.motion(model).speed_rad_s) / _SPEED_RAD_S))
+
+
+def _less_levels(values: Floats, way: Floats) -> Floats:
+    """A window's values, (m,) or (m, k), less one level each way."""
+    own, _ = np.linalg.qr(np.column_stack([np.ones(len(way)), way]))
+    return np.asarray(values - own @ (own.T @ values))
+
+
+def about_reversals(
+    recordings: Sequence[Prepared], model: Model, masing: bool
+) -> tuple[Floats, Floats, int]:
+    """What the balance leaves about full reversals, less a level each way; and how many there are.
+
+    Seconds since the reversal (m,) and torque at the rotor in Nm (m,), as if all turned positive.
+    """
+    seconds, torque = [], []
+    for one in recordings:
+        turning = one.never_resting()
+        left, way = _left_over(turning, model, masing), _way(turning, model)
+        for instant_s in _reversals(one, model):
+            rows = _rows(one, instant_s)
+            seconds.append(one.thin_time_s[rows] - instant_s)
+            torque.append(np.sign(way[rows[-1]]) * _less_levels(left[rows], way[rows]))
+    if not seconds:
+        return np.zeros(0), np.zeros(0), 0
+    return np.concatenate(seconds), np.concatenate(torque), len(seconds)
 
 
 def _left_over(one: Prepared, model: Model, masing: bool) -> Floats:

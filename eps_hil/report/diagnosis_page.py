@@ -19,6 +19,7 @@ from eps_hil.report import (
     diagnosis_figures,
     diagnosis_kinematics,
     diagnosis_maps,
+    diagnosis_reversals,
     page,
 )
 from eps_hil.report.diagnosis_evidence import Evidence
@@ -225,6 +226,8 @@ def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[di
             term = _place(entries, one)
             rivals = [] if term is None else diagnosis.selection.rivals.get(term_of(entries[term]))
             card["rivals"] = (rivals or [])[:4]
+        elif one.get("seen_in") == "reversals":
+            card["plot"] = diagnosis_reversals.figure(diagnosis)
         elif "seen_in" in one:
             card["plot"] = diagnosis_kinematics.figure(diagnosis, one)
             card["size"] = diagnosis_kinematics.size(one, diagnosis.problem.model)
