@@ -42,11 +42,31 @@ def shifted(values: Floats, seconds: float) -> Floats:
         -(a + 1) * a * (a - 2) / 2,
         (a + 1) * a * (a - 1) / 6,
     )
-    pad = abs(whole) + 2
-    held = np.pad(values, pad, mode="edge")
-    first = pad + whole - 1
+    out = np.empty(len(values))
+    _read_off(values, whole, *weights, out)
+    return out
+
+
+@njit
+def _read_off(
+    values: Floats, whole: int, w0: float, w1: float, w2: float, w3: float, out: Floats
+) -> None:
+    """Four samples from ``whole`` − 1 on under their weights; the first and last value held."""
     n = len(values)
-    return np.asarray(sum(w * held[first + i : first + i + n] for i, w in enumerate(weights)))
+    inside = max(0, 1 - whole), min(n, n - whole - 2)
+    for k in range(n):
+        at = k + whole
+        if inside[0] <= k < inside[1]:
+            out[k] = (
+                w0 * values[at - 1] + w1 * values[at] + w2 * values[at + 1] + w3 * values[at + 2]
+            )
+        else:
+            out[k] = (
+                w0 * values[min(max(at - 1, 0), n - 1)]
+                + w1 * values[min(max(at, 0), n - 1)]
+                + w2 * values[min(max(at + 1, 0), n - 1)]
+                + w3 * values[min(max(at + 2, 0), n - 1)]
+            )
 
 
 def between(t_ns: npt.NDArray[np.int64], values: Floats, grid_ns: npt.NDArray[np.int64]) -> Floats:

@@ -5,9 +5,10 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import BarycentricInterpolator
 
 from eps_hil.identification.butterworth import low_pass
-from eps_hil.identification.filters import between
+from eps_hil.identification.filters import between, shifted
 
 Stamps = npt.NDArray[np.int64]
 grid_ns: Stamps = np.arange(4000, dtype=np.int64) * 1_000_000
@@ -92,3 +93,28 @@ def test_stamps_in_bunches_are_read_along_straight_lines() -> None:
     read = between(at, values, grid_ns)
     np.testing.assert_array_equal(read, np.interp(grid_ns, at, values))
     assert np.max(np.abs(read)) <= np.max(np.abs(values))
+
+
+@given(st.integers(4, 300), st.floats(-0.4, 0.4), st.integers(0, 99))
+def test_shifted_is_a_cubic_through_four_samples_of_held_ends(
+    samples: int, seconds: float, seed: int
+) -> None:
+    values = np.random.default_rng(seed).normal(size=samples)
+    pad = 405
+    held = np.pad(values, pad, mode="edge")
+    at = pad + np.arange(samples) + seconds / 1e-3
+    first = np.floor(at).astype(int) - 1
+    expected = [
+        BarycentricInterpolator(np.arange(4.0), held[k : k + 4])(x - k)
+        for k, x in zip(first[:: samples // 4], at[:: samples // 4], strict=True)
+    ]
+    read = shifted(values, seconds)
+    np.testing.assert_allclose(read[:: samples // 4], expected, rtol=0, atol=1e-9)
+
+
+def test_shifted_by_whole_steps_is_the_signal_itself() -> None:
+    values = np.random.default_rng(1).normal(size=50)
+    np.testing.assert_array_equal(shifted(values, 0.003)[:-3], values[3:])
+    np.testing.assert_array_equal(shifted(values, 0.003)[-3:], values[-1])
+    np.testing.assert_array_equal(shifted(values, -0.002)[2:], values[:-2])
+    assert shifted(values, 0.0) is values
