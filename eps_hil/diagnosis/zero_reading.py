@@ -169,13 +169,13 @@ def zero_readings(
     for signal, effect in SENSORS.items():
         if effect in without or not all(signal in one.raw for one in recordings):
             continue
-        values = [value for one in recordings for value in _windows(one, signal, model)]
+        values = [value for one in recordings for value in windows_nm(one, signal, model)]
         white = float(np.mean([one.noise[signal] for one in recordings]))
         reading = _reading(signal, np.array(values), _of_a_window(white))
         if reading is None:
             continue
         unsure = play_nm if signal == "torque_sensor_nm" else 0.0
-        beside = reading.value - _held(signal, model)
+        beside = reading.value - held_nm(signal, model)
         reading = replace(reading, value=beside, half=float(np.hypot(reading.half, unsure)))
         per_nm = sliding * (_at_rotor({"effect": effect, "offset_nm": 1.0}, model) / floor) ** 2
         one = replace(reading, gain=per_nm * reading.value**2)
@@ -199,7 +199,7 @@ def told_apart(
     for signal, effect in SENSORS.items():
         if effect in without or effect not in (entry["effect"], rival) or signal not in one.raw:
             continue
-        count = len(_windows(one, signal, model))
+        count = len(windows_nm(one, signal, model))
         offset_nm = size / _at_rotor({"effect": effect, "offset_nm": 1.0}, model)
         if count >= FEWEST:
             told += count * (offset_nm / _of_a_window(one.noise[signal])) ** 2
@@ -211,17 +211,20 @@ def _of_a_window(noise: float) -> float:
     return noise * float(np.sqrt(STEP_S / WINDOW_S))
 
 
-def _held(signal: str, model: Model) -> float:
+def held_nm(signal: str, model: Model) -> float:
     """What a sensor reads with nothing on it by the model's own effects, Nm."""
     effects = model.effects
     offset = sum(float(e["offset_nm"]) for e in effects if e["effect"] == SENSORS[signal])
-    if signal == "torque_sensor_nm":
-        return offset
-    gains = [float(e["gain"]) for e in effects if e["effect"] == "motor_torque_gain"]
-    return -offset / float(np.prod(gains))
+    return offset if signal == "torque_sensor_nm" else -offset / motor_gain(model)
 
 
-def _windows(one: Prepared, signal: str, model: Model) -> list[float]:
+def motor_gain(model: Model) -> float:
+    """True motor torque per reported, offsets aside."""
+    return float(np.prod([e["gain"] for e in model.effects if e["effect"] == "motor_torque_gain"]))
+
+
+def windows_nm(one: Prepared, signal: str, model: Model) -> list[float]:
+    """What a sensor reads in every window of 2 s with motion and nothing on it, in order."""
     good = np.ones(len(one.time_s), dtype=bool)
     if one.barred is not None:
         bad = np.interp(one.time_s, one.thin_time_s, one.barred.astype(np.float64)) > 0.0

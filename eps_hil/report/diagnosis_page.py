@@ -20,6 +20,7 @@ from eps_hil.report import (
     diagnosis_kinematics,
     diagnosis_maps,
     diagnosis_reversals,
+    diagnosis_zero_torque,
     page,
 )
 from eps_hil.report.diagnosis_evidence import Evidence
@@ -229,7 +230,9 @@ def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[di
         elif one.get("seen_in") == "reversals":
             card["plot"] = diagnosis_reversals.figure(diagnosis)
         elif "seen_in" in one:
-            card["plot"] = diagnosis_kinematics.figure(diagnosis, one)
+            told = one["seen_in"] == "zero torque"
+            draw = diagnosis_zero_torque.figure if told else diagnosis_kinematics.figure
+            card["plot"] = draw(diagnosis, one)
             card["size"] = diagnosis_kinematics.size(one, diagnosis.problem.model)
         if card["plot"] is not None:
             plots.append(card["plot"])
