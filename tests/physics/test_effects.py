@@ -348,3 +348,23 @@ def test_a_negative_amplitude_has_words_of_its_own() -> None:
     for level, word in ((0.03, "higher"), (-0.03, "lower")):
         sentence, values = effect.wording({"level_nm": level, "speed_rad_s": 5.0})
         assert f"0.03 Nm {word}" in sentence.format(**values)
+
+
+def test_no_sentence_gives_a_size_a_sign() -> None:
+    """What is less is said to be less: where an amplitude may be negative there are words for it.
+
+    A ratio says its sign with its number.
+    """
+    signless = {"rack_ratio", "cogging_torque", "torque_ripple", "screw_ripple", "cardan_joint"}
+    for name, effect in catalogue().items():
+        amplitude = effect.probe.amplitude if effect.probe else None
+        own = next((p for p in effect.parameters if p.name == amplitude), None)
+        if own is None or not own.lower < 0.0 or name in signless or "{" not in effect.sentence:
+            continue
+        filled = {p.name: 0.5 * p.upper for p in effect.parameters}
+        sentence, values = effect.wording({**filled, own.name: 0.5 * own.lower})
+        assert sentence == effect.sentence_negative, name
+        assert sentence.endswith(".")
+        assert sentence != effect.sentence
+        assert values[own.name] == -0.5 * own.lower
+        assert "{" not in sentence.format(**values)

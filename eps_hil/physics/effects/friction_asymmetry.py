@@ -27,8 +27,10 @@ EFFECT = Effect(
     parameters=(
         Parameter("half_difference_nm", "Nm", -0.3, 0.3, "half of positive less negative level"),
     ),
-    sentence="Friction differs between the directions by 2 × {half_difference_nm:.3g} Nm more than "
-    "the model says.",
+    sentence="Friction is 2 × {half_difference_nm:.3g} Nm higher turning positive than turning "
+    "negative, beyond what the model says.",
+    sentence_negative="Friction is 2 × {half_difference_nm:.3g} Nm higher turning negative than "
+    "turning positive, beyond what the model says.",
     twins={
         "motor_torque_offset": "motor off while the rig moves the rack: an offset is still read",
         "torque_sensor_offset": "hands off while the rotor moves: an offset is still read",

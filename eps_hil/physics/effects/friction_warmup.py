@@ -21,6 +21,7 @@ EFFECT = Effect(
         Parameter("time_s", "s", 1.0, 3000.0, "time over which it fades"),
     ),
     sentence="Friction starts {amplitude:.0%} higher and settles over {time_s:.3g} s.",
+    sentence_negative="Friction starts {amplitude:.0%} lower and settles over {time_s:.3g} s.",
     twins={
         "position_dependent_friction": "pass the same positions again later",
         "coulomb_level": "record the same manoeuvre again, cold and warm",

@@ -26,6 +26,8 @@ EFFECT = Effect(
     equation="T_fs += gain · |F|",
     parameters=(Parameter("gain_nm_per_n", "Nm/N", -2e-4, 2e-4, "friction torque per rack force"),),
     sentence="Friction grows with rack force by {gain_nm_per_n:.3g} Nm/N more than the model says.",
+    sentence_negative="Friction grows with rack force by {gain_nm_per_n:.3g} Nm/N less than "
+    "the model says.",
     twins={
         "coulomb_level": "constant speed at several preloads: only load friction changes",
         "rack_ratio": "both directions at one preload: friction changes sign, load does not",

@@ -21,6 +21,7 @@ EFFECT = Effect(
     equation="T_em(t) on the shaft = reported for t − delay",
     parameters=(Parameter("delay_s", "s", -0.05, 0.1, "shaft torque later than reported"),),
     sentence="The torque reaches the shaft {delay_s:.3g} s later than the file says.",
+    sentence_negative="The torque reaches the shaft {delay_s:.3g} s earlier than the file says.",
     twins={"speed_sensor_delay": "a third signal with a known clock (load cell, rack position)"},
     change=_change,
     probe=Probe("delay_s", 0.0, 2e-4, least=0.75e-3),

@@ -17,6 +17,7 @@ EFFECT = Effect(
     equation="T_em + offset",
     parameters=(Parameter("offset_nm", "Nm", -0.5, 0.5, "true less reported motor torque"),),
     sentence="The motor gives {offset_nm:.3g} Nm more than it reports.",
+    sentence_negative="The motor gives {offset_nm:.3g} Nm less than it reports.",
     twins={
         "torque_sensor_offset": "hands off while the rotor moves: that sensor then reads zero",
         "friction_asymmetry": "motor off while the rig moves the rack: an offset is still read",

@@ -18,6 +18,8 @@ EFFECT = Effect(
     parameters=(Parameter("curvature_per_nm2", "1/Nm²", -0.05, 1.0, "curvature"),),
     sentence="The motor gives less than it reports at high torque (curvature "
     "{curvature_per_nm2:.3g} /Nm²): saturation.",
+    sentence_negative="The motor gives more than it reports at high torque (curvature "
+    "-{curvature_per_nm2:.3g} /Nm²).",
     twins={"motor_torque_gain": "the same manoeuvre at half the torque"},
     kernel=_torque_nm,
     probe=Probe("curvature_per_nm2", 0.0, 0.01, one_sided=True),

@@ -24,6 +24,8 @@ EFFECT = Effect(
     ),
     sentence="Around rack position {centre_m:.4g} m, over ±{width_m:.3g} m, friction is "
     "{level_nm:.3g} Nm higher.",
+    sentence_negative="Around rack position {centre_m:.4g} m, over ±{width_m:.3g} m, "
+    "friction is {level_nm:.3g} Nm lower.",
     twins={
         "friction_warmup": "pass the same positions again later: a place stays, warming does not",
         "position_torque": "pass in both directions: friction changes sign, a static torque not",

@@ -19,6 +19,8 @@ EFFECT = Effect(
     ),
     sentence="A drag of {coefficient_nm_s2_per_rad2:.3g} Nm s²/rad² with the square of speed is "
     "missing.",
+    sentence_negative="Drag with the square of speed is {coefficient_nm_s2_per_rad2:.3g} Nm "
+    "s²/rad² less than the model says.",
     twins={"viscous_friction": "a sweep to at least twice the speed"},
     kernel=_torque_nm,
     probe=Probe("coefficient_nm_s2_per_rad2", 0.0, 1e-6, one_sided=True),

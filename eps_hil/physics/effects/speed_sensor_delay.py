@@ -23,6 +23,8 @@ EFFECT = Effect(
     equation="ω(t), φ(t) reported at t + delay beyond the model file's",
     parameters=(Parameter("delay_s", "s", -0.05, 0.1, "further delay of speed and angle"),),
     sentence="Speed and angle are reported {delay_s:.3g} s later than the model file says.",
+    sentence_negative="Speed and angle are reported {delay_s:.3g} s earlier than the model "
+    "file says.",
     twins={"motor_torque_delay": "a third signal with a known clock (load cell, rack position)"},
     change=_change,
     probe=Probe("delay_s", 0.0, 2e-4, least=0.3e-3),

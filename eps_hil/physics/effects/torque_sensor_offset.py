@@ -18,6 +18,7 @@ EFFECT = Effect(
         Parameter("offset_nm", "Nm", -3.0, 3.0, "reported less true torque, at the column"),
     ),
     sentence="The torque sensor reads {offset_nm:.3g} Nm too much.",
+    sentence_negative="The torque sensor reads {offset_nm:.3g} Nm too little.",
     twins={
         "motor_torque_offset": "hands off while the rotor moves: this sensor then reads its offset",
         "friction_asymmetry": "hands off while the rotor moves: an offset is still read",

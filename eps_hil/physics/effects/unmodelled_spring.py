@@ -16,6 +16,8 @@ EFFECT = Effect(
     equation="stiffness · φ",
     parameters=(Parameter("stiffness_nm_per_rad", "Nm/rad", -0.1, 0.1, "stiffness at the rotor"),),
     sentence="A spring of {stiffness_nm_per_rad:.3g} Nm/rad pulls the rotor to the middle.",
+    sentence_negative="A spring of {stiffness_nm_per_rad:.3g} Nm/rad pushes the rotor out of "
+    "the middle.",
     twins={"position_torque": "slow passes over the whole travel"},
     kernel=_torque_nm,
     probe=Probe("stiffness_nm_per_rad", 0.0, 1e-4),
