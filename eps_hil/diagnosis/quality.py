@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.compiled import njit
 from eps_hil.diagnosis.prepare import Prepared, noise_of
 from eps_hil.series import Series
 
@@ -35,6 +36,8 @@ STUCK_RUNS = 20.0
 MOVED_RAD_S = 2.0
 MARGIN_S = 0.1
 """Barred on both sides of what is wrong."""
+_FOLLOWED = 0.1
+"""Of what a stamp lies beside the beat; the beat's own step follows so that neither swings."""
 MATTERS = 0.01
 """Share of lost frames from which they are a finding."""
 _ENTERED, _NEAR = 3.0, 20
@@ -166,7 +169,6 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
     good = np.isfinite(one.value)
     value = one.value[good]
     at = seconds[good]
-    lost = np.where(steps > LOST * usual, np.rint(steps / usual) - 1, 0)
     regular = steps[steps < LOST * usual]
     runs = _equal_runs(value)
     quantum = _quantum(value)
@@ -174,7 +176,7 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
         signal=signal,
         rate_hz=1.0 / usual if usual > 0 else 0.0,
         jitter_s=float(np.std(regular)) if len(regular) else 0.0,
-        lost_frames=int(np.sum(lost)),
+        lost_frames=_lost(seconds, usual),
         frames=len(steps) + 1,
         gaps=_gaps(seconds, good),
         clipped=_clipped(value, at, runs, quantum),
@@ -183,6 +185,24 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
         noise=noise_of(value) if len(value) > 10 else 0.0,
         bad_samples=int(np.sum(~good)),
     )
+
+
+@njit
+def _lost(seconds: Floats, usual: float) -> int:
+    """Frames that are missing beside the signal's own beat, which follows the stamps slowly.
+
+    A stamp that is late for once is jitter; some that are held up and then come all at once are
+    counted while they are late, and given back when they come.
+    """
+    beat, step, lost = seconds[0], usual, 0.0
+    for k in range(1, len(seconds)):
+        late = (seconds[k] - beat) / step - 1.0
+        missing = np.rint(late)
+        lost += missing
+        beside = late - missing
+        beat += step * (1.0 + missing + _FOLLOWED * beside)
+        step *= 1.0 + 0.25 * _FOLLOWED**2 * beside
+    return max(int(lost), 0)
 
 
 def _gaps(seconds: Floats, good: Flags) -> tuple[tuple[float, float], ...]:

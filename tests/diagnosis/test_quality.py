@@ -76,6 +76,18 @@ def test_lost_frames_and_gaps_are_counted() -> None:
     assert list(one.gaps[0]) == pytest.approx([6.999, 7.3], abs=0.002)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.1])
+def test_late_stamps_are_no_lost_frames(share: float) -> None:
+    """As a busy receiver stamps them: up to nearly half a step early or late."""
+    rng = np.random.default_rng(1)
+    late = np.clip(2e-4 * rng.standard_normal(len(T)), -4.5e-4, 4.5e-4)
+    keep = rng.random(len(T)) >= share
+    t_ns = np.round((T + late) * 1e9).astype(np.int64)[keep]
+    one = look_at("r", {"motor_torque_nm": Series(t_ns, torque()[keep])}).channels[0]
+    lost = np.count_nonzero(~keep)
+    assert one.lost_frames == pytest.approx(lost, rel=0.1, abs=20)
+
+
 def test_jitter_is_measured() -> None:
     t_ns = np.round((T + 5e-5 * np.random.default_rng(0).standard_normal(len(T))) * 1e9)
     series = {"motor_torque_nm": Series(t_ns.astype(np.int64), torque())}
