@@ -31,6 +31,8 @@ _LEAST_GAIN = 60.0
 _SLIDING_RAD_S = 0.5
 _AS_NOISE = 1.5
 """Times the scatter that noise alone makes, up to which it is noise."""
+_OF_A_SENSOR = 0.2
+"""Of the scatter that a sensor's noise makes, what a command that is none does not have."""
 _REFUTED = 0.5
 """Of a reading, that the balance takes back under another name."""
 _SURE = 0.95
@@ -46,6 +48,8 @@ class ZeroReading:
     seconds: float
     gain: float
     """What such a constant is worth in the torque balance, noise variances."""
+    measured: bool = True
+    """Whether it has the noise of a sensor: a motor torque that is a command is none, exactly."""
     scale: float = 1.0
     """True torque per reported: what the sensor reads counts so much as an offset behind it."""
 
@@ -114,7 +118,7 @@ class ZeroReadings:
     @property
     def possible(self) -> set[str]:
         """Of those, what may be all the same: a motor whose torque is a command reads none."""
-        return {one.effect for one in self.seen if not one.clear} & {"motor_torque_offset"}
+        return {one.effect for one in self.seen if not one.clear and not one.measured}
 
     def behind(self, found: Fit) -> "ZeroReadings":
         """The same behind a gain of the motor's torque that was found: gain · T_em + offset."""
@@ -251,7 +255,8 @@ def _reading(signal: str, values: Floats, noise: float) -> ZeroReading | None:
         half = 1.2533 * float(stdtrit(n - 1, 0.975)) * max(usual, float(np.std(values)) / 3.0)
     if abs(middle) > _MOST_NM[signal]:
         return None
-    return ZeroReading(signal, middle, half / float(np.sqrt(n)), n * WINDOW_S, 0.0)
+    measured = float(np.std(values)) > _OF_A_SENSOR * noise
+    return ZeroReading(signal, middle, half / float(np.sqrt(n)), n * WINDOW_S, 0.0, measured)
 
 
 def _at_rotor(entry: Mapping[str, Any], model: Model) -> float:
