@@ -17,7 +17,7 @@ from eps_hil.diagnosis.first_look import FirstLook, first_look
 from eps_hil.diagnosis.fit import BRISTLE, Fit
 from eps_hil.diagnosis.held import own_samples
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
-from eps_hil.diagnosis.leftover import Leftover, late_torque, leftover
+from eps_hil.diagnosis.leftover import Leftover, how_held, late_torque, leftover
 from eps_hil.diagnosis.load import doubted, load_knobs, load_of, missing, not_told_apart, with_load
 from eps_hil.diagnosis.misread import Misread, misread, refined, with_misread
 from eps_hil.diagnosis.placebo import placebos
@@ -134,6 +134,7 @@ def diagnose(
         *unseen(every),
         *only_part(problem, selection.part),
         *(_only_kept(problem, selection, findings, judged) or _still_left(content)),
+        *([] if left is not None or hidden else how_held(problem, selection.found)),
         *unjudged(selection.found, findings, judged, problem.model),
         *worse_force(content["fit"]["holdout"]),
         *left_open(content["findings"]),

@@ -28,6 +28,8 @@ BESIDE_UNKNOWN = 2.0
 _TAIL = (0.002, 0.005, 0.01, 0.02)
 _CUTS = np.unique([*np.linspace(0, 1, BINS + 1), *_TAIL, *(1.0 - one for one in _TAIL)])
 """Where bins end, as shares of the samples: finer where one is seldom, as at an end stop."""
+_LEAST_HELD_S, _CLEARLY_HELD = 1.5e-4, 100.0
+"""How late a torque is, and what that gains in noise variances, to be worth a sentence."""
 _FEWEST = 4
 """Samples of a bin that count."""
 _MEDIAN_OF_SQUARE = 0.4549
@@ -101,12 +103,30 @@ def late_torque(problem: Problem, found: Fit) -> Leftover | None:
     late_s = HOLD_S * found.own.get(HOLD, 0.0)
     if abs(late_s) < _least_late_s():
         return None
-    others = {name: value for name, value in found.own.items() if name != HOLD}
-    punctual = fit(problem, found.entries, own=others, like=found)
-    excess = (punctual.cost - found.cost) / max(float(np.sum(problem.sliding)), 1.0)
+    excess = _of_being_late(problem, found) / max(float(np.sum(problem.sliding)), 1.0)
     low, high = np.percentile(coordinates(problem)["motor_torque_nm"], [2, 98])
     words = f"as if the motor's torque acted {1e3 * late_s:.2g} ms later than the model file says"
     return Leftover("motor_torque_nm", (), float(low), float(high), 1.0, excess, words)
+
+
+def how_held(problem: Problem, found: Fit) -> list[str]:
+    """A sentence where the motor's torque is clearly later or earlier by too little for a name."""
+    late_s = HOLD_S * found.own.get(HOLD, 0.0)
+    if abs(late_s) < _LEAST_HELD_S or _of_being_late(problem, found) < _CLEARLY_HELD:
+        return []
+    fits_s = max(problem.model.delays_s.motor_torque - late_s, 0.0)
+    word = "later" if late_s > 0.0 else "earlier"
+    return [
+        f"The motor's torque acts {1e3 * abs(late_s):.2g} ms {word} than the model file says: so "
+        "little may be how a torque is held between samples, and is no finding. delays_s: "
+        f"motor_torque: {fits_s:.2g} would fit; a model written with findings has it."
+    ]
+
+
+def _of_being_late(problem: Problem, found: Fit) -> float:
+    """What it gains, in noise variances, that the motor's torque may be late by a part of 1 ms."""
+    others = {name: value for name, value in found.own.items() if name != HOLD}
+    return fit(problem, found.entries, own=others, like=found).cost - found.cost
 
 
 def _least_late_s() -> float:
