@@ -19,6 +19,7 @@ from eps_hil.diagnosis.reversals import Bristle
 from eps_hil.diagnosis.seen import finding
 from eps_hil.diagnosis.side_by_side import each
 from eps_hil.diagnosis.zero_reading import ZeroReadings, zero_readings
+from eps_hil.physics.effects.rack_ratio import local_share
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -53,7 +54,10 @@ class FirstLook:
     @property
     def put_right(self) -> bool:
         """Whether the recordings hold something else now than what was read."""
-        return any(one["effect"] in _PUT_RIGHT for one in self.findings)
+        return any(
+            one["effect"] in _PUT_RIGHT or "slope_per_m" in one.get("parameters", {})
+            for one in self.findings
+        )
 
     def added_to(self, content: Mapping[str, Any]) -> dict[str, Any]:
         """The JSON with this look's findings and keys; names found twice stand once."""
@@ -139,6 +143,7 @@ def first_look(
         findings.append(finding(effect))
         if name == "rack_ratio":
             model = replace(model, effects=(*model.effects, effect.entry))
+            ready = [_as_in_the_middle(one, effect.entry) for one in ready]
         elif name == "belt_compliance" and "rack_force_n" in ready[0].raw:
             belt = belt_of(evenly(ready[:n]), model, effect.entry["stiffness_nm_per_rad"])
             if belt is not None:
@@ -164,3 +169,15 @@ def first_look(
         seen.left,
         zero,
     )
+
+
+def _as_in_the_middle(one: Prepared, ratio: Mapping[str, float]) -> Prepared:
+    """Rack force and torsion-bar torque as what they are worth at the rotor in mid travel.
+
+    The torque balance has one ratio; where it varies, both reach the rotor by the local one.
+    """
+    if "slope_per_m" not in ratio or "rack_position_m" not in one.raw:
+        return one
+    share = local_share(ratio, one.raw["rack_position_m"])
+    signals = {"rack_force_n", "torque_sensor_nm"} & one.raw.keys()
+    return one.changed(raw={**one.raw, **{name: one.raw[name] * share for name in signals}})

@@ -27,7 +27,7 @@ from eps_hil.diagnosis.rotor_and_rack import (
 )
 from eps_hil.diagnosis.seen import Seen
 from eps_hil.diagnosis.side_by_side import each
-from eps_hil.diagnosis.torsion_bar import has_twist, sensor_play, torque_of_twist, twist_noise
+from eps_hil.diagnosis.torsion_bar import Law, has_twist, sensor_play, torque_of_twist, twist_noise
 from eps_hil.physics.model import Model
 
 Flags = npt.NDArray[np.bool_]
@@ -40,13 +40,13 @@ _FEWEST = 500
 class Kinematics:
     """What the second residual shows; ``content`` is for the JSON, empty where there is none.
 
-    ``coefficients``: of the whole fit, by column name. ``twist`` (gain, damping, offset) turns the
+    ``coefficients``: of the whole fit, by column name. ``twist`` turns the bar's
     twist into torque, where play in the sensor was found.
     """
 
     seen: tuple[Seen, ...] = ()
     content: dict[str, Any] = field(default_factory=dict)
-    twist: tuple[float, float, float] | None = None
+    twist: Law | None = None
     gap_rad: float = 0.0
     left: Apart | None = None
     """What of rotor against rack no name stands for."""
@@ -58,7 +58,7 @@ class Kinematics:
         true = torque_of_twist(one, model, self.twist)
         late = model.delays_s.of("torque_sensor_nm")
         raw = {**one.raw, "torque_sensor_nm": np.interp(one.time_s - late, one.time_s, true)}
-        sigma = self.twist[0] * twist_noise(one, model)
+        sigma = self.twist.gain * twist_noise(one, model)
         return one.changed(raw=raw, noise={**one.noise, "torque_sensor_nm": sigma})
 
     def put_right(self, one: Prepared, model: Model) -> Prepared:

@@ -163,3 +163,53 @@ def test_a_stuck_angle_is_no_rotor_that_comes_loose(look: Look) -> None:
     assert "stuck" in {f for q in found.data_quality for c in q["channels"] for f in c["flags"]}
     assert found.left is None
     assert found.findings == ()
+
+
+@pytest.mark.parametrize("late_s", [-3e-4, 0.0, 3e-4])
+def test_play_leaves_no_drag_behind_where_an_angle_is_late(look: Look, late_s: float) -> None:
+    """Late by 0.3 ms of the pinion, the twist's torque has a part in step with the speed."""
+
+    def later(series: dict[str, Series]) -> None:
+        angle = series["steering_wheel_angle_rad"]
+        t_ns = angle.t_ns.astype(np.float64)
+        moved = np.interp(t_ns - 1e9 * late_s, t_ns, angle.value)
+        series["steering_wheel_angle_rad"] = Series(angle.t_ns, moved)
+
+    world = dataclasses.replace(FULL, instruments=Instruments(sensor_play_nm=0.2))
+    found = look(world, later)
+    whole = look(dataclasses.replace(FULL, instruments=Instruments()))
+    true = {one.name: one.raw["torque_sensor_nm"] for one in whole.fitted}
+    assert only(found, "torque_sensor_hysteresis", "play_nm")["value"] == pytest.approx(
+        0.2, rel=0.1
+    )
+    for one in found.fitted:
+        off = one.raw["torque_sensor_nm"] - true[one.name]
+        rate = np.gradient(one.raw["rack_position_m"], 1e-3) * 125.7
+        columns = np.column_stack([rate, np.ones(len(rate))])
+        drag = float(np.linalg.lstsq(columns, off, rcond=None)[0][0])
+        assert abs(drag) < 4e-3  # Nm s/rad at the column: a tenth of what 0.3 ms make
+
+
+@pytest.mark.parametrize("slope_per_m", [-0.3, 0.4])
+def test_a_ratio_that_varies_is_taken_out_of_force_and_torque(
+    look: Look, slope_per_m: float
+) -> None:
+    """The same motion and the same work on a rack whose φ = i·x·(1 + slope·x)."""
+
+    def bent(series: dict[str, Series]) -> None:
+        x = series["rack_position_m"]
+        place = (np.sqrt(1.0 + 4.0 * slope_per_m * x.value) - 1.0) / (2.0 * slope_per_m)
+        series["rack_position_m"] = Series(x.t_ns, place)
+        for name in ("rack_force_n", "torque_sensor_nm"):
+            one = series[name]
+            series[name] = Series(one.t_ns, one.value * (1.0 + 2.0 * slope_per_m * place))
+
+    found, straight = look(FULL, bent), look(FULL)
+    value = only(found, "rack_ratio", "slope_per_m")
+    assert value["value"] == pytest.approx(slope_per_m, rel=0.02)
+    assert "varies over the rack position" in found.findings[0]["summary"]
+    assert found.put_right
+    for one, as_it_was in zip(found.fitted, straight.fitted, strict=True):
+        for name, least in (("rack_force_n", 4.0), ("torque_sensor_nm", 0.02)):
+            off = one.raw[name] - as_it_was.raw[name]
+            assert float(np.sqrt(np.mean(off**2))) < least

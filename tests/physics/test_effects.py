@@ -17,6 +17,7 @@ from eps_hil.physics import simulate as simulate_module
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.catalogue import catalogue, values_of, with_model_effects
 from eps_hil.physics.effects.effect import Instant, Slot
+from eps_hil.physics.effects.rack_ratio import local_share
 from eps_hil.physics.forward import forward
 from eps_hil.physics.model import Model
 from eps_hil.physics.simulate import simulate
@@ -368,3 +369,33 @@ def test_no_sentence_gives_a_size_a_sign() -> None:
         assert sentence != effect.sentence
         assert values[own.name] == -0.5 * own.lower
         assert "{" not in sentence.format(**values)
+
+
+@pytest.mark.parametrize(
+    ("name", "order"), [("cogging_torque", 3.0), ("torque_ripple", 6.0), ("screw_ripple", 1 / 2.8)]
+)
+def test_a_ripple_too_fast_for_the_samples_is_none(
+    reference_model: Model, name: str, order: float
+) -> None:
+    """At 1 kHz the rotor would be in the same phase at every sample: a constant, that is not."""
+    model = dataclasses.replace(reference_model, effects=({"effect": name, **EXAMPLES[name]},))
+    table = added.added(model)
+    slot = added.motor_nm if name == "torque_ripple" else added.torque_nm
+
+    def at(passing_hz: float) -> float:
+        speed = 2 * math.pi * passing_hz / order
+        return float(slot(table, Instant(1.0, speed, 7.3, 0.003, 0.0, 0.36, 0.6, 0.0), 0.3))
+
+    assert at(1000.0) == at(-1000.0) == at(500.0) == 0.3
+    assert at(0.0) == at(390.0) != 0.3
+    assert at(450.0) - 0.3 == pytest.approx(0.5 * (at(0.0) - 0.3))
+
+
+def test_what_a_force_is_worth_where_the_ratio_varies() -> None:
+    """dφ/dx by differences of φ = i·x·(1 + scale + slope·x + bend·x²)."""
+    values = {"scale": 0.02, "slope_per_m": 0.3, "bend_per_m2": -4.0}
+    x = np.linspace(-0.06, 0.06, 2001)
+    turned = x * (1.02 + 0.3 * x - 4.0 * x**2)
+    expected = 1.02 / np.gradient(turned, x, edge_order=2)
+    np.testing.assert_allclose(local_share(values, x), expected, rtol=1e-6)
+    np.testing.assert_array_equal(local_share({"scale": 0.02}, x), 1.0)

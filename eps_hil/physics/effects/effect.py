@@ -1,5 +1,6 @@
 """What one file of this folder says about one effect: the whole of what the tool knows of it."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -8,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.compiled import njit
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -33,6 +35,21 @@ class Instant(NamedTuple):
     pinion_rad: float
     motor_torque_nm: float
     torque_sensor_nm: float
+
+
+_WHOLE_RAD_S, _NONE_RAD_S = 2.0 * math.pi * 400.0, 2.0 * math.pi * 500.0
+
+
+@njit
+def resolved(rate_rad_s: float) -> float:
+    """Share of a ripple that passes at this rate (rad/s of its own phase) which is counted.
+
+    All of it below 400 Hz, none beyond 500 Hz, half of the 1 kHz at which angles are told: at a
+    multiple of that a rotor would be seen in the same phase of it again and again, as if under a
+    constant torque, where in truth it is over before it has moved anything.
+    """
+    beyond = (abs(rate_rad_s) - _WHOLE_RAD_S) / (_NONE_RAD_S - _WHOLE_RAD_S)
+    return 1.0 - min(max(beyond, 0.0), 1.0)
 
 
 class Slot(StrEnum):
@@ -135,6 +152,8 @@ class Effect:
     """One sentence that a rig engineer understands; {parameter} places are filled in."""
     sentence_negative: str = ""
     """The sentence for a negative amplitude (given without its sign); empty: the same one."""
+    words: Callable[[Mapping[str, Any]], str] | None = None
+    """Picks the sentence by the values, where one does not fit all."""
     twins: Mapping[str, str] = field(default_factory=dict)
     """Effects that recordings may not tell from this one -> the experiment that does."""
     kernel: Kernel | None = None
@@ -153,6 +172,8 @@ class Effect:
     def wording(self, values: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
         """The sentence for these values, and the values to fill it with."""
         filled = dict(values)
+        if self.words is not None:
+            return self.words(filled), filled
         amplitude = self.probe.amplitude if self.probe is not None else ""
         if self.sentence_negative and filled[amplitude] < 0.0:
             filled[amplitude] = -filled[amplitude]

@@ -3,12 +3,22 @@
 import math
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
+from eps_hil.physics.effects.effect import (
+    Effect,
+    Floats,
+    Instant,
+    Kind,
+    Parameter,
+    Probe,
+    Slot,
+    resolved,
+)
 
 
 @njit
 def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
-    return torque + p[0] * math.sin(p[2] * u.angle_rad / p[3] + p[1])
+    share = resolved(p[2] * u.speed_rad_s / p[3])
+    return torque + share * p[0] * math.sin(p[2] * u.angle_rad / p[3] + p[1])
 
 
 EFFECT = Effect(

@@ -3,12 +3,22 @@
 import math
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
+from eps_hil.physics.effects.effect import (
+    Effect,
+    Floats,
+    Instant,
+    Kind,
+    Parameter,
+    Probe,
+    Slot,
+    resolved,
+)
 
 
 @njit
 def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
-    return torque * (1.0 + p[0] * math.sin(6.0 * p[2] * u.angle_rad + p[1]))
+    share = resolved(6.0 * p[2] * u.speed_rad_s)
+    return torque * (1.0 + share * p[0] * math.sin(6.0 * p[2] * u.angle_rad + p[1]))
 
 
 EFFECT = Effect(
