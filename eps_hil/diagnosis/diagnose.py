@@ -17,6 +17,7 @@ from eps_hil.diagnosis.first_look import FirstLook, first_look
 from eps_hil.diagnosis.fit import BRISTLE, Fit
 from eps_hil.diagnosis.held import own_samples
 from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
+from eps_hil.diagnosis.kinematics import small_ratio
 from eps_hil.diagnosis.leftover import Leftover, how_held, late_torque, leftover
 from eps_hil.diagnosis.load import doubted, load_knobs, load_of, missing, not_told_apart, with_load
 from eps_hil.diagnosis.misread import Misread, misread, refined, with_misread
@@ -133,11 +134,15 @@ def diagnose(
         *([] if load is None else [load.sentence]),
         *unseen(every),
         *only_part(problem, selection.part),
-        *(_only_kept(problem, selection, findings, judged) or _still_left(content)),
-        *([] if left is not None or hidden else how_held(problem, selection.found)),
+        *_not_explained(
+            content,
+            _only_kept(problem, selection, findings, judged),
+            [] if left is not None or hidden else how_held(problem, selection.found),
+        ),
         *unjudged(selection.found, findings, judged, problem.model),
         *worse_force(content["fit"]["holdout"]),
         *left_open(content["findings"]),
+        *small_ratio(content),
     ]
     augmented = look.in_model(augmented_by(problem, selection.found, findings))
     return Diagnosis(content, augmented, problem, selection, judged, findings)
@@ -216,10 +221,17 @@ def _only_kept(
     return only_kept(judged, problem.model, after, float(np.mean(left**2)))
 
 
-def _still_left(content: Mapping[str, Any]) -> list[str]:
-    """What an all-clear or an explanation would keep quiet about; ``unknown`` says it itself."""
-    clear = content["verdict"] in ("no_mismatch", "explained")
-    return still_left(content["fit"]["holdout"]) if clear else []
+def _not_explained(
+    content: Mapping[str, Any], kept: Sequence[str], held: Sequence[str]
+) -> list[str]:
+    """What an all-clear or an explanation would keep quiet about; ``unknown`` says it itself.
+
+    What only hold-outs show (``kept``) says more than that there is something. So does how a torque
+    is ``held``, where no finding takes it into the model.
+    """
+    silent = ("explained",) if held else ("no_mismatch", "explained")
+    said = kept or (still_left(content["fit"]["holdout"]) if content["verdict"] in silent else [])
+    return [*said, *held]
 
 
 def _left(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Leftover | None:

@@ -7,7 +7,7 @@ Play between rotor and rack, a belt that gives, a ratio that changes with x and 
 sensor show here directly; in the torque balance they look like noise.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +19,7 @@ from eps_hil.diagnosis.excerpt import evenly
 from eps_hil.diagnosis.leftover import BESIDE_UNKNOWN
 from eps_hil.diagnosis.prepare import Prepared
 from eps_hil.diagnosis.rotor_and_rack import (
+    LEAST_RATIO,
     Rows,
     has_rack,
     may_be_open,
@@ -32,6 +33,8 @@ from eps_hil.physics.model import Model
 
 Flags = npt.NDArray[np.bool_]
 
+_TOLD_RATIO = 1e-3
+"""How far a ratio is off to be worth a sentence where it is no finding."""
 _FEWEST = 500
 """Samples (of 8 ms) with the joint under load that a recording needs to say anything: 4 s."""
 
@@ -114,3 +117,14 @@ def examine(
         seen.append(play[0])
         twist = play[1]
     return Kinematics(tuple(seen), content, twist, gap, left)
+
+
+def small_ratio(content: Mapping[str, Any]) -> list[str]:
+    """A sentence where the ratio is clearly off by too little to be a finding."""
+    off = content.get("kinematics", {}).get("ratio_error", 0.0)
+    if abs(off) < _TOLD_RATIO or any(one["effect"] == "rack_ratio" for one in content["findings"]):
+        return []
+    return [
+        f"The ratio from rack to rotor is {off:+.2%} off: up to {LEAST_RATIO:.1%} is how drives "
+        "and model files are, and no finding."
+    ]
