@@ -92,6 +92,14 @@ def test_too_few_reversals_slow_samples_or_something_else_there_say_nothing(
     assert asked(shaken, reference_model)[2] is None
 
 
+def test_beside_a_level_that_changes_at_the_turn_nothing_is_said(reference_model: Model) -> None:
+    """Slip elements under a Stribeck effect reverse in neither form."""
+    problem = Problem(ready(world(False, 0.7), 3), reference_model)
+    stribeck = {"effect": "stribeck", "level_nm": 0.02, "speed_rad_s": 10.0}
+    assert bristle(problem, fit(problem, [], own=dict(TIMING))) is not None
+    assert bristle(problem, fit(problem, [stribeck], own=dict(TIMING))) is None
+
+
 def test_holdouts_have_the_last_word(reference_model: Model) -> None:
     problem, found, seen = asked(ready(world(True, 0.8), 3), reference_model)
     assert seen is not None
