@@ -26,7 +26,7 @@ GAP = 5.0
 GAP_S = 0.02
 """…if it is also longer than this."""
 LOST = 1.5
-"""A step of so many usual ones has lost a frame."""
+"""A step of so many usual ones is no jitter."""
 CLIPPED_SAMPLES = 8
 """So many equal samples at the end of the range, entered at speed, are clipped."""
 STUCK_S = 0.2
@@ -176,7 +176,7 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
         signal=signal,
         rate_hz=1.0 / usual if usual > 0 else 0.0,
         jitter_s=float(np.std(regular)) if len(regular) else 0.0,
-        lost_frames=_lost(seconds, usual),
+        lost_frames=_lost(seconds, usual) if usual > 0 else 0,
         frames=len(steps) + 1,
         gaps=_gaps(seconds, good),
         clipped=_clipped(value, at, runs, quantum),

@@ -88,6 +88,22 @@ def test_late_stamps_are_no_lost_frames(share: float) -> None:
     assert one.lost_frames == pytest.approx(lost, rel=0.1, abs=20)
 
 
+def test_frames_that_were_held_up_and_come_at_once_are_not_lost() -> None:
+    """A busy receiver: every second, ten stamps as late as the last of them."""
+    late = T.copy()
+    for first in range(1000, len(T) - 10, 1000):
+        late[first : first + 10] = T[first + 9] + 1e-5 * np.arange(10)
+    t_ns = np.round(late * 1e9).astype(np.int64)
+    one = look_at("r", {"motor_torque_nm": Series(t_ns, torque())}).channels[0]
+    assert one.lost_frames <= 5
+
+
+def test_stamps_that_stand_twice_are_looked_at_too() -> None:
+    t_ns = np.round(np.floor(T * 250.0) / 250.0 * 1e9).astype(np.int64)
+    one = look_at("r", {"motor_torque_nm": Series(t_ns, torque())}).channels[0]
+    assert one.lost_frames == 0
+
+
 def test_jitter_is_measured() -> None:
     t_ns = np.round((T + 5e-5 * np.random.default_rng(0).standard_normal(len(T))) * 1e9)
     series = {"motor_torque_nm": Series(t_ns.astype(np.int64), torque())}
