@@ -1,34 +1,26 @@
 """The picture of a bristle's stiffness: what the balance leaves about full reversals."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
-from eps_hil.physics.model import Model
-from eps_hil.proof import sensors
-from eps_hil.proof.programmes import programme
+from eps_hil.diagnosis.diagnose import Diagnosis
 from eps_hil.proof.world import World
 from eps_hil.report import diagnosis_page, diagnosis_reversals
-from eps_hil.series import Series
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module", params=[True, False], ids=["lugre", "slip elements"])
-def softer(request: pytest.FixtureRequest, reference_model: Model) -> Diagnosis:
+def softer(
+    request: pytest.FixtureRequest, diagnosed_world: Callable[[World], Diagnosis]
+) -> Diagnosis:
     """A bristle 15 % softer than the model file's."""
     rig = World(simple=request.param)
     rig = replace(rig, drive=rig.drive._replace(sigma0=0.85 * rig.drive.sigma0))
-    rng = np.random.default_rng(8)
-    made = {}
-    for name, program in zip("abk", programme("training", rng), strict=True):
-        clean = sensors.reported(rig.run(program), rig.instruments)
-        columns = sensors.measured(clean, rig.instruments, rng)
-        t_ns = np.round(columns.pop("time_s") * 1e9).astype(np.int64)
-        made[name] = {key: Series(t_ns, value) for key, value in columns.items()}
-    return diagnose(reference_model, {k: made[k] for k in "ab"}, {"k": made["k"]})
+    return diagnosed_world(rig)
 
 
 def test_the_blip_is_gone_with_the_finding(softer: Diagnosis) -> None:

@@ -1,23 +1,20 @@
 """The picture of a sensor's constant error: what it reads with nothing on it."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
-from eps_hil.physics.model import Model
-from eps_hil.proof import sensors
-from eps_hil.proof.programmes import programme
+from eps_hil.diagnosis.diagnose import Diagnosis
 from eps_hil.proof.world import World
 from eps_hil.report import diagnosis_page, diagnosis_zero_torque
-from eps_hil.series import Series
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def off(reference_model: Model) -> Diagnosis:
+def off(diagnosed_world: Callable[[World], Diagnosis]) -> Diagnosis:
     """A torque sensor that reads 0.1 Nm too little, a motor that gives 8 mNm more than is said."""
     rig = World(simple=True)
     rig = replace(
@@ -25,14 +22,7 @@ def off(reference_model: Model) -> Diagnosis:
         hidden=rig.hidden._replace(motor_offset_nm=0.008),
         instruments=replace(rig.instruments, sensor_offset_nm=-0.1),
     )
-    rng = np.random.default_rng(8)
-    made = {}
-    for name, program in zip("abk", programme("training", rng), strict=True):
-        clean = sensors.reported(rig.run(program), rig.instruments)
-        columns = sensors.measured(clean, rig.instruments, rng)
-        t_ns = np.round(columns.pop("time_s") * 1e9).astype(np.int64)
-        made[name] = {key: Series(t_ns, value) for key, value in columns.items()}
-    return diagnose(reference_model, {k: made[k] for k in "ab"}, {"k": made["k"]})
+    return diagnosed_world(rig)
 
 
 @pytest.mark.parametrize(
