@@ -2,8 +2,8 @@
 
 The twist is the bar's torque without the sensor, so play inside the sensor shows as a loop between
 the two. Inverting the play from the reported torque would leave several times the error. Nobody
-says how late either angle is: τ between the two makes k·τ·ψ̇ of torque, as a drag would, 2 Nm/deg
-and 0.03 ms already one that is seen in the balance. So it is fitted with the rest.
+says how late either angle is: τ between the two makes k·τ·ψ̇ of torque, as a drag would. So it is
+fitted with the rest.
 """
 
 from collections.abc import Sequence
