@@ -44,8 +44,10 @@ class Advice:
 
     @property
     def minutes(self) -> float:
-        """How long to run it until one name beats the other; infinite where it never does."""
-        return CLEAR / self.separation_per_min if self.separation_per_min > 0 else np.inf
+        """Until one name beats the other, but the test whole; infinite where it never does."""
+        if self.separation_per_min <= 0:
+            return np.inf
+        return max(CLEAR / self.separation_per_min, self.seconds / 60.0)
 
     def content(self) -> dict[str, Any]:
         """For the JSON."""
