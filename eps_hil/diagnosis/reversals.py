@@ -43,8 +43,6 @@ _REST_SAMPLES = 20
 """At 1 kHz: a rotor that stays longer has rested."""
 _SPEED_RAD_S = 1.0
 """Below this the two levels of a window pass into one another."""
-_AT_THE_TURN = ("stribeck", "breakaway_dwell")
-"""Effects that change the level within a reversal."""
 _LUGRE = "the form that the model file knows (LuGre's)"
 _MASING = (
     "one length both ways, as slip elements have (Masing), where the model file's form has two"
@@ -112,7 +110,7 @@ def bristle(problem: Problem, found: Fit) -> Bristle | None:
     few, or where they show something else that nothing found explains, or something that was found
     changes the level while the rotor turns round: how slip elements go along with that is open.
     """
-    if any(entry["effect"] in _AT_THE_TURN for entry in found.entries):
+    if any(catalogue()[entry["effect"]].at_reversal for entry in found.entries):
         return None
     model = _without_it(problem, found)
     if model.friction.sigma0_nm_per_rad <= 0.0:

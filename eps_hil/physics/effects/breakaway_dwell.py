@@ -42,6 +42,7 @@ EFFECT = Effect(
     "{time_s:.3g} s of rest.",
     twins={"stribeck": "holds of 0.1 s to 30 s before each break-away"},
     kernel=_level_nm,
+    at_reversal=True,
     advance=_advance,
     probe=Probe(
         "level_nm",

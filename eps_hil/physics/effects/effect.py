@@ -166,6 +166,9 @@ class Effect:
     """None: this tool cannot look for it yet."""
     stage: int = 0
     """Place among the effects of its slot, on the way from what is reported to what acts."""
+    at_reversal: bool = False
+    """Whether it changes the friction level while the rotor turns round: how a bristle goes along
+    with that is open, so a reversal tells nothing of its stiffness then."""
     simulated: bool = True
     """Whether simulator and estimator can use it (a model file may then hold it)."""
 

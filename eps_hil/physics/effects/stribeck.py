@@ -32,6 +32,7 @@ EFFECT = Effect(
         "speed",
     },
     kernel=_level_nm,
+    at_reversal=True,
     probe=Probe(
         "level_nm",
         0.0,
