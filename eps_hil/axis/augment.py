@@ -13,10 +13,10 @@ import numpy as np
 
 from eps_hil.axis.emps import ARM_M, AxisRecord
 from eps_hil.axis.identify import identify
-from eps_hil.diagnosis.fit import Fit, fit
-from eps_hil.diagnosis.prepare import CUTOFF_HZ, STEP_S, Prepared, prepare
-from eps_hil.diagnosis.problem import Problem, plain
-from eps_hil.diagnosis.select import select
+from eps_hil.diagnosis.attribute.select import select
+from eps_hil.diagnosis.balance.fit import Fit, fit
+from eps_hil.diagnosis.balance.problem import Problem, plain
+from eps_hil.diagnosis.data.prepare import CUTOFF_HZ, STEP_S, Prepared, prepare
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from eps_hil.axis.proof import BAND_HZ, Proof
-from eps_hil.diagnosis.prepare import EDGE_S, STEP_S
+from eps_hil.diagnosis.data.prepare import EDGE_S, STEP_S
 from eps_hil.identification.butterworth import low_pass
 from eps_hil.report import figures
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.axis.emps import ARM_M
-from eps_hil.diagnosis.prepare import Prepared
+from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]

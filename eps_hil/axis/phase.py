@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
 from eps_hil.axis.emps import ARM_M, AxisRecord
-from eps_hil.diagnosis.prepare import EDGE_S, SMOOTH_HZ, STEP_S, prepare
+from eps_hil.diagnosis.data.prepare import EDGE_S, SMOOTH_HZ, STEP_S, prepare
 from eps_hil.identification.butterworth import low_pass
 from eps_hil.physics.balance import residual_nm
 from eps_hil.physics.model import Model

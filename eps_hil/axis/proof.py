@@ -12,7 +12,7 @@ from eps_hil.axis.emps import ARM_M, AxisRecord, published_model
 from eps_hil.axis.findings import findings
 from eps_hil.axis.identify import axis_numbers
 from eps_hil.axis.phase import rephased
-from eps_hil.diagnosis.prepare import EDGE_S, SMOOTH_HZ, STEP_S, prepare
+from eps_hil.diagnosis.data.prepare import EDGE_S, SMOOTH_HZ, STEP_S, prepare
 from eps_hil.estimation import batch
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.identification.butterworth import low_pass

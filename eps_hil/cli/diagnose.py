@@ -83,8 +83,8 @@ def diagnose(
     With --simulation the question is what the recordings hold and those traces lack.
     """
     from eps_hil.diagnosis.against import diagnose_against
+    from eps_hil.diagnosis.data.intake import RecordingError
     from eps_hil.diagnosis.diagnose import diagnose as run
-    from eps_hil.diagnosis.intake import RecordingError
     from eps_hil.errors import InputError
     from eps_hil.physics.model import dump_model, load_model
     from eps_hil.recordings.files import check_writable, replacing
@@ -200,8 +200,8 @@ def _say(content: Mapping[str, Any]) -> None:
 
 def _advise(result: "Diagnosis", path: Path) -> None:
     """Simulate the menu of rig tests; write the one that separates the least sure finding."""
-    from eps_hil.diagnosis.advise import advise
-    from eps_hil.diagnosis.zero_reading import zero_readings
+    from eps_hil.diagnosis.direct.zero_reading import zero_readings
+    from eps_hil.diagnosis.verdict.advise import advise
     from eps_hil.recordings.files import replacing
     from eps_hil.rig.menu import menu, write
 

@@ -3,12 +3,12 @@
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 
-from eps_hil.diagnosis.channels import check_channels
+from eps_hil.diagnosis.attribute.select import Say
+from eps_hil.diagnosis.data.channels import check_channels
+from eps_hil.diagnosis.data.intake import check_rates
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
-from eps_hil.diagnosis.intake import check_rates
-from eps_hil.diagnosis.select import Say
-from eps_hil.diagnosis.simulation import Simulated, explain, silent_on
-from eps_hil.diagnosis.traces import Signals
+from eps_hil.diagnosis.simulator.simulation import Simulated, explain, silent_on
+from eps_hil.diagnosis.simulator.traces import Signals
 from eps_hil.physics.model import Model
 
 

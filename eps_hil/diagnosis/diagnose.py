@@ -7,23 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis import locate, regions
-from eps_hil.diagnosis.baseline import HOLD
-from eps_hil.diagnosis.borne_out import augmented_by, beside_unknown, borne_out, unjudged
-from eps_hil.diagnosis.channels import check_channels
-from eps_hil.diagnosis.excerpt import only_part
-from eps_hil.diagnosis.finding import finding, unknown
-from eps_hil.diagnosis.first_look import FirstLook, first_look
-from eps_hil.diagnosis.fit import BRISTLE, Fit
-from eps_hil.diagnosis.held import own_samples
-from eps_hil.diagnosis.intake import RecordingError, prepared, same_load, split, unseen
-from eps_hil.diagnosis.kinematics import small_ratio
-from eps_hil.diagnosis.leftover import Leftover, how_held, late_torque, leftover
-from eps_hil.diagnosis.load import doubted, load_knobs, load_of, missing, not_told_apart, with_load
-from eps_hil.diagnosis.misread import Misread, misread, refined, with_misread
-from eps_hil.diagnosis.placebo import placebos
-from eps_hil.diagnosis.problem import Problem, clipped, knee, term_of
-from eps_hil.diagnosis.proof_of_fit import (
+from eps_hil.diagnosis.accept.borne_out import augmented_by, beside_unknown, borne_out, unjudged
+from eps_hil.diagnosis.accept.placebo import placebos
+from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
     measures,
     noise_floor,
@@ -31,12 +17,33 @@ from eps_hil.diagnosis.proof_of_fit import (
     still_left,
     worse_force,
 )
-from eps_hil.diagnosis.reversals import borne_out as reversals_agree
-from eps_hil.diagnosis.reversals import bristle
-from eps_hil.diagnosis.select import Say, Selection, select
-from eps_hil.diagnosis.side_by_side import each
-from eps_hil.diagnosis.spread import left_open
-from eps_hil.diagnosis.zero_reading import ZeroReadings
+from eps_hil.diagnosis.attribute.misread import Misread, misread, refined, with_misread
+from eps_hil.diagnosis.attribute.select import Say, Selection, select
+from eps_hil.diagnosis.balance.baseline import HOLD
+from eps_hil.diagnosis.balance.excerpt import only_part
+from eps_hil.diagnosis.balance.fit import BRISTLE, Fit
+from eps_hil.diagnosis.balance.load import (
+    doubted,
+    load_knobs,
+    load_of,
+    missing,
+    not_told_apart,
+    with_load,
+)
+from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, term_of
+from eps_hil.diagnosis.balance.spread import left_open
+from eps_hil.diagnosis.data.channels import check_channels
+from eps_hil.diagnosis.data.held import own_samples
+from eps_hil.diagnosis.data.intake import RecordingError, prepared, same_load, split, unseen
+from eps_hil.diagnosis.data.side_by_side import each
+from eps_hil.diagnosis.direct.kinematics import small_ratio
+from eps_hil.diagnosis.direct.reversals import borne_out as reversals_agree
+from eps_hil.diagnosis.direct.reversals import bristle
+from eps_hil.diagnosis.direct.zero_reading import ZeroReadings
+from eps_hil.diagnosis.first_look import FirstLook, first_look
+from eps_hil.diagnosis.mismatch import locate, regions
+from eps_hil.diagnosis.mismatch.leftover import Leftover, how_held, late_torque, leftover
+from eps_hil.diagnosis.verdict.finding import finding, unknown
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 

@@ -9,16 +9,17 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from eps_hil.diagnosis import kinematics, quality
-from eps_hil.diagnosis.apart import Apart
-from eps_hil.diagnosis.belt import belt_of, with_belt
-from eps_hil.diagnosis.drift import Drift
-from eps_hil.diagnosis.excerpt import evenly
-from eps_hil.diagnosis.prepare import Prepared
-from eps_hil.diagnosis.reversals import Bristle
-from eps_hil.diagnosis.seen import finding
-from eps_hil.diagnosis.side_by_side import each
-from eps_hil.diagnosis.zero_reading import ZeroReadings, zero_readings
+from eps_hil.diagnosis.balance.excerpt import evenly
+from eps_hil.diagnosis.data import quality
+from eps_hil.diagnosis.data.prepare import Prepared
+from eps_hil.diagnosis.data.side_by_side import each
+from eps_hil.diagnosis.direct import kinematics
+from eps_hil.diagnosis.direct.apart import Apart
+from eps_hil.diagnosis.direct.belt import belt_of, with_belt
+from eps_hil.diagnosis.direct.drift import Drift
+from eps_hil.diagnosis.direct.reversals import Bristle
+from eps_hil.diagnosis.direct.seen import finding
+from eps_hil.diagnosis.direct.zero_reading import ZeroReadings, zero_readings
 from eps_hil.physics.effects.rack_ratio import local_share
 from eps_hil.physics.model import Model
 from eps_hil.series import Series

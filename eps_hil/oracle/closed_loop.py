@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.prepare import prepare
-from eps_hil.diagnosis.problem import sliding
+from eps_hil.diagnosis.balance.problem import sliding
+from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.estimation import batch
 from eps_hil.estimation.score import score
 from eps_hil.physics.model import Model, load_model

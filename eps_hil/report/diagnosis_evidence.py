@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.diagnose import Diagnosis
-from eps_hil.diagnosis.problem import Problem
-from eps_hil.diagnosis.regions import operating_region
+from eps_hil.diagnosis.mismatch.regions import operating_region
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 

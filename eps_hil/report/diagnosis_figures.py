@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout, free_runs
+from eps_hil.diagnosis.data.prepare import STEP_S
 from eps_hil.diagnosis.diagnose import Diagnosis
-from eps_hil.diagnosis.prepare import STEP_S
-from eps_hil.diagnosis.proof_of_fit import Holdout, free_runs
 from eps_hil.estimation import batch
 from eps_hil.estimation.stream import Trace
 from eps_hil.physics.model import Model

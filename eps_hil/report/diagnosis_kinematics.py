@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout
+from eps_hil.diagnosis.data.prepare import Prepared, prepare, with_play
 from eps_hil.diagnosis.diagnose import Diagnosis
-from eps_hil.diagnosis.prepare import Prepared, prepare, with_play
-from eps_hil.diagnosis.proof_of_fit import Holdout
-from eps_hil.diagnosis.rotor_and_rack import Rows, has_rack
-from eps_hil.diagnosis.torsion_bar import has_twist, twist_rad
+from eps_hil.diagnosis.direct.rotor_and_rack import Rows, has_rack
+from eps_hil.diagnosis.direct.torsion_bar import has_twist, twist_rad
 from eps_hil.physics.model import Model
 from eps_hil.report.plots import Line, Plot
 

@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, score, threshold
+from eps_hil.diagnosis.balance.problem import term_of
 from eps_hil.diagnosis.diagnose import Diagnosis
-from eps_hil.diagnosis.problem import term_of
-from eps_hil.diagnosis.scoring import FORWARD_SHARE, score, threshold
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.report import (
     diagnosis_evidence,

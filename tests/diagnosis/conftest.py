@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.prepare import prepare
-from eps_hil.diagnosis.problem import Problem
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.first_look import FirstLook, first_look
-from eps_hil.diagnosis.prepare import prepare
 from eps_hil.physics.model import Model
 from eps_hil.proof import manoeuvres, sensors
 from eps_hil.proof.world import Instruments, World

@@ -16,9 +16,9 @@ CHECK = """
 import dataclasses, math
 import numpy as np
 import yaml
-from eps_hil.diagnosis.prepare import prepare
-from eps_hil.diagnosis.problem import Problem
-from eps_hil.diagnosis.select import select
+from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.attribute.select import select
 from eps_hil.physics.balance import residual_nm
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.catalogue import catalogue

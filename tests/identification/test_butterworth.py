@@ -72,7 +72,8 @@ def test_too_short_for_the_filter_is_said(order: int, needed: int) -> None:
 def test_scipy_signal_is_not_imported_for_it() -> None:
     """What the filter is written out for."""
     script = (
-        "import sys, numpy as np; from eps_hil.diagnosis import channels, rotor_and_rack;"
+        "import sys, numpy as np; from eps_hil.diagnosis.data import channels;"
+        "from eps_hil.diagnosis.direct import rotor_and_rack;"
         "from eps_hil.identification.butterworth import low_pass; low_pass(np.ones(99), 40.0);"
         "print('scipy.signal' in sys.modules)"
     )

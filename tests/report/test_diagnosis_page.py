@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.diagnosis.accept.proof_of_fit import free_runs
+from eps_hil.diagnosis.attribute.misread import Misread
+from eps_hil.diagnosis.data.prepare import Prepared
+from eps_hil.diagnosis.data.quality import Quality
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
-from eps_hil.diagnosis.misread import Misread
-from eps_hil.diagnosis.prepare import Prepared
-from eps_hil.diagnosis.proof_of_fit import free_runs
-from eps_hil.diagnosis.quality import Quality
 from eps_hil.physics.model import Model, load_model
 from eps_hil.report import diagnosis_page
 from eps_hil.report.diagnosis_evidence import LABELS

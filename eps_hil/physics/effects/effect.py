@@ -109,7 +109,7 @@ class Probe:
     phase: str | None = None
     """A phase: the probe then looks at two quadratures at once."""
     scan: str = ""
-    """A parameter whose starting values come from the data: see ``diagnosis/probes.py``."""
+    """A parameter whose starting values come from the data: see ``diagnosis/balance/probes.py``."""
     least: float = 0.0
     """A smaller change than this is how rigs are built and sampled: fitted, but no finding.
 

@@ -3,7 +3,7 @@
 From the reported torque the true one is known only to within the gap. The kernel takes the play
 back with a lead (s[0]) that runs to the half width in the direction in which the smoothed reading
 (s[1]) moves; while the true torque crosses the gap this is off by up to the play. A diagnosis
-measures the true torque by the torsion bar's twist instead (``diagnosis/torsion_bar.py``).
+measures the true torque by the torsion bar's twist instead (``diagnosis/direct/torsion_bar.py``).
 """
 
 from eps_hil.compiled import njit

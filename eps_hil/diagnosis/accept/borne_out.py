@@ -1,0 +1,206 @@
+"""Which of the accepted effects the hold-outs bear out, and the model with those."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout, rack_force_error_n
+from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
+from eps_hil.diagnosis.attribute.select import Selection, timed
+from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, deviation, fit
+from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, plain, term_of
+from eps_hil.diagnosis.mismatch.curve import winds
+from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN, alone
+from eps_hil.physics.model import Model
+
+_SPOILT = 1.5
+"""Times the rack force's error without it: right ones were up to 1.2 on development cases."""
+_SILENT = 0.1
+"""Share of the gain that counts: an entry that changes hold-outs by less cannot be judged there."""
+_BEYOND_DOUBT = 10.0
+"""Times the gain that counts: what hold-outs cannot judge has to show as clearly as this."""
+
+
+def borne_out(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Sequence[int]:
+    """Places of the findings; the fit goes on without what the hold-outs do not bear out."""
+    entries, visited_m = selection.found.entries, problem.visited_m
+    findings = [
+        k for k in _held_out(problem, selection, judged) if not winds(entries[k], visited_m)
+    ]
+    findings = _refitted(problem, selection, findings)
+    clear = [k for k in findings if _clear(problem, selection.found, k)]
+    findings = _refitted(problem, selection, clear)
+    findings = _refitted(
+        problem, selection, _without_spoiling_bristle(problem, selection, findings, judged)
+    )
+    if findings and not _better(problem, selection.found, findings, judged):
+        silent = not_shown(selection.found, findings, judged, problem.model)
+        return findings if len(silent) == len(findings) else []
+    return findings
+
+
+def _without_spoiling_bristle(
+    problem: Problem, selection: Selection, findings: Sequence[int], judged: Sequence[Holdout]
+) -> list[int]:
+    """The findings without a bristle's stiffness that spoils the hold-outs' rack force.
+
+    Where an angle's noise drowns presliding, the balance at reversals may gain by any stiffness;
+    the estimate of the force loses by a wrong one.
+    """
+    entries, left = selection.found.entries, list(findings)
+    for k in findings:
+        if entries[k]["effect"] != BRISTLE:
+            continue
+        others = [place for place in left if place != k]
+        with_it, without = (
+            rack_force_error_n(judged, problem.model, augmented_by(problem, selection.found, named))
+            for named in (left, others)
+        )
+        if with_it is not None and without is not None and with_it > _SPOILT * without:
+            left = others
+    return left
+
+
+def _held_out(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> list[int]:
+    """Places of the entries that improve recordings which were not used to fit them."""
+    keep = []
+    entries = selection.found.entries
+    test = Problem([one.prepared for one in judged], problem.model)
+    full = test.residual(test.with_entries(entries, selection.found.own))
+    at = knee(full)
+    cost = float(np.sum(clipped(full, at) ** 2))
+    least = 0.3 * threshold(test, full, FINAL_SHARE)
+    for k, entry in enumerate(entries):
+        if term_of(entry) not in selection.gains:
+            continue
+        refitted = selection.without[term_of(entry)]
+        without = test.residual(test.with_entries(refitted.entries, refitted.own))
+        gain = float(np.sum(clipped(without, at) ** 2)) - cost
+        if gain > least or (
+            _beyond_doubt(problem, selection, k)
+            and not_shown(selection.found, [k], judged, problem.model)
+        ):
+            keep.append(k)
+    return keep
+
+
+def not_shown(
+    found: Fit, places: Sequence[int], judged: Sequence[Holdout], model: Model
+) -> list[int]:
+    """Those of the entries at ``places`` that do nothing in the hold-outs, to judge them by.
+
+    A stop that is not touched there, a rest that is never long enough: their residual is the same
+    with the entry and without, to less than what would count.
+    """
+    test = Problem([one.prepared for one in judged], model)
+    full = test.residual(test.with_entries(found.entries, found.own))
+    kept = []
+    for k in places:
+        others = [entry for i, entry in enumerate(found.entries) if i != k]
+        change = full - test.residual(test.with_entries(others, found.own))
+        if float(np.sum(change**2)) < _SILENT * threshold(test, full, FINAL_SHARE):
+            kept.append(k)
+    return kept
+
+
+def unjudged(
+    found: Fit, findings: Sequence[int], judged: Sequence[Holdout], model: Model
+) -> list[str]:
+    """A sentence for each finding that the hold-outs do not show."""
+    return [
+        f"The hold-outs never come where {found.entries[k]['effect']} acts, and cannot bear it "
+        "out: it rests on the fitted recordings alone. Keep one from the fit that shows it."
+        for k in not_shown(found, findings, judged, model)
+    ]
+
+
+def _beyond_doubt(problem: Problem, selection: Selection, k: int) -> bool:
+    """Whether the fitted recordings alone show an entry: by far, and in more stretches than one."""
+    found, term = selection.found, term_of(selection.found.entries[k])
+    without = selection.without[term].residual
+    at = knee(found.residual)
+    gained = clipped(without, at) ** 2 - clipped(found.residual, at) ** 2
+    by_stretch = np.bincount(problem.stretch, np.where(problem.sliding, gained, 0.0))
+    least = threshold(problem, found.residual, FINAL_SHARE)
+    elsewhere = float(np.sum(by_stretch) - np.max(by_stretch))
+    return selection.gains[term] > _BEYOND_DOUBT * least and elsewhere > least
+
+
+def _clear(problem: Problem, found: Fit, k: int) -> bool:
+    """Whether an effect of one number is more than that number's 95 % interval is wide.
+
+    Its gain counts samples, as if they were independent; the interval knows that they are not.
+    """
+    halves = [half for (place, _), half in found.half_width.items() if place == k]
+    return len(halves) != 1 or deviation(found.entries[k], problem) > halves[0]
+
+
+def _refitted(problem: Problem, selection: Selection, findings: Sequence[int]) -> list[int]:
+    """Take out what the hold-outs do not bear out, so that it bends no other finding's numbers.
+
+    Returns the findings' places in the new fit.
+    """
+    found = selection.found
+    left = [
+        k
+        for k, entry in enumerate(found.entries)
+        if k in findings or term_of(entry) not in selection.gains
+    ]
+    if len(left) == len(found.entries):
+        return list(findings)
+    terms = {term_of(found.entries[k]) for k in findings}
+    entries = [found.entries[k] for k in left]
+    selection.found = timed(problem, fit(problem, entries, own=found.own, like=found))
+    # a delay that is too small for a name without the others has gone from the entries by now
+    return [k for k, entry in enumerate(selection.found.entries) if term_of(entry) in terms]
+
+
+def beside_unknown(problem: Problem, selection: Selection, findings: Sequence[int]) -> list[int]:
+    """Without the names that explain less than what no name explains: they are parts of it.
+
+    Whatever is unknown is made up for by what happens to be like it; such names are many, small,
+    and wrong. None is left where one unknown curve does better than all of them.
+    """
+    residual = selection.found.residual
+    if alone(problem, selection.null.residual, residual) is not None:
+        return _refitted(problem, selection, [])
+    names = {k: term_of(selection.found.entries[k]) for k in findings}
+    while True:
+        residual = selection.found.residual
+        cut = clipped(residual, knee(residual))
+        least = BESIDE_UNKNOWN * float(np.sum(cut[problem.sliding] ** 2 - 1.0))
+        kept = [k for k in findings if selection.gains[names[k]] > least]
+        if len(kept) == len(findings):
+            return list(findings)
+        findings = _refitted(problem, selection, kept)
+        names = {k: term_of(selection.found.entries[k]) for k in findings}
+
+
+def _better(
+    problem: Problem, found: Fit, findings: Sequence[int], judged: Sequence[Holdout]
+) -> bool:
+    """Whether the findings, as a model file would hold them, lower the hold-outs' error."""
+    test = Problem([one.prepared for one in judged], problem.model)
+    augmented = augmented_by(problem, found, findings)
+    before, after = test.residual(problem.model), test.residual(augmented)
+    at = knee(before)
+    return float(np.sum(clipped(after, at) ** 2)) < float(np.sum(clipped(before, at) ** 2))
+
+
+def augmented_by(problem: Problem, found: Fit, findings: Sequence[int]) -> Model:
+    """The model with the findings; what else was fitted (how a torque is held) goes with them."""
+    if not findings:
+        return problem.model
+    entries = [_entry(plain(found.entries[k])) for k in findings]
+    model = problem.with_entries(entries, _entry(found.own))
+    late = max(model.delays_s.motor_torque, 0.0)  # a model file holds no negative delay
+    return replace(model, delays_s=replace(model.delays_s, motor_torque=late))
+
+
+def _entry(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        key: (round(float(f"{value:.6g}"), 12) if isinstance(value, float) else value)
+        for key, value in entry.items()
+    }

@@ -1,0 +1,196 @@
+"""Before and after on recordings that were not fitted: torque, speed and rack force."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.balance.problem import Problem, sliding
+from eps_hil.diagnosis.data.prepare import STEP_S, Prepared
+from eps_hil.diagnosis.data.quality import Quality
+from eps_hil.diagnosis.data.side_by_side import each
+from eps_hil.diagnosis.mismatch import locate
+from eps_hil.estimation import batch
+from eps_hil.estimation.score import score
+from eps_hil.estimation.stream import Trace
+from eps_hil.physics.effects.catalogue import with_model_effects
+from eps_hil.physics.friction import friction_law, static_level_nm
+from eps_hil.physics.model import Model
+from eps_hil.physics.simulate import simulate
+from eps_hil.series import Series
+
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+WINDOW_S = 0.5
+"""Length of the stretches that are simulated freely from a measured state."""
+MUCH_MORE = 2.0
+"""Times the energy of what was fitted: such a hold-out shows something that nothing else did."""
+MOST_RUNS = 24
+"""Of each hold-out; a longer one is sampled evenly."""
+_WORSE = 1.02
+"""Times the error that it was, from which a worse estimate is said."""
+_CLEARLY = 1.3
+"""Times the sensors' noise that is left of a hold-out's torque, from which that is said."""
+
+
+@dataclass(frozen=True)
+class Holdout:
+    """A recording kept from the fit, prepared and as it was read; bad data count for nothing."""
+
+    prepared: Prepared
+    series: Mapping[str, Series]
+    quality: Quality | None = None
+
+    def judging(self, model: Model) -> Flags:
+        """Thinned samples (m,) that slide and whose data are good."""
+        mask = sliding(self.prepared, model)
+        return mask if self.quality is None else mask & ~self.quality.barred(self.prepared)
+
+    def estimated(self, model: Model) -> Trace:
+        """The estimator's trace of the recording, without the stretches of bad data."""
+        trace = batch.estimate(dict(self.series), model)
+        if self.quality is None:
+            return trace
+        good = ~self.quality.bad_at((trace.t_ns - self.quality.start_ns) * 1e-9)
+        return Trace(
+            trace.t_ns[good],
+            trace.rack_force_n[good],
+            trace.friction_torque_nm[good],
+            trace.reason[good],
+        )
+
+
+def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[str, float]:
+    """torque_nrmse, speed_fit_percent, rack_force_rmse_n (CONTRACT 7) of ``model``.
+
+    ``common`` decides which samples count as sliding and what torque the residual is divided by,
+    so that before, after and the noise floor are parts of the same whole.
+    """
+    residual, torque, error, speed = [], [], [], []
+    for one in holdouts:
+        mask = one.judging(common)
+        residual.append(one.prepared.left_over(model)[mask])
+        torque.append(one.prepared.residual(common)[1][mask])
+        _, simulated, measured = free_runs(one.prepared, model, one.quality)
+        error.append(simulated - measured)
+        speed.append(measured - np.mean(measured) if len(measured) else measured)
+    result = {
+        "torque_nrmse": _rms(residual) / max(_rms(torque), 1e-12),
+        "speed_fit_percent": 100.0 * (1.0 - _rms(error) / max(_rms(speed), 1e-12)),
+    }
+    force = rack_force_error_n(holdouts, common, model)
+    if force is not None:
+        result["rack_force_rmse_n"] = force
+    return result
+
+
+def rack_force_error_n(holdouts: Sequence[Holdout], common: Model, model: Model) -> float | None:
+    """Rms error (N, at the rack) of ``model``'s estimate while moving; None: no load cell."""
+    found = [score(one.estimated(model), one.series, common) for one in holdouts]
+    errors = [one.rmse_moving_n for one in found if one is not None]
+    errors = [one for one in errors if np.isfinite(one)]
+    return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
+
+
+def only_kept(holdouts: Sequence[Holdout], before: Model, after: Model, fitted: float) -> list[str]:
+    """A sentence for each hold-out that shows what nothing fitted does (a stop met only there).
+
+    ``after``: the model with what was found; ``fitted``: the mean square, in noise variances, that
+    it leaves of what was fitted. The balance is judged while sliding under ``before``.
+    """
+    told = []
+    for one in holdouts:
+        kept = Problem([one.prepared], before)
+        energy = np.where(kept.sliding, kept.residual(after) ** 2, 0.0)
+        left = float(np.sum(energy)) / max(int(np.sum(kept.sliding)), 1)
+        if left < MUCH_MORE * max(fitted, 1.0):
+            continue
+        places = [
+            f"{region.signal} {region.low:.4g} to {region.high:.4g}"
+            for region in locate.where(kept, energy)
+        ]
+        told.append(
+            f"{one.prepared.name} leaves {np.sqrt(left):.2g} times the sensors' noise, which what "
+            f"was fitted does not{': most of it at ' + ' and '.join(places) if places else ''}. "
+            "What acts there only cannot be named from the others; fit a recording like it too."
+        )
+    return told
+
+
+def still_left(told: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """A sentence where hold-outs (``fit.holdout`` of the JSON) keep clearly more than noise."""
+    times = told["augmented"]["torque_nrmse"] / max(told["noise_floor"]["torque_nrmse"], 1e-300)
+    if times < _CLEARLY:
+        return []
+    return [
+        f"The hold-outs keep {times:.2g} times what the sensors' noise makes, where nothing was "
+        "concluded from them (beside an open gap) or for a short while only: there the model is no "
+        "better than that."
+    ]
+
+
+def worse_force(told: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """A sentence where the findings make the hold-outs' rack-force estimate worse."""
+    before, after = (told[one].get("rack_force_rmse_n", 0.0) for one in ("baseline", "augmented"))
+    if after <= _WORSE * before:
+        return []
+    return [
+        f"The estimate of the rack force is worse with the findings: {after:.3g} N off on the "
+        f"hold-outs, {before:.3g} N without. They hold for the torque balance; try the written "
+        "model on recordings of your own use before the estimator takes it."
+    ]
+
+
+def noise_floor(holdouts: Sequence[Holdout], model: Model) -> dict[str, float]:
+    """What sensor noise alone would leave of ``torque_nrmse``."""
+    torque = [one.prepared.residual(model)[1][one.judging(model)] for one in holdouts]
+    floors = [one.prepared.floor_nm(model) for one in holdouts]
+    return {"torque_nrmse": float(np.sqrt(np.mean(np.square(floors)))) / max(_rms(torque), 1e-12)}
+
+
+def free_runs(
+    prepared: Prepared, model: Model, quality: Quality | None = None
+) -> tuple[Floats, Floats, Floats]:
+    """(time, simulated, measured speed) of half seconds that start while sliding; s, rad/s.
+
+    Each is simulated freely from the measured state at its start; the rest is left out, and so
+    are those in which ``quality`` finds bad data.
+    """
+    model = with_model_effects(model)
+    motion = prepared.motion(model)
+    law = friction_law(model.friction)
+    n = round(WINDOW_S / STEP_S)
+    bad = np.zeros(len(motion.time_s), bool) if quality is None else quality.bad_at(motion.time_s)
+    starts = [
+        first
+        for first in range(0, len(motion.time_s) - n, n)
+        if abs(motion.speed_rad_s[first]) >= 5.0 and not bad[first : first + n].any()
+    ]
+
+    def run(first: int) -> Floats:
+        speed = motion.speed_rad_s[first]
+        part = slice(first, first + n)
+        level = static_level_nm(speed, motion.rack_force_n[first], law)
+        return simulate(
+            model,
+            motion.time_s[part],
+            motion.motor_torque_nm[part],
+            motion.torque_sensor_nm[part],
+            motion.rack_force_n[part],
+            speed_rad_s=float(speed),
+            angle_rad=float(motion.angle_rad[first]),
+            bristle_rad=float(np.sign(speed) * level / law.sigma0_nm_per_rad),
+        ).speed_rad_s
+
+    starts = starts[:: 1 + len(starts) // MOST_RUNS]
+    if not starts:
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    kept = np.concatenate([np.arange(first, first + n) for first in starts])
+    return motion.time_s[kept], np.concatenate(each(run, starts)), motion.speed_rad_s[kept]
+
+
+def _rms(parts: Sequence[Floats]) -> float:
+    values = np.concatenate(parts) if parts else np.zeros(0)
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

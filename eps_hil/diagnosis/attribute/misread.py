@@ -1,0 +1,230 @@
+"""A load cell or torque sensor that is late, or a load cell that reads too much: no effect's name.
+
+A signal that is late against all others looks like all others being early: the torque balance then
+names a late motor torque, an early speed sensor, or nothing. A load cell that reads too much looks
+like a ratio and a sensor's gain that are both off. Where such names were taken, or much was left,
+one number for the one signal is tried in the place of them all.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from eps_hil.diagnosis.attribute.numbers import SCALES, SPANNED
+from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, refitted, threshold
+from eps_hil.diagnosis.attribute.select import Selection
+from eps_hil.diagnosis.balance.baseline import ALL, HOLD
+from eps_hil.diagnosis.balance.fit import Fit, fit
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.data.prepare import Prepared
+from eps_hil.diagnosis.mismatch.leftover import LARGE_EXCESS
+from eps_hil.physics.model import Model
+
+CHANNELS = {"rack_force_n": "rack_force", "torque_sensor_nm": "torque_sensor"}
+"""Signals without a delay effect of their own, and their entries in the model's ``delays_s``."""
+LOAD_CELL = "rack_force_n"
+"""The signal without a gain effect of its own."""
+LEAST_S, LEAST_GAIN = 1e-3, 0.005
+"""Less is how signals are sampled and filtered, and how load cells are calibrated."""
+MOST_S, MOST_GAIN = 0.1, 0.5
+_TIMING = (HOLD, "speed_sensor_delay")
+_LEAST_PART = 0.5
+"""Of what a refit leaves over that the one number has to explain."""
+_RESOLUTION_S, _RESOLUTION = 1e-4, 1e-3
+_ROUNDS = 5
+_GRID = 26
+
+
+@dataclass(frozen=True)
+class Misread:
+    """A signal, how much later (s) or larger (factor) it is than the truth, what that explains.
+
+    ``low`` to ``high`` is what it goes through, in its unit.
+    """
+
+    signal: str
+    late_s: float = 0.0
+    gain: float = 1.0
+    share: float = 1.0
+    low: float = 0.0
+    high: float = 0.0
+
+    def in_model(self, model: Model) -> Model:
+        """The model with that signal's true delay."""
+        if self.late_s == 0.0:
+            return model
+        key = CHANNELS[self.signal]
+        moved = {key: max(getattr(model.delays_s, key) + self.late_s, 0.0)}
+        return replace(model, delays_s=replace(model.delays_s, **moved))
+
+    def put_right(self, one: Prepared) -> Prepared:
+        """The recording with that signal as large as it should be."""
+        if self.gain == 1.0:
+            return one
+        return one.changed(raw={**one.raw, self.signal: one.raw[self.signal] / self.gain})
+
+    def finding(self, model: Model) -> dict[str, Any]:
+        """The JSON entry (CONTRACT 7), beside the model file's ``model``."""
+        return {
+            "effect": "unknown",
+            "kind": "instrument",
+            "confidence": 0.95,
+            "equation": "",
+            "summary": f"{self._words(model)} explains {100 * self.share:.0f} % of the mismatch. "
+            "No effect of the catalogue stands for that.",
+            "parameters": {},
+            "where": [
+                {
+                    "signal": self.signal,
+                    "from": self.low,
+                    "to": self.high,
+                    "share_of_excess": self.share,
+                }
+            ],
+            "curve": [],
+            "confusable_with": [],
+            "next_experiment": "",
+        }
+
+    def _words(self, model: Model) -> str:
+        if self.late_s == 0.0:
+            return f"{self.signal} reads {self.gain:.3f} times what it should: dividing it by that"
+        key, delay_s = CHANNELS[self.signal], self.in_model(model).delays_s.of(self.signal)
+        way = "later" if self.late_s > 0 else "earlier"
+        return (
+            f"{self.signal} is reported {1e3 * abs(self.late_s):.3g} ms {way} than the model file "
+            f"says: delays_s.{key} of {delay_s:.3g} s"
+        )
+
+
+def misread(problem: Problem, selection: Selection, measured: Collection[str]) -> Misread | None:
+    """The signal of which one number does as well as all such numbers that were named, or None.
+
+    And it has to explain most of what the model's own numbers, refitted, leave over. ``measured``:
+    the signals that were recorded.
+    """
+    found = selection.searched
+    names = [str(entry["effect"]) for entry in found.entries]
+    excess = float(np.mean(found.residual[problem.sliding] ** 2)) - 1.0
+    tried: list[tuple[Misread, Sequence[str]]] = []
+    much = excess > LARGE_EXCESS
+    if set(names) & set(_TIMING) or much:
+        tried += [(Misread(name), _TIMING) for name in CHANNELS if name in measured]
+    if LOAD_CELL in measured and (len(set(names) & set(SCALES)) > 1 or much):
+        tried.append((Misread(LOAD_CELL, gain=1.0 + LEAST_GAIN), SCALES))
+    best: tuple[float, Misread] | None = None
+    for start, instead in tried:
+        one = _instead(problem, found, start, instead)
+        if one is not None and (best is None or one[0] < best[0]):
+            best = one
+    if best is None:
+        return None
+    seen = np.concatenate([one.raw[best[1].signal] for one in problem.recordings])
+    low, high = np.percentile(seen, [2, 98])
+    return replace(best[1], low=float(low), high=float(high))
+
+
+def refined(wrong: Misread, problem: Problem, selection: Selection) -> Misread:
+    """The same once more, beside what is found now that it is known.
+
+    ``problem`` has it put right. What was found before may have made up for a part of it. The very
+    same where it did not.
+    """
+    others = [e for e in selection.searched.entries if e["effect"] not in SPANNED]
+    bare = fit(problem, others, own={**ALL, **problem.tied})
+    still = Misread(wrong.signal, gain=1.0 if wrong.gain == 1.0 else 1.0 + LEAST_GAIN)
+    more, _ = _followed(problem, bare, others, still)
+    if abs(more.late_s) < _RESOLUTION_S and abs(more.gain - 1.0) < _RESOLUTION:
+        return wrong
+    return replace(wrong, late_s=wrong.late_s + more.late_s, gain=wrong.gain * more.gain)
+
+
+def _instead(
+    problem: Problem, found: Fit, start: Misread, names: Sequence[str]
+) -> tuple[float, Misread] | None:
+    """(cost, what) of one number of a signal in the place of the entries of these ``names``."""
+    others = [e for e in found.entries if e["effect"] not in (*names, *SPANNED)]
+    named = [e for e in found.entries if e["effect"] in names]
+    bare = fit(problem, others, own={**ALL, **problem.tied})
+    best_named = fit(problem, [*others, *named], own=bare.own) if named else bare
+    one, after = _followed(problem, bare, others, start)
+    gain, over = bare.cost - after.cost, bare.cost - float(len(bare.residual))
+    if not _matters(one) or gain < _LEAST_PART * over:
+        return None
+    if after.cost > best_named.cost + threshold(problem, best_named.residual, FINAL_SHARE):
+        return None
+    return after.cost, replace(one, share=min(gain / over, 1.0))
+
+
+def _matters(one: Misread) -> bool:
+    return abs(one.late_s) > LEAST_S or abs(one.gain - 1.0) > LEAST_GAIN
+
+
+def _followed(
+    problem: Problem, bare: Fit, others: Sequence[Mapping[str, Any]], start: Misread
+) -> tuple[Misread, Fit]:
+    """What fits best of the signal's one number, and the fit with that.
+
+    The numbers that the wrong signal bent come back while it is found, so it takes a few rounds.
+    """
+    is_gain = start.gain != 1.0
+    one, after = Misread(start.signal), bare
+    for _ in range(_ROUNDS):
+        before = one
+        one = _best_gain(problem, after, one) if is_gain else _best_delay(problem, after, one)
+        after = fit(_right(problem, one), others, own=after.own)
+        small = abs(one.late_s - before.late_s) < _RESOLUTION_S
+        if (small and abs(one.gain - before.gain) < _RESOLUTION) or not _matters(one):
+            break
+    return one, after
+
+
+def _right(problem: Problem, one: Misread) -> Problem:
+    recordings = [one.put_right(each) for each in problem.recordings]
+    right = replace(problem, recordings=recordings, model=one.in_model(problem.model))
+    right.knee = problem.knee
+    return right
+
+
+def with_misread(content: Mapping[str, Any], finding: Mapping[str, Any]) -> dict[str, Any]:
+    """The JSON (CONTRACT 7) with this finding beside the others."""
+    named = any(one["effect"] != "unknown" for one in content["findings"])
+    verdict = "partly_explained" if named else "unknown_effect"
+    return {**content, "verdict": verdict, "findings": [*content["findings"], dict(finding)]}
+
+
+def _best_delay(problem: Problem, fitted: Fit, one: Misread) -> Misread:
+    model = problem.with_entries(fitted.entries, fitted.own)
+
+    def cost(late_s: float) -> float:
+        residual = problem.residual(replace(one, late_s=late_s).in_model(model))
+        return problem.cost(refitted(residual, fitted.jacobian))
+
+    least = -problem.model.delays_s.of(one.signal)
+    return replace(one, late_s=_least(cost, least, MOST_S, _RESOLUTION_S))
+
+
+def _best_gain(problem: Problem, fitted: Fit, one: Misread) -> Misread:
+    model = problem.with_entries(fitted.entries, fitted.own)
+
+    def cost(gain: float) -> float:
+        right = replace(one, gain=gain)
+        parts = [right.put_right(each).left_over(model) for each in problem.recordings]
+        residual = np.concatenate(parts) / problem.scale
+        return problem.cost(refitted(residual, fitted.jacobian))
+
+    low, high = 1.0 / (1.0 + MOST_GAIN), 1.0 + MOST_GAIN
+    return replace(one, gain=_least(cost, low, high, _RESOLUTION))
+
+
+def _least(cost: Callable[[float], float], low: float, high: float, resolution: float) -> float:
+    """Where the cost is least: on a grid, then between its neighbours."""
+    from scipy.optimize import minimize_scalar
+
+    grid = np.linspace(low, high, _GRID)
+    k = int(np.argmin([cost(float(one)) for one in grid]))
+    ends = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)])
+    found = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": resolution / 4})
+    return float(found.x)

@@ -1,0 +1,274 @@
+"""All parameters of the chosen effects together: bounded least squares on the torque balance."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.balance.baseline import ALL, KNOBS, SIDES
+from eps_hil.diagnosis.balance.probes import bounds, neutral_value
+from eps_hil.diagnosis.balance.problem import Problem, huber, knee, term_of
+from eps_hil.diagnosis.balance.spread import Integers, half_widths
+from eps_hil.physics.effects.catalogue import catalogue
+
+Floats = npt.NDArray[np.float64]
+
+_FIXED = ("belt_ratio", "pole_pairs", "harmonic", "curve")
+"""Not moved by the joint fit: given by the model file, or solved for in one step (a curve)."""
+
+
+BRISTLE, _LOST_PATHS = "presliding_hysteresis", 1.25
+"""A bristle stiffer by no more than so many lost paths is what the angle's noise makes of it."""
+_FARTHEST = 8.0
+"""Usual errors beyond which the model's own numbers are not moved: it is another rig then."""
+_TRUSTED = 0.7
+"""Share of the promised gain below which sensitivities are out of date."""
+_NEGLIGIBLE = 0.5
+"""A fit ends where its next step would gain less than this part of a noise variance."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Fitted entries, weighted residual (n,), and the names of the numbers that were fitted.
+
+    ``own``: how far the model's own numbers were moved beside the entries (empty: not at all).
+    ``jacobian`` has the columns of ``own`` first, then those of ``names``.
+    """
+
+    entries: tuple[dict[str, Any], ...]
+    residual: Floats
+    names: tuple[tuple[int, str], ...]
+    jacobian: Floats
+    own: Mapping[str, float] = field(default_factory=dict)
+    cost: float = 0.0
+    """Huber's loss, twice, at the problem's knee, and the price of ``own`` (its prior)."""
+    knee: float = np.inf
+    groups: tuple[Integers, ...] = ()
+    """Blocks and stretches (n,) whose residuals hang together."""
+
+    @cached_property
+    def half_width(self) -> Mapping[tuple[int, str], float]:
+        """Half widths of the 95 % intervals of the fitted numbers, by place and parameter name."""
+        if not self.names:
+            return {}
+        weight = np.sqrt(huber(self.residual, self.knee))
+        first, jacobian = len(self.own), self.jacobian * weight[:, None]
+        wide = half_widths(jacobian, self.residual * weight, self.groups, first)[first:]
+        return dict(zip(self.names, (float(one) for one in wide), strict=True))
+
+    def slopes(self) -> dict[tuple[str, str], Floats]:
+        """Columns of the Jacobian by (term, parameter)."""
+        first = len(self.own)
+        return {
+            (term_of(self.entries[k]), name): self.jacobian[:, first + i]
+            for i, (k, name) in enumerate(self.names)
+        }
+
+
+def fit(
+    problem: Problem,
+    entries: Sequence[Mapping[str, Any]],
+    rounds: int = 10,
+    own: Mapping[str, float] | None = None,
+    like: Fit | None = None,
+) -> Fit:
+    """Levenberg-Marquardt within bounds from the given entries; Huber weights against outliers.
+
+    ``own`` names the model's own numbers that are fitted too, and where from (see baseline).
+    Sensitivities are taken from ``like``, a fit nearby, where it has them, and anew only where a
+    step gains less than they promised: most of the model is nearly linear.
+    """
+    names = tuple(
+        (k, p.name)
+        for k, entry in enumerate(entries)
+        for p in catalogue()[entry["effect"]].parameters
+        if p.name in entry and p.name not in _FIXED
+    )
+    work, knobs = [dict(entry) for entry in entries], _Knobs(problem, own)
+    residual = problem.residual(problem.with_entries(work, knobs.values))
+    at = problem.knee = problem.knee or knee(residual)
+    cost = problem.cost(residual) + knobs.price
+    jacobian = np.hstack([knobs.columns, np.zeros((len(residual), len(names)))])
+    damping = 1e-3
+    known = {} if like is None else like.slopes()
+    fresh, columns = not known, knobs.columns
+    if not rounds:
+        jacobian = np.hstack(
+            [knobs.columns, _jacobian(problem, work, names, residual, knobs.values)]
+        )
+    for _ in range(rounds if jacobian.shape[1] else 0):
+        wanted = [n for n in names if fresh or (term_of(work[n[0]]), n[1]) not in known]
+        slopes = _jacobian(problem, work, wanted, residual, knobs.values)
+        known |= {(term_of(work[k]), n): slopes[:, i] for i, (k, n) in enumerate(wanted)}
+        found = [known[term_of(work[k]), n] for k, n in names]
+        jacobian = np.column_stack([columns, *found])
+        fresh_now, fresh = len(wanted) == len(names), False
+        weighted = jacobian * huber(residual, at)[:, None]
+        normal, slope = weighted.T @ jacobian, weighted.T @ residual
+        normal[knobs.diagonal] += 1.0
+        slope[: len(knobs.names)] += knobs.vector
+        size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
+        before = cost
+        for _attempt in range(5):
+            scaled = normal / np.outer(size, size) + damping * np.eye(len(size))
+            step = -np.linalg.lstsq(scaled, slope / size, rcond=None)[0] / size
+            promised = -float(slope @ step)
+            if promised < _NEGLIGIBLE:
+                break
+            moved = knobs.moved(step[: len(knobs.names)])
+            trial = _moved(problem, work, names, step[len(knobs.names) :])
+            changed = problem.residual(problem.with_entries(trial, moved.values))
+            lower = problem.cost(changed) + moved.price
+            if lower < cost:
+                work, residual, knobs, cost = trial, changed, moved, lower
+                damping = max(damping / 10, 1e-9)
+                break
+            damping *= 10
+            if not fresh_now:
+                break
+        if before - cost < _NEGLIGIBLE and (fresh_now or promised < _NEGLIGIBLE):
+            break
+        fresh = before - cost < _TRUSTED * promised
+    groups = problem.block, problem.stretch
+    return Fit(tuple(work), residual, names, jacobian, knobs.values, cost, at, groups)
+
+
+class _Knobs:
+    """The model's own numbers during a fit: values, sensitivities and the price of the prior."""
+
+    def __init__(self, problem: Problem, values: Mapping[str, float] | None) -> None:
+        self.problem = problem
+        self.values = dict(values or {})
+        self.names = list(self.values)
+        self.vector = np.array(list(self.values.values()))
+        self.diagonal = np.diag_indices(len(self.names))
+        self.price = float(self.vector @ self.vector)
+
+    @property
+    def columns(self) -> Floats:
+        if not self.names:
+            return np.zeros((len(self.problem.scale), 0))
+        return np.column_stack([own_column(self.problem, name) for name in self.names])
+
+    def moved(self, step: Floats) -> "_Knobs":
+        turned = np.clip(self.vector + step, -_FARTHEST, _FARTHEST)
+        values = dict(zip(self.names, turned.tolist(), strict=True))
+        return _Knobs(self.problem, values)
+
+
+def own_column(problem: Problem, name: str) -> Floats:
+    """Sensitivity of the weighted residual to one of the model's own numbers, (n,).
+
+    Taken at ``problem.at`` (the refitted numbers, once they are known).
+    """
+    if name not in problem.columns:
+        (knob,) = (knob for knob in KNOBS if knob.name == name)
+        at = problem.at.get(name, 0.0)
+        up, down = (
+            problem.residual(problem.with_entries([], {**problem.at, name: at + step}))
+            for step in (knob.step, -knob.step)
+        )
+        problem.columns[name] = (up - down) / (2 * knob.step)
+    return problem.columns[name]
+
+
+def _jacobian(
+    problem: Problem,
+    entries: Sequence[Mapping[str, Any]],
+    names: Sequence[tuple[int, str]],
+    residual: Floats,
+    own: Mapping[str, float],
+) -> Floats:
+    columns = [np.zeros((len(residual), 0))]
+    for k, name in names:
+        effect = catalogue()[entries[k]["effect"]]
+        (parameter,) = (p for p in effect.parameters if p.name == name)
+        value = float(entries[k][name])
+        size = _step(effect, name, value, parameter.upper - parameter.lower)
+        step = size if value + size <= parameter.upper else -size
+        changed = [dict(entry) for entry in entries]
+        changed[k][name] = value + step
+        moved = problem.residual(problem.with_entries(changed, own))
+        columns.append(((moved - residual) / step)[:, None])
+    return np.hstack(columns)
+
+
+def _step(effect: Any, name: str, value: float, span: float) -> float:
+    probe = effect.probe
+    if probe is not None and name == probe.amplitude:
+        return float(probe.step)
+    return max(abs(value) * 0.01, min(span * 1e-4, 0.01))
+
+
+def _moved(
+    problem: Problem,
+    entries: Sequence[Mapping[str, Any]],
+    names: Sequence[tuple[int, str]],
+    step: Floats,
+) -> list[dict[str, Any]]:
+    moved = [dict(entry) for entry in entries]
+    for (k, name), change in zip(names, step, strict=True):
+        effect = catalogue()[moved[k]["effect"]]
+        (parameter,) = (p for p in effect.parameters if p.name == name)
+        value = moved[k][name] + change
+        if effect.probe is not None and name == effect.probe.phase:
+            value = (value + np.pi) % (2 * np.pi) - np.pi
+        elif parameter.lower > 0:  # a scale: no more than a factor of three at once
+            value = np.clip(value, moved[k][name] / 3, moved[k][name] * 3)
+        low, high = bounds(effect, parameter, problem)
+        moved[k][name] = float(np.clip(value, low, high))
+    return moved
+
+
+def own_without(found: Fit, places: Collection[int]) -> dict[str, float]:
+    """The model's own numbers without those that only went with the entries at ``places``."""
+    if len(found.own) >= len(ALL):  # the free baseline goes with no name
+        return dict(found.own)
+    gone = {side for k in places for side in SIDES.get(str(found.entries[k]["effect"]), ())}
+    return {name: value for name, value in found.own.items() if name not in gone}
+
+
+def ablated(problem: Problem, found: Fit, k: int, rounds: int = 6) -> Fit:
+    """The fit without entry ``k``, the others refitted."""
+    others = [e for i, e in enumerate(found.entries) if i != k]
+    return fit(problem, others, rounds, own_without(found, (k,)), found)
+
+
+def deviation(entry: Mapping[str, Any], problem: Problem) -> float:
+    """How far an entry's amplitude is from where the effect is not there."""
+    probe = catalogue()[entry["effect"]].probe
+    assert probe is not None
+    if probe.scan == "curve":
+        return max(abs(torque) for _, torque in entry[probe.amplitude])
+    return float(abs(entry[probe.amplitude] - neutral_value(probe, problem.model)))
+
+
+def matters(entry: Mapping[str, Any], problem: Problem) -> bool:
+    """Whether an entry is large enough to be a finding rather than how rigs are."""
+    probe = catalogue()[entry["effect"]].probe
+    assert probe is not None
+    of = neutral_value(probe, problem.model) if np.isnan(probe.neutral) else 1.0
+    if entry["effect"] == BRISTLE and not _beyond_lost_path(entry, problem):
+        return False
+    return deviation(entry, problem) > max(probe.least * of, 1e-9)
+
+
+def _beyond_lost_path(entry: Mapping[str, Any], problem: Problem) -> bool:
+    """Whether a bristle is stiffer by more than the path that the angle's noise hides makes it.
+
+    What a resting rotor creeps back inside the noise is lost, so that friction seems to turn over
+    a shorter way than it does: T_fs/σ0, here of the model's own sliding level. Without an angle
+    nothing shows how it creeps, and no stiffness can be told.
+    """
+    friction = problem.model.friction
+    modelled, found = friction.sigma0_nm_per_rad, float(entry["sigma0_nm_per_rad"])
+    if not all("motor_angle_rad" in one.raw for one in problem.recordings):
+        return False
+    if found <= modelled:
+        return True
+    level = 0.5 * (friction.offset_pos_nm + friction.offset_neg_nm)
+    shorter = level / modelled - level / found
+    return shorter > _LOST_PATHS * max(one.lost_path_rad for one in problem.recordings)

@@ -1,0 +1,171 @@
+"""Recordings without a load cell: what the load was, as far as that can be known (DIAGNOSIS 7).
+
+A free rack, or one that works against a spring and a damper, follows its own motion: two numbers
+and a constant, which are fitted with the model's own. Any other force is known only as what the
+torque balance lacks; below a low frequency it is taken from there, and only ripples, which are
+faster, can be told from it.
+"""
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.balance.baseline import OFFSET, SPRING
+from eps_hil.diagnosis.balance.problem import sliding
+from eps_hil.diagnosis.data.prepare import Prepared
+from eps_hil.identification.butterworth import low_pass
+from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
+
+ARBITRARY_EXCESS = 15.0
+"""Typical residual in noise deviations beyond which the load is no spring and damper."""
+SLOW_HZ = 4.0
+"""Below this an arbitrary force is taken from the balance itself."""
+RIPPLES = ("screw_ripple", "cogging_torque", "torque_ripple", "cardan_joint")
+"""What can be told from an arbitrary force: it repeats with an angle."""
+LIKE_LOAD = (
+    "unmodelled_spring",
+    "viscous_friction",
+    "motor_torque_offset",
+    "torque_sensor_offset",
+    "friction_asymmetry",
+    "rack_ratio",
+    "load_dependent_friction",
+)
+"""What a load of unknown spring, damper and constant cannot be told from."""
+_ROUNDS = 6
+_LIKE_FRICTION_OF_A_SPRING, _OF_LOAD = "position_dependent_friction", "load_dependent_friction"
+
+
+@dataclass(frozen=True)
+class Load:
+    """F = stiffness x + damping ẋ + constant, or an arbitrary force; SI units at the rack."""
+
+    form: Literal["spring", "arbitrary"]
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float
+    constant_n: float
+
+    @property
+    def sentence(self) -> str:
+        """What the user is told."""
+        if self.form == "arbitrary":
+            return (
+                "The rack force was not measured and follows no spring and damper: only ripples "
+                f"({', '.join(RIPPLES)}) can be told from it. Record rack_force_n to find more."
+            )
+        return (
+            "The rack force was not measured; it is taken as a spring of "
+            f"{self.stiffness_n_per_m:.3g} N/m, a damper of {self.damping_n_s_per_m:.3g} N s/m and "
+            f"{self.constant_n:.3g} N. {', '.join(LIKE_LOAD)} cannot be told from such a load."
+        )
+
+
+def missing(recordings: Iterable[Prepared]) -> bool:
+    """Whether any of the recordings lacks the rack force."""
+    return any("rack_force_n" not in one.raw for one in recordings)
+
+
+def not_told_apart(load: Load) -> Collection[str]:
+    """Ids of effects that such a load hides."""
+    if load.form == "arbitrary":
+        return [name for name in catalogue() if name not in RIPPLES]
+    return LIKE_LOAD
+
+
+def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[dict[str, Any]]:
+    """Findings (CONTRACT 7) with what they may be instead, where a spring stands for the load.
+
+    Its force follows the position, and so does friction that grows with it.
+    """
+    told = [dict(one) for one in findings]
+    if load is None or load.form != "spring" or load.stiffness_n_per_m == 0.0:
+        return told
+    for one in told:
+        if one["effect"] == _LIKE_FRICTION_OF_A_SPRING:
+            one["confusable_with"] = [*one["confusable_with"], _OF_LOAD]
+            one["confidence"] = round(0.5 * float(one["confidence"]), 3)
+            settle = f"against {_OF_LOAD}: record the rack force"
+            one["next_experiment"] = "; ".join(filter(None, [one["next_experiment"], settle]))
+    return told
+
+
+def load_knobs(load: Load | None) -> Mapping[str, float]:
+    """The model's own numbers that stand for the load's, always free: a spring and a damper."""
+    if load is None:
+        return {}
+    return {
+        SPRING: 0.0,
+        "viscous_pos_nm_s_per_rad": 0.0,
+        "viscous_neg_nm_s_per_rad": 0.0,
+        OFFSET: 0.0,
+    }
+
+
+def load_of(recordings: Sequence[Prepared], model: Model) -> Load:
+    """The load of the recordings without a load cell, fitted on their sliding samples."""
+    bare = [one for one in recordings if "rack_force_n" not in one.raw]
+    numbers = np.zeros(3)
+    for _ in range(_ROUNDS):
+        rows, left, sizes = [], [], []
+        for one in bare:
+            filled = _filled(one, model, numbers)
+            mask = sliding(filled, model)
+            rows.append(np.column_stack([one.thin(c) for c in _motion(one, model)])[mask])
+            left.append(filled.left_over(model)[mask] * model.rack_to_rotor_ratio_rad_per_m)
+            sizes.append(np.full(int(np.sum(mask)), filled.floor_nm(model)))
+        a, r = np.vstack(rows), np.concatenate(left)
+        scale = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
+        usual = 1.4826 * float(np.median(np.abs(r))) + 1e-300
+        weight = np.minimum(1.0, 2.0 * usual / np.maximum(np.abs(r), 1e-300))
+        normal = (a / scale * weight[:, None]).T @ (a / scale) + 1e-9 * np.eye(3)
+        numbers = numbers + np.linalg.solve(normal, (a / scale * weight[:, None]).T @ r) / scale
+    excess = usual / model.rack_to_rotor_ratio_rad_per_m / float(np.mean(np.concatenate(sizes)))
+    k, c, f = (float(number) for number in numbers)
+    return Load("arbitrary" if excess > ARBITRARY_EXCESS else "spring", k, c, f)
+
+
+def with_load(one: Prepared, model: Model, load: Load) -> Prepared:
+    """The recording with that load as its rack force; itself if the force was measured."""
+    if "rack_force_n" in one.raw:
+        return one
+    if load.form == "spring":
+        numbers = (load.stiffness_n_per_m, load.damping_n_s_per_m, load.constant_n)
+        return _filled(one, model, np.array(numbers))
+    empty = _filled(one, model, np.zeros(3))
+    ratio = model.rack_to_rotor_ratio_rad_per_m
+    force = np.zeros(len(one.time_s))
+    for _ in range(_ROUNDS):  # friction depends on the force that is being looked for
+        rest = _with_force(empty, force, model)
+        force = force + low_pass(rest.balance(model), SLOW_HZ) * ratio
+    filled = _with_force(empty, force, model)
+    left = filled.left_over(model)[sliding(filled, model)]
+    size = 1.4826 * float(np.median(np.abs(left))) if len(left) else 0.0
+    share = filled.floor_nm(model) / max(size, 1e-12)
+    noise = {name: value / max(share, 1e-12) for name, value in filled.noise.items()}
+    return filled.changed(noise={**noise, "motor_speed_rad_s": one.noise["motor_speed_rad_s"]})
+
+
+def _motion(one: Prepared, model: Model) -> tuple[Floats, Floats, Floats]:
+    motion = one.motion(model)
+    speed = motion.speed_rad_s / model.rack_to_rotor_ratio_rad_per_m
+    return motion.position_m, speed, np.ones(len(speed))
+
+
+def _filled(one: Prepared, model: Model, numbers: Floats) -> Prepared:
+    force = np.column_stack(_motion(one, model)) @ numbers
+    return _with_force(one, force, model)
+
+
+def _with_force(one: Prepared, force: Floats, model: Model) -> Prepared:
+    late = model.delays_s.of("rack_force_n")
+    reported = force if late == 0.0 else np.interp(one.time_s - late, one.time_s, force)
+    raw = {**one.raw, "rack_force_n": np.asarray(reported)}
+    return Prepared(
+        one.name, one.time_s, raw, {**one.noise, "rack_force_n": 0.0}, one.speed_is_derived
+    )

@@ -1,0 +1,178 @@
+"""All recordings of a diagnosis as one weighted residual vector, a function of the model."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.diagnosis.balance.baseline import turned
+from eps_hil.diagnosis.data.prepare import SMOOTH_HZ, STEP_S, THIN, Prepared
+from eps_hil.diagnosis.data.side_by_side import each
+from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
+Masks = npt.NDArray[np.bool_]
+
+SLIDING_RAD_S = 1.0
+CLEAR_SIGMA = 8.0
+"""Sliding means that the smoothed speed is this many deviations of its noise from zero."""
+SETTLED_RAD = 0.2
+"""Path since the last rest or reversal after which the bristle's history is forgotten."""
+PRESLIDING_SIGMA_NM = 0.03
+"""What rest and presliding leave even in a right model, at 0.2 rad/s of speed noise or less and
+at 1 kHz: a reversal's instant is known no better than a sample."""
+_MANY = 20_000
+"""Thinned samples from which it is worth while to work on several recordings at once."""
+TERM = "term"
+"""Key that tells an entry from others of the same effect (two cogging orders); no model has it."""
+NOTHING_NM = 1e3
+"""Deviation of a sample that says nothing."""
+BLOCK_S = 2.0
+"""Length of the blocks that take turns in fitting and judging."""
+STRETCH_S = 10.0
+"""Length over which errors hang together: a manoeuvre, in which the model is wrong in one way."""
+
+
+@dataclass
+class Problem:
+    """Recordings, model and weights; residuals are in units of the sensor-noise floor."""
+
+    recordings: Sequence[Prepared]
+    model: Model
+    tied: Mapping[str, float] = field(default_factory=dict)
+    """Own numbers of the model that are free in every fit, because nobody measured them."""
+    either_sign: bool = False
+    """Whether shapes may be found upside down, where what matters is the shape, not its name."""
+    sliding: Masks = field(init=False)
+    scale: Floats = field(init=False)
+    block: npt.NDArray[np.int64] = field(init=False)
+    stretch: npt.NDArray[np.int64] = field(init=False)
+    knee: float = field(init=False, default=0.0)
+    """Beyond this a residual counts as an outlier; 0: set by the first fit (:func:`knee`)."""
+    at: Mapping[str, float] = field(init=False, default_factory=dict)
+    """Where the sensitivities to the model's own numbers are taken."""
+    columns: dict[str, Floats] = field(init=False, default_factory=dict)
+    """Sensitivities to the model's own numbers, kept for all fits (they are nearly linear)."""
+    visited_m: tuple[float, float] = field(init=False)
+    """Rack positions (m) between which all but the outermost few percent of the samples are."""
+    farthest_m: float = field(init=False)
+    """The rack's distance from its middle (m) that only few samples exceed…"""
+    extreme_m: float = field(init=False)
+    """…and the largest of all."""
+
+    def __post_init__(self) -> None:
+        masks, floors, blocks, stretches = [], [], [], []
+        number = several = 0
+        for recording in self.recordings:
+            mask = sliding(recording, self.model)
+            barred = np.zeros(len(mask), bool) if recording.barred is None else recording.barred
+            mask &= ~barred
+            floor = float(np.hypot(recording.floor_nm(self.model), recording.unexplained_nm))
+            masks.append(mask)
+            noisy = max(1.0, recording.noise["motor_speed_rad_s"] / 0.2)
+            unsure = PRESLIDING_SIGMA_NM * max(noisy, float(np.sqrt(recording.interval_s / STEP_S)))
+            usable = np.where(mask, floor, np.hypot(floor, unsure))
+            floors.append(np.where(barred, NOTHING_NM, usable))
+            index = (recording.thin_time_s - recording.thin_time_s[0]) // BLOCK_S
+            blocks.append(number + index.astype(np.int64))
+            number = int(blocks[-1][-1]) + 1
+            stretches.append(several + (index // round(STRETCH_S / BLOCK_S)).astype(np.int64))
+            several = int(stretches[-1][-1]) + 1
+        position = np.concatenate([one.motion(self.model).position_m for one in self.recordings])
+        low, high = np.percentile(position, [3, 97])
+        self.visited_m = float(low), float(high)
+        self.farthest_m = float(np.percentile(np.abs(position), 99.5))
+        self.extreme_m = float(np.max(np.abs(position)))
+        self.sliding = np.concatenate(masks)
+        self.scale = np.concatenate(floors)
+        self.block = np.concatenate(blocks)
+        self.stretch = np.concatenate(stretches)
+
+    @property
+    def independent(self) -> float:
+        """Independent samples: the filter passes 40 of the 62.5 Hz that are kept."""
+        return 0.64 * float(np.sum(self.sliding))
+
+    def residual(self, model: Model) -> Floats:
+        """Weighted residual (n,): 1 is the sensor noise.
+
+        The noise is that under this very model (errors in variables): a model that makes all
+        torques smaller also makes their noise smaller, and is no better for it.
+        """
+
+        def left(one: Prepared) -> Floats:
+            return one.left_over(model) * (one.floor_nm(self.model) / one.floor_nm(model))
+
+        if len(self.scale) < _MANY:
+            return np.concatenate([left(one) for one in self.recordings]) / self.scale
+        return np.concatenate(each(left, self.recordings)) / self.scale
+
+    def cost(self, residual: Floats) -> float:
+        """Twice Huber's loss at the common knee: the sum of squares but for outliers."""
+        size = np.abs(residual)
+        at = self.knee
+        return float(np.sum(np.where(size < at, residual**2, at * (2.0 * size - at))))
+
+    def with_entries(
+        self, entries: Sequence[Mapping[str, Any]], own: Mapping[str, float] | None = None
+    ) -> Model:
+        """The model with effects added to its own, and its ``own`` numbers moved (see baseline)."""
+        entries = [plain(entry) for entry in entries]
+        model = replace(self.model, effects=(*self.model.effects, *entries))
+        return turned(model, own or {})
+
+
+def term_of(entry: Mapping[str, Any]) -> str:
+    """Which term an entry is, whatever its numbers become: of most effects there is only one."""
+    return str(entry.get(TERM, entry["effect"]))
+
+
+def plain(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """The entry as a model holds it."""
+    return {key: value for key, value in entry.items() if key != TERM}
+
+
+def knee(residual: Floats) -> float:
+    """Beyond this a weighted residual counts as an outlier: 4 noise deviations, or more where the
+    residual's typical size is far above the sensors' noise (real hardware, or much to be found).
+    """
+    return max(4.0, 2.0 * 1.4826 * float(np.median(np.abs(residual))))
+
+
+def clipped(residual: Floats, at: float) -> Floats:
+    """The residual with outliers cut at twice the knee ``at``."""
+    return np.clip(residual, -2.0 * at, 2.0 * at)
+
+
+def huber(residual: Floats, at: float) -> Floats:
+    """Weights (n,) of Huber's loss: 1 below the knee ``at``, less for outliers."""
+    size = np.abs(residual)
+    return np.where(size < at, 1.0, at / np.maximum(size, at))
+
+
+def sliding(recording: Prepared, model: Model) -> Masks:
+    """Thinned samples at which the rotor slides and the bristle has forgotten its history."""
+    motion = recording.motion(model)
+    speed = motion.speed_rad_s
+    since = _since_reversal(speed, motion.slip_rad)
+    noise = recording.noise["motor_speed_rad_s"] * np.sqrt(2 * SMOOTH_HZ * STEP_S)
+    good = (np.abs(speed) > max(SLIDING_RAD_S, CLEAR_SIGMA * noise)) & (since > SETTLED_RAD)
+    # the filter spreads what happens at a reversal over its own length
+    wide = np.convolve(~good, np.ones(2 * THIN + 1), mode="same") > 0
+    edge = (len(speed) - len(recording.thin_time_s) * THIN) // 2
+    return np.asarray(~wide[edge : edge + len(recording.thin_time_s) * THIN : THIN])
+
+
+@njit
+def _since_reversal(speed: Floats, slip: Floats) -> Floats:
+    """Path (n,) since the last rest or change of direction."""
+    path, since = 0.0, np.empty(len(speed))
+    for k in range(len(speed)):
+        if speed[k] == 0.0 or (k and np.sign(speed[k]) != np.sign(speed[k - 1])):
+            path = 0.0
+        path += slip[k]
+        since[k] = path
+    return since

@@ -1,0 +1,1 @@
+"""The recordings: fit for a diagnosis or not, what their channels are, made ready for it."""

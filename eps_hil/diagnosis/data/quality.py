@@ -1,0 +1,308 @@
+"""Stage 0: what is wrong with the data itself, before anything is said about physics.
+
+Rates, gaps, jitter, lost frames, clipping, stuck values, quantisation and noise of every signal.
+Clipped and stuck stretches and long gaps are barred from the diagnosis: a channel that does not
+follow never turns into physics.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.diagnosis.data.prepare import Prepared, noise_of
+from eps_hil.series import Series
+
+Floats = npt.NDArray[np.floating[Any]]
+Flags = npt.NDArray[np.bool_]
+Runs = npt.NDArray[np.int64]
+"""(first, last + 1) of stretches of equal samples, shape (m, 2)."""
+
+GAP = 5.0
+"""So many usual steps without a good sample (none at all, or NaN) are a gap…"""
+GAP_S = 0.02
+"""…if it is also longer than this."""
+LOST = 1.5
+"""A step of so many usual ones is no jitter."""
+CLIPPED_SAMPLES = 8
+"""So many equal samples at the end of the range, entered at speed, are clipped."""
+STUCK_S = 0.2
+"""Equal samples for this long…"""
+STUCK_RUNS = 20.0
+"""…and for so many usual runs of equal samples are stuck, while the rotor moves on."""
+MOVED_RAD_S = 2.0
+MARGIN_S = 0.1
+"""Barred on both sides of what is wrong."""
+_FOLLOWED = 0.1
+"""Of what a stamp lies beside the beat; the beat's own step follows so that neither swings."""
+MATTERS = 0.01
+"""Share of lost frames from which they are a finding."""
+_ENTERED, _NEAR = 3.0, 20
+_MOTION = ("motor_speed_rad_s", "motor_angle_rad", "rack_position_m")
+_USED = ("motor_torque_nm", "torque_sensor_nm", "rack_force_n", *_MOTION)
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One signal of one recording; stretches are (from s, to s) on the recording's own time."""
+
+    signal: str
+    rate_hz: float
+    jitter_s: float
+    lost_frames: int
+    frames: int
+    gaps: tuple[tuple[float, float], ...]
+    clipped: tuple[tuple[float, float], ...]
+    stuck: tuple[tuple[float, float], ...]
+    quantum: float
+    noise: float
+    bad_samples: int
+
+    @property
+    def flags(self) -> list[str]:
+        """What is wrong, in words for the JSON."""
+        said = [name for name in ("clipped", "stuck", "gaps") if getattr(self, name)]
+        if self.lost_frames:
+            said.append("lost_frames")
+        if self.bad_samples:
+            said.append("bad_samples")
+        if self.noise > 0 and self.quantum > 4.0 * self.noise:
+            said.append("coarse")
+        return said
+
+    def content(self) -> dict[str, Any]:
+        """For the JSON."""
+        return {
+            "signal": self.signal,
+            "rate_hz": round(self.rate_hz, 3),
+            "jitter_s": float(f"{self.jitter_s:.3g}"),
+            "lost_frames": self.lost_frames,
+            "quantum": float(f"{self.quantum:.4g}"),
+            "noise": float(f"{self.noise:.4g}"),
+            "flags": self.flags,
+            **{
+                name: [[round(a, 3), round(b, 3)] for a, b in getattr(self, name)]
+                for name in ("gaps", "clipped", "stuck")
+                if getattr(self, name)
+            },
+        }
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Stage 0 of one recording."""
+
+    recording: str
+    channels: tuple[Channel, ...]
+    start_ns: int = 0
+    """The stamp at which the recording's own time is 0."""
+
+    def content(self) -> dict[str, Any]:
+        """For the JSON's ``data_quality``."""
+        return {
+            "recording": self.recording,
+            "channels": [one.content() for one in self.channels],
+        }
+
+    @property
+    def lost(self) -> tuple[int, float]:
+        """(lost frames of the worst channel, their share)."""
+        worst = max(self.channels, key=lambda c: c.lost_frames / max(c.frames, 1), default=None)
+        if worst is None:
+            return 0, 0.0
+        return worst.lost_frames, worst.lost_frames / max(worst.frames + worst.lost_frames, 1)
+
+    def barred(self, one: Prepared) -> Flags:
+        """Thinned samples (m,) of the prepared recording that nothing may be concluded from."""
+        return self.bad_at(one.thin_time_s)
+
+    def bad_at(self, time_s: Floats) -> Flags:
+        """Where, of instants (n,) on the recording's own time, a signal in use is not to be had."""
+        bad = np.zeros(len(time_s), dtype=bool)
+        for channel in self.channels:
+            if channel.signal not in _USED:
+                continue
+            for start, end in (*channel.clipped, *channel.stuck, *channel.gaps):
+                bad |= (time_s > start - MARGIN_S) & (time_s < end + MARGIN_S)
+        return bad
+
+
+def look_at(name: str, series: Mapping[str, Series]) -> Quality:
+    """Stage 0 for one recording as it was read."""
+    start = min((int(one.t_ns[0]) for one in series.values() if len(one.t_ns) > 1), default=0)
+    speed = _speed(series)
+    channels = [
+        _channel(signal, one, start, speed) for signal, one in series.items() if len(one.t_ns) > 10
+    ]
+    return Quality(name, tuple(channels), start)
+
+
+def _speed(series: Mapping[str, Series]) -> Mapping[str, Series]:
+    """Speeds of the rotor (rad/s) by what they come from; differences where only a place is."""
+    found = {}
+    for name in _MOTION:
+        if name not in series:
+            continue
+        one = series[name]
+        good = np.isfinite(one.value)
+        if np.count_nonzero(good) < 10:
+            continue
+        one = Series(one.t_ns[good], one.value[good])
+        if name == "motor_speed_rad_s":
+            found[name] = one
+            continue
+        seconds = (one.t_ns - one.t_ns[0]) * 1e-9
+        grid = np.arange(0.0, seconds[-1], 0.02)
+        scale = 2500.0 if name == "rack_position_m" else 1.0
+        rate = np.gradient(np.interp(grid, seconds, one.value), 0.02) * scale
+        found[name] = Series(one.t_ns[0] + np.round(grid * 1e9).astype(np.int64), rate)
+    return found
+
+
+def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series]) -> Channel:
+    seconds = (one.t_ns - start) * 1e-9
+    steps = np.diff(seconds)
+    usual = float(np.median(steps))
+    good = np.isfinite(one.value)
+    value = one.value[good]
+    at = seconds[good]
+    regular = steps[steps < LOST * usual]
+    runs = _equal_runs(value)
+    quantum = _quantum(value)
+    return Channel(
+        signal=signal,
+        rate_hz=1.0 / usual if usual > 0 else 0.0,
+        jitter_s=float(np.std(regular)) if len(regular) else 0.0,
+        lost_frames=_lost(seconds, usual) if usual > 0 else 0,
+        frames=len(steps) + 1,
+        gaps=_gaps(seconds, good),
+        clipped=_clipped(value, at, runs, quantum),
+        stuck=_stuck(signal, value, at, runs, speeds, start),
+        quantum=quantum,
+        noise=noise_of(value) if len(value) > 10 else 0.0,
+        bad_samples=int(np.sum(~good)),
+    )
+
+
+@njit
+def _lost(seconds: Floats, usual: float) -> int:
+    """Frames that are missing beside the signal's own beat, which follows the stamps slowly.
+
+    A stamp that is late for once is jitter; some that are held up and then come all at once are
+    counted while they are late, and given back when they come.
+    """
+    beat, step, lost = seconds[0], usual, 0.0
+    for k in range(1, len(seconds)):
+        late = (seconds[k] - beat) / step - 1.0
+        missing = np.rint(late)
+        lost += missing
+        beside = late - missing
+        beat += step * (1.0 + missing + _FOLLOWED * beside)
+        step *= 1.0 + 0.25 * _FOLLOWED**2 * beside
+    return max(int(lost), 0)
+
+
+def _gaps(seconds: Floats, good: Flags) -> tuple[tuple[float, float], ...]:
+    """Stretches between good samples (or an end of the signal) that are too long to be bridged."""
+    own = np.diff(seconds[good])
+    usual = float(np.median(own)) if len(own) else 0.0
+    known = good.copy()
+    known[[0, -1]] = True
+    at = seconds[known]
+    steps = np.diff(at)
+    gaps = np.flatnonzero((steps > GAP * usual) & (steps > GAP_S))
+    return tuple((float(at[k]), float(at[k + 1])) for k in gaps)
+
+
+def _equal_runs(value: Floats) -> Runs:
+    """(first, last + 1) of every stretch of equal samples."""
+    edges = np.flatnonzero(np.diff(value) != 0) + 1
+    edges = np.concatenate([[0], edges, [len(value)]])
+    return np.column_stack([edges[:-1], edges[1:]])
+
+
+def _quantum(value: Floats) -> float:
+    """The step that values come in; 0 where they come in none."""
+    levels = np.unique(value)
+    if len(levels) < 3 or len(levels) > 0.5 * len(value):
+        return 0.0
+    return float(np.min(np.diff(levels)[np.diff(levels) > 1e-12 * np.ptp(levels)]))
+
+
+def _clipped(
+    value: Floats, at: Floats, runs: Runs, quantum: float
+) -> tuple[tuple[float, float], ...]:
+    """Runs at either end of the range that the signal ran into rather than came to rest at."""
+    if not len(value) or np.ptp(value) == 0:
+        return ()
+    high, low = float(np.max(value)), float(np.min(value))
+    typical = max(float(np.median(np.abs(np.diff(value)))), quantum)
+    found = []
+    long = runs[runs[:, 1] - runs[:, 0] >= CLIPPED_SAMPLES]
+    for first, last in long[np.isin(value[long[:, 0]], (high, low))].tolist():
+        before = abs(value[first] - value[max(first - _NEAR, 0)])
+        after = abs(value[min(last + _NEAR, len(value)) - 1] - value[first])
+        if max(before, after) > _ENTERED * typical:
+            found.append((float(at[first]), float(at[last - 1])))
+    return tuple(found)
+
+
+def _stuck(
+    signal: str,
+    value: Floats,
+    at: Floats,
+    runs: Runs,
+    speeds: Mapping[str, Series],
+    start: int,
+) -> tuple[tuple[float, float], ...]:
+    """Long runs of equal samples while another signal shows the rotor moving."""
+    lengths = runs[:, 1] - runs[:, 0]
+    if len(runs) < 10:
+        return ()
+    usual = float(np.median(lengths))
+    others = [
+        ((one.t_ns - start) * 1e-9, np.abs(one.value))
+        for name, one in speeds.items()
+        if name != signal
+    ]
+    found = []
+    held = at[runs[:, 1] - 1] - at[runs[:, 0]]
+    for first, last in runs[(held > STUCK_S) & (lengths >= STUCK_RUNS * usual)].tolist():
+        for seconds, speed in others:
+            begin = np.searchsorted(seconds, at[first], "right")
+            inside = speed[begin : np.searchsorted(seconds, at[last - 1], "left")]
+            if len(inside) and float(np.median(inside)) > MOVED_RAD_S:
+                found.append((float(at[first]), float(at[last - 1])))
+                break
+    return tuple(found)
+
+
+def finding(qualities: list[Quality]) -> dict[str, Any] | None:
+    """``dropped_frames`` as a finding, where enough are lost to matter."""
+    worst = max(qualities, key=lambda one: one.lost[1], default=None)
+    if worst is None or worst.lost[1] < MATTERS:
+        return None
+    from eps_hil.physics.effects.catalogue import catalogue
+
+    effect = catalogue()["dropped_frames"]
+    count = sum(one.lost[0] for one in qualities)
+    places = [
+        {"signal": "time_s", "from": a, "to": b, "share_of_excess": 0.0}
+        for channel in worst.channels
+        for a, b in channel.gaps[:2]
+    ]
+    return {
+        "effect": "dropped_frames",
+        "kind": str(effect.kind),
+        "confidence": 0.99,
+        "equation": effect.equation,
+        "summary": effect.sentence.format(count=count),
+        "parameters": {"count": {"value": float(count), "unit": "1", "ci95": [count, count]}},
+        "where": places[:2],
+        "confusable_with": [],
+        "next_experiment": "",
+        "seen_in": "time stamps",
+    }

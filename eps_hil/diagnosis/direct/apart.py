@@ -1,0 +1,127 @@
+"""Rotor and rack apart, and no name for it: a reproducible curve that the second residual shows."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.direct.rotor_and_rack import (
+    LEAST_COMPLIANCE,
+    LEAST_RATIO,
+    USUAL,
+    Rows,
+    columns_of,
+    solved,
+)
+from eps_hil.diagnosis.direct.seen import LEAST_GAIN
+from eps_hil.diagnosis.mismatch.binned import gain_elsewhere, means, places, points
+from eps_hil.diagnosis.mismatch.locate import BINS
+
+Floats = npt.NDArray[np.float64]
+
+LEAST_SHARE = 0.05
+"""Least share of the residual's energy that a curve explains on blocks it was not drawn from."""
+_FEWEST_BINS = 5
+_BEYOND = {
+    "compliance": ("belt_compliance", LEAST_COMPLIANCE),
+    "ratio": ("rack_ratio", LEAST_RATIO),
+}
+"""Columns that every drive has a little of, the name of more of it, and where more begins."""
+
+
+@dataclass(frozen=True)
+class Apart:
+    """A curve (x, rad at the rotor, band) over one signal; its share of the residual's energy."""
+
+    signal: str
+    curve: tuple[tuple[float, float, float], ...]
+    share: float
+    energy: float
+    """All that is left beyond the noise, in noise variances."""
+    alone: bool = False
+    """Whether one such curve does better, without any name, than the names that were accepted."""
+
+    def finding(self) -> dict[str, Any]:
+        """The JSON entry (CONTRACT 7)."""
+        size = max(abs(one[1]) for one in self.curve)
+        return {
+            "effect": "unknown",
+            "kind": "structure",
+            "confidence": 0.95,
+            "equation": "",
+            "summary": f"Rotor and rack move apart by up to {1e3 * size:.3g} mrad at the rotor "
+            f"in a way that no effect of the catalogue explains; it follows {self.signal}.",
+            "parameters": {},
+            "where": [
+                {
+                    "signal": self.signal,
+                    "from": self.curve[0][0],
+                    "to": self.curve[-1][0],
+                    "share_of_excess": self.share,
+                }
+            ],
+            "curve": [list(point) for point in self.curve],
+            "confusable_with": [],
+            "next_experiment": "",
+            "seen_in": "kinematics",
+        }
+
+
+def apart(rows: Sequence[Rows], accepted: Sequence[str], without: Collection[str]) -> Apart | None:
+    """What is left once the accepted effects are taken out, if it is clear; None if nothing is.
+
+    A little of what gives, and of a ratio that is off, is how drives are. More of it counts as
+    left, where its name is in ``without``.
+    """
+    names = list(dict.fromkeys([*columns_of(accepted), *USUAL]))
+    values, left = solved(rows, names)
+    beyond = [
+        column
+        for column, (effect, least) in _BEYOND.items()
+        if effect in without and abs(values[column]) > least
+    ]
+    if beyond:
+        left = solved(rows, [name for name in names if name not in beyond])[1]
+    best = _best(rows, left)
+    if best is None or best.share < LEAST_SHARE or best.share * _energy(left) < LEAST_GAIN:
+        return None
+    bare = solved(rows, columns_of(()))[1]
+    curve = _best(rows, bare)
+    alone = curve is not None and (1.0 - curve.share) * _energy(bare) < _energy(left)
+    return replace(curve, alone=True) if curve is not None and alone else best
+
+
+def _energy(left: Floats) -> float:
+    return float(np.sum(np.clip(left, -_far(left), _far(left)) ** 2))
+
+
+def _best(rows: Sequence[Rows], left: Floats) -> Apart | None:
+    """The curve that explains most of what is left."""
+    cut = np.clip(left, -_far(left), _far(left))
+    views = ("rack_force_n", "rack_position_m", "motor_speed_rad_s")
+    found = [one for one in (_curve(rows, name, cut) for name in views) if one is not None]
+    return max(found, key=lambda one: one.share, default=None)
+
+
+def _far(left: Floats) -> float:
+    return max(5.0, 6.0 * 1.4826 * float(np.median(np.abs(left))))
+
+
+def _curve(rows: Sequence[Rows], name: str, left: Floats) -> Apart | None:
+    """The mean of what is ``left`` (noise deviations) over a signal, judged on other blocks."""
+    x = np.concatenate([one.at[name] for one in rows])
+    block = np.concatenate([one.block for one in rows])
+    sigma = np.concatenate([np.full(len(one.e), one.sigma) for one in rows])
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
+    if len(edges) <= _FEWEST_BINS:
+        return None
+    place, n = places(edges, x), len(edges) - 1
+    mean = means(place, left * sigma, n)
+    square = means(place, (left * sigma) ** 2, n)
+    count = np.maximum(np.bincount(place, minlength=n), 1)
+    band = 2.0 * np.sqrt(np.maximum(square - mean**2, 0.0) / count)
+    total = float(np.sum(left**2))
+    share = gain_elsewhere(place, left, block, n) / max(total, 1e-300)
+    return Apart(name, points(edges, mean, band), share, total - len(left))

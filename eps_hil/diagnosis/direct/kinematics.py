@@ -1,0 +1,136 @@
+"""The second residual: where the rotor is against where the rack is, and what the twist says.
+
+    e = φ − i_APA · x           (rad at the rotor; zero for a rigid drive; ``rotor_and_rack.py``)
+    u = ψ_wheel − i_pi · x      (rad at the column; the torsion bar's twist; ``torsion_bar.py``)
+
+Play between rotor and rack, a belt that gives, a ratio that changes with x and play in the torque
+sensor show here directly; in the torque balance they look like noise.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.balance.excerpt import evenly
+from eps_hil.diagnosis.data.prepare import Prepared
+from eps_hil.diagnosis.data.side_by_side import each
+from eps_hil.diagnosis.direct.apart import Apart, apart
+from eps_hil.diagnosis.direct.rotor_and_rack import (
+    LEAST_RATIO,
+    Rows,
+    has_rack,
+    may_be_open,
+    rotor_against_rack,
+    transmitted,
+)
+from eps_hil.diagnosis.direct.seen import Seen
+from eps_hil.diagnosis.direct.torsion_bar import (
+    Law,
+    has_twist,
+    sensor_play,
+    torque_of_twist,
+    twist_noise,
+)
+from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN
+from eps_hil.physics.model import Model
+
+Flags = npt.NDArray[np.bool_]
+
+_TOLD_RATIO = 1e-3
+"""How far a ratio is off to be worth a sentence where it is no finding."""
+_FEWEST = 500
+"""Samples (of 8 ms) with the joint under load that a recording needs to say anything: 4 s."""
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """What the second residual shows; ``content`` is for the JSON, empty where there is none.
+
+    ``coefficients``: of the whole fit, by column name. ``twist`` turns the bar's
+    twist into torque, where play in the sensor was found.
+    """
+
+    seen: tuple[Seen, ...] = ()
+    content: dict[str, Any] = field(default_factory=dict)
+    twist: Law | None = None
+    gap_rad: float = 0.0
+    left: Apart | None = None
+    """What of rotor against rack no name stands for."""
+
+    def corrected(self, one: Prepared, model: Model) -> Prepared:
+        """The recording with the torsion-bar torque that the twist shows in place of the report."""
+        if self.twist is None or not has_twist(one):
+            return one
+        true = torque_of_twist(one, model, self.twist)
+        late = model.delays_s.of("torque_sensor_nm")
+        raw = {**one.raw, "torque_sensor_nm": np.interp(one.time_s - late, one.time_s, true)}
+        sigma = self.twist.gain * twist_noise(one, model)
+        return one.changed(raw=raw, noise={**one.noise, "torque_sensor_nm": sigma})
+
+    def put_right(self, one: Prepared, model: Model) -> Prepared:
+        """As :meth:`corrected`, with the samples barred at which the drive is in two pieces."""
+        loose = self.loose(one, model)
+        right = self.corrected(one, model)
+        return right.changed(barred=loose if one.barred is None else one.barred | loose)
+
+    def loose(self, one: Prepared, model: Model) -> Flags:
+        """Thinned samples at which the gap is open and the drive in two pieces, shape (m,)."""
+        n = len(one.thin_time_s)
+        if self.gap_rad == 0.0 or "rack_position_m" not in one.raw:
+            return np.zeros(n, dtype=bool)
+        return may_be_open(one.thin(transmitted(one, model)))
+
+
+def _beside(left: Apart, found: Sequence[Seen]) -> list[Seen]:
+    """Names that may stand beside something unknown; those of its kind only if they do better."""
+    kept = [one for one in found if one.gain > BESIDE_UNKNOWN * left.energy]
+    joints = ("belt_compliance", "backlash")
+    return [one for one in kept if not left.alone or one.entry["effect"] not in joints]
+
+
+def examine(
+    fitted: Sequence[Prepared],
+    judged: Sequence[Prepared],
+    model: Model,
+    without: Collection[str] = (),
+) -> Kinematics:
+    """Look at rotor against rack, and at the twist, of all recordings that hold them.
+
+    An effect is seen only if it also lowers the same residual of the ``judged`` recordings, and
+    if its id is not in ``without``.
+    """
+    seen: list[Seen] = []
+    content: dict[str, Any] = {}
+    gap, left = 0.0, None
+
+    def rows_of(recordings: Sequence[Prepared]) -> list[Rows]:
+        measured = [one for one in recordings if has_rack(one, model)]
+        rows = each(lambda one: Rows(one, model), measured)
+        return [one for one in rows if len(one.e) >= _FEWEST]
+
+    rows, kept = rows_of(fitted), rows_of(judged)
+    if rows:
+        found, content, accepted = rotor_against_rack(rows, kept, without)
+        left = apart(rows, accepted, without)
+        seen += found if left is None else _beside(left, found)
+        gap = next((s.entry["gap_rad"] for s in found if s.entry["effect"] == "backlash"), 0.0)
+    twist = None
+    play = sensor_play(evenly(fitted), judged, model)
+    if play is not None and play[0].entry["effect"] not in without:
+        seen.append(play[0])
+        twist = play[1]
+    return Kinematics(tuple(seen), content, twist, gap, left)
+
+
+def small_ratio(content: Mapping[str, Any]) -> list[str]:
+    """A sentence where the ratio is clearly off by too little to be a finding."""
+    off = content.get("kinematics", {}).get("ratio_error", 0.0)
+    if abs(off) < _TOLD_RATIO or any(one["effect"] == "rack_ratio" for one in content["findings"]):
+        return []
+    return [
+        f"The ratio from rack to rotor is {off:+.2%} off: up to {LEAST_RATIO:.1%} is how drives "
+        "and model files are, and no finding."
+    ]

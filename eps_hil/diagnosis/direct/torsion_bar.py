@@ -1,0 +1,180 @@
+"""The torsion bar's twist, u = ψ_wheel − i_pi · x, against the torque that its sensor reports.
+
+The twist is the bar's torque without the sensor, so play inside the sensor shows as a loop between
+the two. Inverting the play from the reported torque would leave several times the error. Nobody
+says how late either angle is: τ between the two makes k·τ·ψ̇ of torque, as a drag would. So it is
+fitted with the rest.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.balance.spread import Integers, half_widths
+from eps_hil.diagnosis.data.prepare import Prepared, with_play
+from eps_hil.diagnosis.data.side_by_side import each
+from eps_hil.diagnosis.direct.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
+from eps_hil.identification.butterworth import low_pass
+from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
+
+LEAST_PLAY_NM = 0.03
+_LEAST_TWIST = 0.9
+"""Least correlation of twist and torque for the twist to be the torsion bar's."""
+_RATE_HZ = 40.0
+_BEFORE_HZ = 17.0
+"""Low-pass of the twist before play. Noise inside the play makes it look wider than it is, and
+smoothed reversals narrower; here the two are about as large."""
+_PLAY_HZ = 15.0
+"""Low-pass of both torques after it."""
+_CLEAR = 1.5
+"""Play is seen where it is this many deviations of the twist's noise, filtered. Noise alone looks
+like play of a quarter of one; what matters most is the share of the residual that it explains."""
+_LEAST_SHARE = 3 * LEAST_SHARE
+_STRETCH = 1250
+"""Thinned samples in 10 s."""
+_PLAYS_NM = (0.05, 0.1, 0.2, 0.4, 0.8)
+
+
+def has_twist(one: Prepared) -> bool:
+    """Whether wheel angle, rack position and torsion-bar torque are all there."""
+    needed = ("steering_wheel_angle_rad", "rack_position_m", "torque_sensor_nm")
+    return all(name in one.raw for name in needed)
+
+
+def twist_rad(one: Prepared, model: Model) -> Floats:
+    """The bar's twist (rad at the column, 1 kHz), with an unknown zero."""
+    return np.asarray(one.raw["steering_wheel_angle_rad"] - pinion_rad(one, model))
+
+
+def twist_noise(one: Prepared, model: Model) -> float:
+    """Deviation (rad) of what noise the two angles put into a sample of the twist."""
+    return float(
+        np.hypot(
+            one.noise["steering_wheel_angle_rad"],
+            model.pinion_ratio_rad_per_m * one.noise["rack_position_m"],
+        )
+    )
+
+
+class Law(NamedTuple):
+    """Torque of a twist u (rad) at the column: gain·u + damping·u̇ + lag·ψ̇ + offset, Nm."""
+
+    gain: float
+    damping: float
+    lag: float
+    """Nm s/rad: one of the two angles may be later than the other."""
+    offset: float
+
+
+def torque_of_twist(one: Prepared, model: Model, law: Law) -> Floats:
+    """Torsion-bar torque (Nm at the column, 1 kHz) by its ``law``."""
+    twist = twist_rad(one, model)
+    rates = (
+        law.damping * np.gradient(low_pass(twist, _RATE_HZ), 1e-3),
+        law.lag * np.gradient(low_pass(pinion_rad(one, model), _RATE_HZ), 1e-3),
+    )
+    return np.asarray(law.gain * twist + rates[0] + rates[1] + law.offset)
+
+
+def pinion_rad(one: Prepared, model: Model) -> Floats:
+    """The pinion's angle by the rack's position (rad, 1 kHz)."""
+    return np.asarray(model.pinion_ratio_rad_per_m * one.raw["rack_position_m"])
+
+
+class _Twisted:
+    """Twist, its rate, the pinion's and the reported torque of one recording, low-passed; 1 kHz."""
+
+    def __init__(self, one: Prepared, model: Model) -> None:
+        late = model.delays_s.of("torque_sensor_nm")
+        self.twist = low_pass(twist_rad(one, model), _BEFORE_HZ)
+        self.rate = np.gradient(self.twist, 1e-3)
+        self.turning = np.gradient(low_pass(pinion_rad(one, model), _BEFORE_HZ), 1e-3)
+        reported = low_pass(one.raw["torque_sensor_nm"], _PLAY_HZ)
+        self.torque = np.interp(one.time_s + late, one.time_s, reported)
+        self.sigma = max(one.noise["torque_sensor_nm"], 1e-4)
+        self.noise = twist_noise(one, model)
+
+    def left(self, law: Law, play: float) -> Floats:
+        """Reported torque less what a sensor with this play would report; thinned."""
+        true = law.gain * self.twist + law.damping * self.rate + law.lag * self.turning + law.offset
+        seen = low_pass(with_play(true, play) if play > 0 else true, _PLAY_HZ)
+        edge = 250
+        return np.asarray((self.torque - seen)[edge:-edge:8])
+
+
+def _stretches(rows: Sequence[_Twisted]) -> Integers:
+    """The stretch of 10 s that each sample of all rows lies in, ascending, (n,)."""
+    found: list[Integers] = []
+    first = 0
+    for one in rows:
+        samples = np.arange(len(one.left(Law(1.0, 0.0, 0.0, 0.0), 0.0)), dtype=np.int64)
+        found.append(first + samples // _STRETCH)
+        first = int(found[-1][-1]) + 1
+    return np.concatenate(found)
+
+
+def sensor_play(
+    fitted: Sequence[Prepared], judged: Sequence[Prepared], model: Model
+) -> tuple[Seen, Law] | None:
+    """Play in the torque sensor, with the law of twist to torque; None if none.
+
+    It must be clear of the noise, and lower what is left of the ``judged`` recordings too.
+    """
+    from scipy.optimize import least_squares
+
+    rows = [_Twisted(one, model) for one in fitted if has_twist(one)]
+    kept = [_Twisted(one, model) for one in judged if has_twist(one)]
+    if not rows:
+        return None
+    twist = np.concatenate([one.twist for one in rows])
+    torque = np.concatenate([one.torque for one in rows])
+    if np.std(twist) < 1e-9 or np.std(torque) < 1e-9:
+        return None
+    if abs(float(np.corrcoef(twist, torque)[0, 1])) < _LEAST_TWIST:
+        return None
+    slope = float(np.std(torque) / np.std(twist))
+    passed = np.sqrt(2e-3 * _PLAY_HZ)
+    sigma = float(passed * np.hypot(rows[0].sigma, slope * rows[0].noise))
+
+    def law(p: Floats) -> Law:
+        return Law(slope * p[0], slope * p[1], slope * p[2], p[3])
+
+    def left(p: Floats, records: Sequence[_Twisted]) -> list[Floats]:
+        return each(lambda one: one.left(law(p), float(p[4])), records)
+
+    def residual(p: Floats) -> Floats:
+        return np.concatenate(left(p, rows))
+
+    def cost(p: Floats, records: Sequence[_Twisted]) -> float:
+        return sum(robust_cost(one / sigma) for one in left(p, records))
+
+    plain = least_squares(lambda p: residual(np.append(p, 0.0)), [1.0, 0.0, 0.0, 0.0])
+    start = np.append(plain.x, 0.0)
+    best = min((np.append(plain.x, w) for w in _PLAYS_NM), key=lambda p: cost(p, rows))
+    done = least_squares(
+        residual, best, loss="soft_l1", f_scale=3 * sigma, x_scale=[0.1, 0.01, 0.001, 0.1, 0.1],
+        bounds=([0.2, -1.0, -0.1, -5.0, 0.0], [5.0, 1.0, 0.1, 5.0, 2.0]), diff_step=1e-3,
+    )  # fmt: skip
+    found = np.asarray(done.x)
+    gain = cost(start, rows) - cost(found, rows)
+    excess = cost(start, rows) - len(residual(start))
+    play = float(found[4])
+    if play < max(LEAST_PLAY_NM, _CLEAR * sigma) or gain < max(LEAST_GAIN, _LEAST_SHARE * excess):
+        return None
+    if kept and cost(found, kept) >= cost(start, kept):
+        return None
+    half = half_widths(done.jac, done.fun, (_stretches(rows),))[4]
+    half = float(np.hypot(half, 1.96 * 0.5 * sigma))  # noise in the play and the filter against it
+    low, high = (float(v) for v in np.percentile(torque, [2, 98]))
+    seen = Seen(
+        {"effect": "torque_sensor_hysteresis", "play_nm": play},
+        {"play_nm": half},
+        gain,
+        min(1.0, gain / max(excess, 1.0)),
+        (("torque_sensor_nm", low, high, 1.0),),
+    )
+    return seen, law(found)

@@ -1,0 +1,108 @@
+"""Where a mismatch sits: in operating region and in time, as shares of its energy."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.data.prepare import THIN
+from eps_hil.diagnosis.mismatch.binned import places
+
+Floats = npt.NDArray[np.float64]
+
+BINS = 24
+_MOST_OF_IT = 0.85
+_SEGMENT_S = 0.5
+_MOST_SEGMENTS = 6
+
+
+@dataclass(frozen=True)
+class Region:
+    """An interval of one signal and the share of the energy inside it."""
+
+    signal: str
+    low: float
+    high: float
+    share: float
+    occupancy: float
+
+
+def coordinates(problem: Problem) -> Mapping[str, Floats]:
+    """Canonical signals at the thinned samples, physical instants, all shape (n,)."""
+    rows: dict[str, list[Floats]] = {}
+    for recording in problem.recordings:
+        motion = recording.motion(problem.model)
+        edge = (len(recording.time_s) - len(recording.thin_time_s) * THIN) // 2
+        take = slice(edge, edge + len(recording.thin_time_s) * THIN, THIN)
+        signals = {
+            "motor_speed_rad_s": motion.speed_rad_s,
+            "rack_position_m": motion.position_m,
+            "rack_force_n": motion.rack_force_n,
+            "motor_torque_nm": motion.motor_torque_nm,
+            "torque_sensor_nm": motion.torque_sensor_nm,
+            "time_s": recording.time_s,
+        }
+        for name, values in signals.items():
+            rows.setdefault(name, []).append(values[take])
+    return {name: np.concatenate(parts) for name, parts in rows.items()}
+
+
+def where(problem: Problem, energy: Floats) -> list[Region]:
+    """The signals in whose intervals ``energy`` (n,) is most concentrated, best first."""
+    total = float(np.sum(energy))
+    if total <= 0.0:
+        return []
+    found = []
+    for name, values in coordinates(problem).items():
+        region = _interval(name, values, energy / total)
+        if region is not None and region.share - region.occupancy > 0.1:
+            found.append(region)
+    return sorted(found, key=lambda one: one.occupancy - one.share)[:2]
+
+
+def _interval(name: str, values: Floats, share: Floats) -> Region | None:
+    """The interval of fewest samples that holds most of the energy."""
+    edges = np.unique(np.quantile(values, np.linspace(0, 1, BINS + 1)))
+    if len(edges) < 4:
+        return None
+    index = places(edges, values)
+    inside = np.bincount(index, weights=share, minlength=len(edges) - 1)
+    count = np.bincount(index, minlength=len(edges) - 1) / len(values)
+    best: Region | None = None
+    for i in range(len(inside)):
+        for j in range(i + 1, len(inside) + 1):
+            part = float(np.sum(inside[i:j]))
+            if part < _MOST_OF_IT:
+                continue
+            occupancy = float(np.sum(count[i:j]))
+            if best is None or occupancy < best.occupancy:
+                best = Region(name, float(edges[i]), float(edges[j]), part, occupancy)
+            break
+    return best
+
+
+def time_segments(problem: Problem, excess: Floats) -> Sequence[tuple[str, float, float, float]]:
+    """(recording, from s, to s, share of excess) of the worst stretches, worst first."""
+    total = float(np.sum(np.maximum(excess, 0.0)))
+    found = []
+    start = 0
+    for recording in problem.recordings:
+        n = len(recording.thin_time_s)
+        energy = np.maximum(excess[start : start + n], 0.0)
+        start += n
+        per = max(1, round(_SEGMENT_S / (THIN * 1e-3)))
+        sums = np.add.reduceat(energy, np.arange(0, n, per))
+        high = sums > 2.0 * total / max(1, len(excess) / per)
+        for i, j in _runs(high):
+            share = float(np.sum(sums[i:j])) / max(total, 1e-300)
+            first = float(recording.thin_time_s[i * per])
+            last = float(recording.thin_time_s[min(j * per, n) - 1])
+            found.append((recording.name, first, last, share))
+    return sorted(found, key=lambda one: -one[3])[:_MOST_SEGMENTS]
+
+
+def _runs(high: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], high.astype(int), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -1,0 +1,135 @@
+"""A finding as the JSON has it (CONTRACT 7): name, numbers, place, how sure, what else it is."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from eps_hil.diagnosis.attribute.numbers import CONSTANTS
+from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
+from eps_hil.diagnosis.attribute.select import Selection
+from eps_hil.diagnosis.balance.fit import Fit
+from eps_hil.diagnosis.balance.problem import Problem, term_of
+from eps_hil.diagnosis.mismatch import locate
+from eps_hil.diagnosis.mismatch.leftover import Leftover
+from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.effects.effect import Effect
+
+RIVAL = 0.97
+"""Reaching this share of a finding's gain makes another effect its confusable twin…"""
+RIVAL_GAIN = 60.0
+"""…and so does missing it by less than this many noise variances."""
+SUREST = 0.95
+"""No name is surer, set on development cases; docs/proof.md says how many such were right."""
+INSTANT = 0.1
+"""Of a sampling interval: deviation of what a delay means, when nobody knows at which instant of
+its interval a value was taken, how the controller held it and how its filters shaped it."""
+_INTERNAL = ("belt_ratio", "pole_pairs", "harmonic")
+
+
+def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
+    """The entry at place ``k`` of the fit that was accepted."""
+    found = selection.found
+    entry = found.entries[k]
+    effect = catalogue()[entry["effect"]]
+    gain = selection.gains[term_of(entry)]
+    rivals = selection.rivals.get(term_of(entry), [])
+    twins = [name for name, part in rivals if part > RIVAL or (1 - part) * gain < RIVAL_GAIN]
+    ruled_out = selection.settled - selection.possible
+    twins = [name for name in twins if name not in ruled_out]
+    if effect.id in CONSTANTS:  # what presliding says of the difference rests on the bristle's form
+        pool = {one.effect.id for one in selection.pool} - {effect.id, *twins, *ruled_out}
+        twins += [name for name in CONSTANTS if name in pool]
+        near = dict(rivals)
+        rivals = [(name, max(near.get(name, 0.0), 1.0)) for name in twins]
+    others = [e for i, e in enumerate(found.entries) if i != k]
+    without = problem.residual(problem.with_entries(others, found.own))
+    share = (without - found.residual) ** 2
+    sentence, values = effect.wording(entry)
+    places = locate.where(problem, np.where(problem.sliding, share, 0.0))
+    return {
+        "effect": effect.id,
+        "kind": str(effect.kind),
+        "confidence": _confidence(gain, threshold(problem, found.residual, FINAL_SHARE), rivals),
+        "equation": effect.equation,
+        "summary": sentence.format(**values),
+        "parameters": _parameters(problem, found, k, effect),
+        "where": [
+            {
+                "signal": region.signal,
+                "from": region.low,
+                "to": region.high,
+                "share_of_excess": region.share,
+            }
+            for region in places
+        ],
+        "confusable_with": twins,
+        "next_experiment": _experiment(effect, twins),
+    }
+
+
+def _parameters(problem: Problem, found: Fit, k: int, effect: Effect) -> dict[str, Any]:
+    entry = found.entries[k]
+    result = {}
+    for parameter in effect.parameters:
+        if parameter.name not in entry or parameter.name in _INTERNAL:
+            continue
+        value = entry[parameter.name]
+        if parameter.name == "curve":
+            result["curve"] = {"value": value, "unit": parameter.unit, "ci95": None}
+            continue
+        half = found.half_width.get((k, parameter.name), 0.0)
+        if parameter.name == "delay_s":
+            half = float(
+                np.hypot(half, 1.96 * INSTANT * max(one.interval_s for one in problem.recordings))
+            )
+        ends = [value - half, value + half]
+        result[parameter.name] = {"value": value, "unit": parameter.unit, "ci95": ends}
+    return result
+
+
+def _confidence(gain: float, least: float, rivals: Sequence[tuple[str, float]]) -> float:
+    """How sure the name is: how far above the gate, and how far above the next best name."""
+    detected = 1.0 - 0.4 * float(np.exp(-(gain / least - 1.0)))
+    against = sum(float(np.exp(-max(0.0, (1 - part) * gain) / 50.0)) for _, part in rivals)
+    return round(min(SUREST, detected / (1.0 + against)), 3)
+
+
+def _experiment(effect: Effect, twins: Sequence[str]) -> str:
+    if not twins:
+        return ""
+    known = [f"against {name}: {effect.twins[name]}" for name in twins if name in effect.twins]
+    if known:
+        return "; ".join(known)
+    return (
+        f"repeat at other speeds, loads and positions, so that {effect.id} and "
+        f"{', '.join(twins)} act at different places"
+    )
+
+
+def unknown(left: Leftover) -> dict[str, Any]:
+    """What no effect of the catalogue explains, with its curve."""
+    signal, _, direction = left.signal.partition("|")
+    moving = {"right": " while turning in positive direction", "left": " in negative direction"}
+    size = max((abs(torque) for _, torque, _ in left.curve), default=0.0)
+    shape = left.words or (
+        f"a torque of up to {size:.3g} Nm at the rotor that follows {signal}"
+        f"{moving.get(direction, '')}, strongest from {left.low:.4g} to {left.high:.4g}"
+        if left.curve
+        else "a torque that follows no measured signal on its own (dynamic, or of two signals)"
+    )
+    return {
+        "effect": "unknown",
+        "kind": "structure",
+        "confidence": round(min(SUREST, 1.0 - float(np.exp(-left.excess))), 3),
+        "equation": "",
+        "summary": f"Something is left that no effect of the catalogue explains: {shape}; "
+        f"{100 * left.excess:.0f} % more energy than sensor noise.",
+        "parameters": {},
+        "where": [
+            {"signal": signal, "from": left.low, "to": left.high, "share_of_excess": left.share}
+        ],
+        "curve": [list(point) for point in left.curve],
+        "confusable_with": [],
+        "next_experiment": "",
+    }

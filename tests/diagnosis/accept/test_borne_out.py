@@ -1,0 +1,78 @@
+"""Which effects hold where they were not fitted, and the model with them."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from eps_hil.diagnosis.accept import borne_out
+from eps_hil.diagnosis.accept.borne_out import _clear, augmented_by
+from eps_hil.diagnosis.attribute.select import Selection
+from eps_hil.diagnosis.balance.fit import fit
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.physics.model import Model
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("entry", "half", "expected"),
+    [
+        ({"effect": "inertia", "scale": 1.1}, {"scale": 0.05}, True),
+        ({"effect": "inertia", "scale": 1.1}, {"scale": 0.2}, False),
+        (
+            {"effect": "stribeck", "level_nm": 0.1, "speed_rad_s": 5.0},
+            {"level_nm": 0.2, "speed_rad_s": 20.0},
+            True,  # they are hard to tell apart, not hard to see
+        ),
+    ],
+)
+def test_one_number_that_may_as_well_be_nothing_is_no_finding(
+    problem: Problem, entry: dict[str, Any], half: dict[str, float], expected: bool
+) -> None:
+    found = fit(problem, [entry], 0)
+    found.__dict__["half_width"] = {(0, name): value for name, value in half.items()}
+    assert _clear(problem, found, 0) is expected
+
+
+def test_the_model_with_findings_holds_no_other_entry_and_no_negative_delay(
+    problem: Problem,
+) -> None:
+    entries = [
+        {"effect": "stribeck", "level_nm": 0.0301234567, "speed_rad_s": 10.0},
+        {"effect": "quadratic_drag", "coefficient_nm_s2_per_rad2": 1e-5},
+    ]
+    found = replace(fit(problem, entries, 0), own={"motor_torque_delay": 100.0})
+    with_one = augmented_by(problem, found, [0])
+    assert with_one.effects == ({"effect": "stribeck", "level_nm": 0.0301235, "speed_rad_s": 10.0},)
+    assert with_one.delays_s.motor_torque == 0.0
+    assert augmented_by(problem, found, []) is problem.model
+
+
+@pytest.mark.parametrize(
+    ("with_it", "without", "kept"),
+    [(40.0, 20.0, False), (24.0, 20.0, True), (10.0, 20.0, True), (None, None, True)],
+)
+def test_a_bristle_that_spoils_the_rack_force_is_no_finding(
+    problem: Problem,
+    monkeypatch: pytest.MonkeyPatch,
+    with_it: float | None,
+    without: float | None,
+    kept: bool,
+) -> None:
+    """Whatever else was found beside it stays."""
+    entries = [
+        {"effect": "stribeck", "level_nm": 0.03, "speed_rad_s": 10.0},
+        {"effect": "presliding_hysteresis", "sigma0_nm_per_rad": 2.0},
+    ]
+    found = fit(problem, entries, 0)
+    gains = {"stribeck": 1e3, "presliding_hysteresis": 1e3}
+    selection = Selection(found, found, [], problem, found, gains=gains)
+
+    def error(_judged: object, _common: Model, model: Model) -> float | None:
+        changed = any(one["effect"] == "presliding_hysteresis" for one in model.effects)
+        return with_it if changed else without
+
+    monkeypatch.setattr(borne_out, "rack_force_error_n", error)
+    left = borne_out._without_spoiling_bristle(problem, selection, [0, 1], [])
+    assert left == ([0, 1] if kept else [0])

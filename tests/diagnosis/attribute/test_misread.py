@@ -1,0 +1,91 @@
+"""A load cell that is late or reads too much is said to be that, not the motor or the encoder."""
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import pytest
+
+from eps_hil.diagnosis.attribute.misread import with_misread
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+Recordings = Mapping[str, Mapping[str, Series]]
+
+
+def later(recordings: Recordings, signal: str, late_s: float) -> Recordings:
+    def moved(one: Mapping[str, Series]) -> Mapping[str, Series]:
+        late_ns = round(1e9 * late_s)
+        return {**one, signal: Series(one[signal].t_ns + late_ns, one[signal].value)}
+
+    return {name: moved(one) for name, one in recordings.items()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("signal", "key", "late_s"),
+    [("rack_force_n", "rack_force", 0.012), ("torque_sensor_nm", "torque_sensor", 0.02)],
+)
+def test_a_late_signal_is_named_with_its_time(
+    record: Callable[..., Any], reference_model: Model, signal: str, key: str, late_s: float
+) -> None:
+    given = getattr(reference_model.delays_s, key)
+    train, holdout = (later(one, signal, late_s) for one in (record({}), record({}, ("weave",), 2)))
+    told = diagnose(reference_model, train, holdout)
+    assert told.content["verdict"] == "unknown_effect"
+    (finding,) = told.content["findings"]
+    assert finding["effect"] == "unknown"
+    assert finding["kind"] == "instrument"
+    assert f"{signal} is reported" in finding["summary"]
+    assert f"delays_s.{key}" in finding["summary"]
+    assert getattr(told.model.delays_s, key) == pytest.approx(given + late_s, abs=5e-4)
+    error = {k: one["torque_nrmse"] for k, one in told.content["fit"]["holdout"].items()}
+    assert error["baseline"] > 1.2 * error["noise_floor"]
+    assert error["augmented"] < 1.05 * error["noise_floor"]
+    assert told.model.delays_s.motor_torque == pytest.approx(
+        reference_model.delays_s.motor_torque, abs=1e-3
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gain", [1.03, 0.97])
+def test_a_load_cell_that_reads_wrong_is_no_ratio(
+    record: Callable[..., Any], reference_model: Model, gain: float
+) -> None:
+    def wrong(recordings: Recordings) -> Recordings:
+        return {
+            name: {**one, "rack_force_n": Series(force.t_ns, gain * force.value)}
+            for name, one in recordings.items()
+            for force in [one["rack_force_n"]]
+        }
+
+    told = diagnose(reference_model, wrong(record({})), wrong(record({}, ("weave",), 2)))
+    (finding,) = told.content["findings"]
+    assert finding["effect"] == "unknown"
+    said = re.search(r"rack_force_n reads ([\d.]+) times what it should", finding["summary"])
+    assert said
+    assert float(said[1]) == pytest.approx(gain, abs=0.003)
+    error = {k: one["torque_nrmse"] for k, one in told.content["fit"]["holdout"].items()}
+    assert error["augmented"] < 1.05 * error["noise_floor"] < error["baseline"]
+    assert told.model == reference_model  # no entry of a model file says that
+
+
+@pytest.mark.slow
+def test_a_late_motor_torque_keeps_its_name(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    train, holdout = (
+        later(one, "motor_torque_nm", 0.004) for one in (record({}), record({}, ("weave",), 2))
+    )
+    told = diagnose(reference_model, train, holdout).content
+    assert "motor_torque_delay" in [one["effect"] for one in told["findings"]]
+
+
+def test_the_verdict_beside_names_and_alone() -> None:
+    late = {"effect": "unknown"}
+    alone = with_misread({"verdict": "no_mismatch", "findings": []}, late)
+    assert (alone["verdict"], alone["findings"]) == ("unknown_effect", [late])
+    named = with_misread({"verdict": "explained", "findings": [{"effect": "stribeck"}]}, late)
+    assert named["verdict"] == "partly_explained"
+    assert [one["effect"] for one in named["findings"]] == ["stribeck", "unknown"]

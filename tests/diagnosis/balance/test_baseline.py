@@ -1,0 +1,51 @@
+"""The model's own numbers as knobs: whatever is turned, a model file can hold it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eps_hil.diagnosis.balance.baseline import ALL, HOLD, KNOBS, SIDES, turned
+from eps_hil.physics.model import dump_model, load_model
+
+REFERENCE = load_model(Path(__file__).parents[3] / "configs" / "reference_rig.yaml")
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from([knob.name for knob in KNOBS if knob.name != HOLD]), st.floats(-8.0, 8.0)
+    )
+)
+def test_no_turn_makes_a_model_that_no_file_may_hold(values: dict[str, float]) -> None:
+    moved = turned(REFERENCE, values)
+    friction = moved.friction
+    assert moved.inertia_kg_m2 > 0.0
+    for name in ("offset", "viscous", "load"):
+        for side in ("pos", "neg"):
+            unit = {"offset": "nm", "viscous": "nm_s_per_rad", "load": "nm_per_n"}[name]
+            assert getattr(friction, f"{name}_{side}_{unit}") >= 0.0
+    assert friction.sigma0_nm_per_rad > 0.0
+
+
+def test_the_written_model_can_be_read(tmp_path: Path) -> None:
+    names = (knob.name for knob in KNOBS if knob.name != HOLD)
+    (tmp_path / "m.yaml").write_text(dump_model(turned(REFERENCE, dict.fromkeys(names, -8.0))))
+    assert load_model(tmp_path / "m.yaml").friction.offset_pos_nm == 0.0
+
+
+@given(st.floats(-0.5, 0.5), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
+def test_what_goes_with_a_name_turns_the_directions_against_each_other(
+    value: float, pos: float, neg: float
+) -> None:
+    """Their mean is the name's own, and is not touched; what else is turned stays turned."""
+    first, second = "viscous_pos_nm_s_per_rad", "viscous_neg_nm_s_per_rad"
+    (name,) = SIDES["viscous_friction"]
+    assert name not in ALL
+    model = replace(REFERENCE, friction=replace(REFERENCE.friction, **{first: 1e-3, second: 1e-3}))
+    before = turned(model, {first: pos, second: neg}).friction
+    after = turned(model, {first: pos, second: neg, name: value}).friction
+    up, down = (getattr(after, side) - getattr(before, side) for side in (first, second))
+    assert up == pytest.approx(7e-4 * value, abs=1e-15)  # half the mean, and 2e-4
+    assert down == pytest.approx(-up, abs=1e-15)

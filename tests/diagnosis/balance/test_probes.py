@@ -1,0 +1,71 @@
+"""Where candidates come from: orders of a turn, and which may stand beside what is there."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.diagnosis.balance.probes import Candidate, _clear_orders, candidates
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.model import Model
+
+
+@pytest.fixture(scope="module")
+def turning() -> tuple[np.ndarray, np.ndarray]:
+    """Angle (rad) and speed (rad/s) of sweeps that speed up and slow down, 125 Hz."""
+    t = np.arange(5000) / 125.0
+    speed = 12.0 + 10.0 * np.sin(0.3 * t)
+    return np.cumsum(speed) / 125.0, speed
+
+
+@pytest.mark.parametrize("strong", [1.0, 30.0])
+def test_a_weak_order_is_found_beside_a_strong_one(
+    turning: tuple[np.ndarray, np.ndarray], strong: float
+) -> None:
+    """Whose skirts are higher than it, a few orders away."""
+    phi, omega = turning
+    noise = np.random.default_rng(1).normal(0.0, 0.3, len(phi))
+    left = strong * np.sin(6.02 * phi + 0.2) + np.sin(8.0 * phi) + np.cos(3.5 * phi) + noise
+    orders = _clear_orders(left, phi, omega)
+    assert sorted(orders[:3]) == pytest.approx([3.5, 6.02, 8.0], abs=0.01)
+    assert min(np.diff(sorted(orders))) > 0.3
+
+
+@pytest.mark.parametrize("order", [0.42, 0.5, 50.0, 50.04])
+def test_orders_stay_within_what_a_model_file_may_hold(order: float) -> None:
+    phi = np.cumsum(np.full(5000, 3.0)) / 125.0
+    (first, *_) = _clear_orders(np.sin(order * phi), phi, np.full(5000, 3.0))
+    assert first == pytest.approx(order, abs=0.081)
+    assert 0.5 <= first <= 50.0 + 1e-9
+
+
+def test_an_order_is_one_term_more_only_away_from_those_there(reference_model: Model) -> None:
+    cogging = Candidate(catalogue()["cogging_torque"], {"order": 12.0}, np.zeros((1, 2)))
+    drag = Candidate(catalogue()["viscous_friction"], {}, np.zeros((1, 1)))
+    other = {"effect": "stribeck"}
+    six, near = ({"effect": "cogging_torque", "order": order} for order in (6.0, 11.9))
+    assert cogging.beside([], reference_model)
+    assert cogging.beside([other, six], reference_model)
+    assert not cogging.beside([six, near], reference_model)
+    assert not cogging.beside([six] * 4, reference_model)  # a model file holds no more…
+    held = replace(reference_model, effects=({**near, "amplitude_nm": 0.01, "phase_rad": 0.0},) * 2)
+    assert cogging.beside([six], held)  # of what the model has there may be too much
+    assert not cogging.beside([six] * 2, held)  # …its own ones included
+    assert drag.beside([other], reference_model)
+    assert not drag.beside([{"effect": "viscous_friction"}], reference_model)
+
+
+def test_what_a_model_has_no_room_for_is_not_looked_for(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    cog = {"effect": "cogging_torque", "order": 6.0, "amplitude_nm": 1e-3, "phase_rad": 0.0}
+    model = replace(reference_model, effects=tuple({**cog, "order": k} for k in (6.0, 7, 8, 9)))
+    (made,) = record({}, ("weave",), seconds=8.0).values()
+    problem = Problem([prepare("weave", made)], model)
+    pool = candidates(problem, [], problem.residual(model))
+    assert {"stribeck", "torque_ripple"} <= {one.effect.id for one in pool}
+    assert "cogging_torque" not in {one.effect.id for one in pool}

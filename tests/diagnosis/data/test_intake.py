@@ -1,0 +1,27 @@
+"""What a diagnosis refuses to take, by name."""
+
+import numpy as np
+import pytest
+
+from eps_hil.diagnosis.data.intake import BELIEVABLE, RecordingError, prepared
+from eps_hil.series import Series
+
+
+def signals(n: int = 5000) -> dict[str, Series]:
+    t_ns = np.arange(n, dtype=np.int64) * 1_000_000
+    wave = np.sin(1e-3 * np.arange(n))
+    return {name: Series(t_ns, wave) for name in BELIEVABLE}
+
+
+@pytest.mark.parametrize("signal", BELIEVABLE)
+def test_what_no_drive_does_is_refused_by_name(signal: str) -> None:
+    """A log gone wild, or a scaling that is off by powers of ten."""
+    recording = signals()
+    assert prepared("weave", recording, 0.0).name == "weave"
+    value = recording[signal].value.copy()
+    value[100:200] = -1e20
+    value[300] = np.nan
+    wild = {**recording, signal: Series(recording[signal].t_ns, value)}
+    with pytest.raises(RecordingError, match=f"{signal} reaches 1e[+]20.*unit and scaling") as said:
+        prepared("weave", wild, 0.0)
+    assert said.value.recording == "weave"

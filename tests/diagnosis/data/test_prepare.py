@@ -1,0 +1,114 @@
+"""Noise, filters and rest: what the residual is made of, against closed forms."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.data.prepare import Floats, noise_of, prepare
+from eps_hil.identification.butterworth import low_pass
+from eps_hil.physics.model import Model, load_model
+from eps_hil.series import Series
+
+REFERENCE = Path(__file__).parents[3] / "configs" / "reference_rig.yaml"
+
+
+@given(st.floats(1e-6, 1e3), st.integers(0, 100))
+def test_noise_is_seen_through_motion(sigma: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    t = np.arange(8000) * 1e-3
+    motion = 50 * sigma * np.sin(7 * t) + 20 * sigma * t**2
+    found = noise_of(motion + sigma * rng.standard_normal(len(t)))
+    assert found == pytest.approx(sigma, rel=0.08)
+
+
+def test_no_noise_is_no_noise() -> None:
+    assert noise_of(np.ones(1000)) == 0.0
+    assert noise_of(np.linspace(0, 1, 1000) ** 2) < 1e-8
+
+
+def test_a_copy_keeps_what_is_remembered_of_its_signals_only(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    """Barred samples change no signal; another signal leaves nothing of the old one behind."""
+    (series,) = record({}, ("weave",), seconds=5.0).values()
+    one = prepare("weave", series)
+    before = one.left_over(reference_model)
+    barred = one.changed(barred=np.ones(len(one.thin_time_s), dtype=bool))
+    np.testing.assert_array_equal(barred.left_over(reference_model), before)
+    assert barred.motion(reference_model).speed_rad_s is one.motion(reference_model).speed_rad_s
+    halved = {**one.raw, "motor_torque_nm": 0.5 * one.raw["motor_torque_nm"]}
+    anew = prepare("weave", {**series, "motor_torque_nm": _half(series["motor_torque_nm"])})
+    np.testing.assert_array_equal(
+        barred.changed(raw=halved).left_over(reference_model), anew.left_over(reference_model)
+    )
+
+
+def _half(one: Series) -> Series:
+    return Series(one.t_ns, 0.5 * one.value)
+
+
+def test_the_floor_is_what_noise_leaves(record: Callable[..., Any], reference_model: Model) -> None:
+    """The right model's residual while sliding is the sensor noise, and no more."""
+    made = record({}, ("weave", "slow"), seconds=20.0)
+    problem = Problem([prepare(name, one) for name, one in made.items()], reference_model)
+    residual = problem.residual(reference_model)[problem.sliding]
+    assert np.mean(residual**2) == pytest.approx(1.0, abs=0.15)
+    assert np.mean(problem.sliding) > 0.4
+
+
+def test_what_a_diagnosis_needs() -> None:
+    t_ns = np.arange(5000, dtype=np.int64) * 1_000_000
+    one = Series(t_ns, np.zeros(5000))
+    with pytest.raises(ValueError, match="motor_torque_nm"):
+        prepare("x", {"motor_speed_rad_s": one})
+    with pytest.raises(ValueError, match="motor_angle_rad"):
+        prepare("x", {"motor_torque_nm": one})
+    short = Series(t_ns[:500], np.zeros(500))
+    with pytest.raises(ValueError, match="too short"):
+        prepare("x", {"motor_torque_nm": short, "motor_speed_rad_s": short})
+
+
+def test_a_shift_by_part_of_a_sample_leaves_noise_what_it_is() -> None:
+    """Or any delay would make the balance's noise smaller, and be found for that."""
+    rng = np.random.default_rng(8)
+    t_ns = np.arange(30_000, dtype=np.int64) * 1_000_000
+    one = {
+        name: Series(t_ns, rng.standard_normal(len(t_ns)))
+        for name in ("motor_torque_nm", "motor_speed_rad_s")
+    }
+    ready = prepare("noise", one)
+    speed = ready.raw["motor_speed_rad_s"]
+
+    def left(values: Floats) -> float:
+        return float(np.std(low_pass(np.gradient(values, 1e-3), 40.0)[300:-300]))
+
+    for delay_s in (2e-4, 5e-4, -3.4e-3):
+        assert left(ready._at(speed, delay_s)) == pytest.approx(left(speed), rel=1e-3)
+    straight = np.interp(ready.time_s + 5e-4, ready.time_s, speed)
+    assert left(straight) < 0.997 * left(speed)
+
+
+def test_the_bristle_moves_by_what_the_rotor_did_between_two_samples() -> None:
+    """Not by half a sample more: friction turns over in a few milliseconds."""
+    t = np.arange(6000) * 1e-3
+    t_ns = np.arange(6000) * 1_000_000
+    angle, speed = 12.0 * np.sin(2.0 * t), 24.0 * np.cos(2.0 * t)
+    columns = {
+        "motor_torque_nm": 0.0 * t,
+        "motor_speed_rad_s": speed,
+        "motor_angle_rad": angle,
+    }
+    one = prepare("a", {name: Series(t_ns, values) for name, values in columns.items()})
+    motion = one.motion(load_model(REFERENCE))
+    inside = slice(50, -50)  # signals that are late are held at the ends
+    moved = np.cumsum(motion.travel_rad[inside]) - motion.travel_rad[50]
+    way = motion.angle_rad[inside] - motion.angle_rad[50]
+    assert np.max(np.abs(moved - way)) < 1e-3  # a rest of a sample or two at each reversal
+    late = np.cumsum(motion.speed_rad_s[inside]) * 1e-3
+    assert np.max(np.abs(late - late[0] - way)) > 0.01

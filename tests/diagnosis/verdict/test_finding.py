@@ -1,0 +1,68 @@
+"""A finding in the JSON's words."""
+
+import numpy as np
+import pytest
+
+from eps_hil.diagnosis.attribute.select import Selection
+from eps_hil.diagnosis.balance.fit import fit
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.mismatch.leftover import Leftover
+from eps_hil.diagnosis.verdict.finding import SUREST, _confidence, _experiment, finding, unknown
+from eps_hil.physics.effects.catalogue import catalogue
+
+
+def test_a_name_is_as_sure_as_it_is_far_above_the_gate_and_above_the_next() -> None:
+    assert _confidence(1e6, 30.0, []) == SUREST
+    assert _confidence(30.0, 30.0, []) == pytest.approx(0.6)  # at the gate itself
+    assert _confidence(1e6, 30.0, [("other", 1.0)]) == pytest.approx(0.5)  # either of two
+    assert _confidence(1e6, 30.0, [("one", 1.0), ("two", 1.0)]) == pytest.approx(1 / 3, abs=1e-3)
+    nearer, farther = (_confidence(500.0, 30.0, [("other", part)]) for part in (0.95, 0.8))
+    assert 0.5 < nearer < farther < SUREST
+
+
+def test_the_next_experiment_is_the_one_that_tells_the_twins_apart() -> None:
+    stribeck = catalogue()["stribeck"]
+    assert _experiment(stribeck, []) == ""
+    (twin, said), *_ = stribeck.twins.items()
+    assert _experiment(stribeck, [twin, "screw_ripple"]) == f"against {twin}: {said}"
+    assert "screw_ripple act at different places" in _experiment(stribeck, ["screw_ripple"])
+
+
+@pytest.mark.parametrize(
+    ("signal", "curve", "words", "said"),
+    [
+        ("rack_position_m|right", ((0.0, -0.02, 1.0), (0.1, 0.03, 1.0)), "", "up to 0.03 Nm"),
+        ("rack_position_m|right", ((0.0, 0.02, 1.0),), "", "turning in positive direction"),
+        ("motor_speed_rad_s", (), "", "follows no measured signal"),
+        ("motor_speed_rad_s", (), "a late torque", "explains: a late torque; 50 % more"),
+    ],
+)
+def test_what_is_unknown_is_described_by_its_curve(
+    signal: str, curve: tuple[tuple[float, float, float], ...], words: str, said: str
+) -> None:
+    content = unknown(Leftover(signal, curve, -0.05, 0.05, 0.4, 0.5, words))
+    assert said in content["summary"]
+    assert content["where"] == [
+        {"signal": signal.partition("|")[0], "from": -0.05, "to": 0.05, "share_of_excess": 0.4}
+    ]
+    assert content["curve"] == [list(point) for point in curve]
+    assert content["effect"] == "unknown"
+
+
+@pytest.mark.slow
+def test_no_delay_is_known_better_than_when_a_slow_signal_was_taken(problem: Problem) -> None:
+    """A tenth of the interval is the deviation that nobody can know."""
+    entry = {"effect": "motor_torque_delay", "delay_s": 0.004}
+
+    def width(interval_s: float) -> float:
+        slow = [one.changed(interval_s=interval_s) for one in problem.recordings]
+        at = Problem(slow, problem.model)
+        found = fit(at, [entry], 0)
+        found.__dict__["half_width"] = {(0, "delay_s"): 3e-4}
+        gains = {"motor_torque_delay": 1e3}
+        selection = Selection(found, found, [], at, found, gains=gains)
+        low, high = finding(at, selection, 0)["parameters"]["delay_s"]["ci95"]
+        return float(high - low) / 2
+
+    assert width(1e-3) == pytest.approx(np.hypot(3e-4, 1.96 * 1e-4))
+    assert width(0.01) == pytest.approx(np.hypot(3e-4, 1.96 * 1e-3))
