@@ -34,7 +34,13 @@ from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, term_of
 from eps_hil.diagnosis.balance.spread import left_open
 from eps_hil.diagnosis.data.channels import check_channels
 from eps_hil.diagnosis.data.held import own_samples
-from eps_hil.diagnosis.data.intake import RecordingError, prepared, same_load, split, unseen
+from eps_hil.diagnosis.data.intake import (
+    RecordingError,
+    prepared,
+    same_load,
+    split,
+    unseen,
+)
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.direct.kinematics import small_ratio
 from eps_hil.diagnosis.direct.reversals import borne_out as reversals_agree
@@ -87,7 +93,9 @@ def diagnose(
     """
     fitted, kept = split(own_samples(recordings), own_samples(holdouts))
     series = [*fitted.items(), *kept.items()]
-    every = each(lambda one: prepared(one[0], one[1], unexplained_nm), series)
+    every = each(
+        lambda one: prepared(one[0], one[1], unexplained_nm, {} if holdouts else recordings), series
+    )
     ready = list(zip(every[: len(fitted)], fitted.values(), strict=True))
     spare = list(zip(every[len(fitted) :], kept.values(), strict=True))
     same_load(every)
@@ -107,7 +115,9 @@ def diagnose(
             look.kept[-1].name, "kept from the fit to judge it, but slides for less than 1 s"
         )
     look, problem, selection = _searched(look, problem, load_knobs(load), judged, say, without)
-    wrong = misread(selection.part, selection, set.intersection(*map(set, fitted.values())))
+    wrong = misread(
+        selection.part, selection, set.intersection(*map(set, fitted.values())), without
+    )
     if wrong is not None:
         given, tied = look, load_knobs(load)
         look, problem, selection = _beside(wrong, given, tied, say, without)
@@ -140,6 +150,7 @@ def diagnose(
     content["limits"] = [
         *([] if load is None else [load.sentence]),
         *unseen(every),
+        *look.remarks,
         *only_part(problem, selection.part),
         *_not_explained(
             content,

@@ -1,4 +1,4 @@
-"""What is settled before the torque balance: data quality, clocks, rotor against rack.
+"""What is settled before the torque balance: data quality, speed and angle, rotor against rack.
 
 Each of these would come back from the torque balance under a wrong name. So bad stretches are
 barred, a drifting clock is set right, a torque sensor with play is replaced by the torsion bar's
@@ -11,14 +11,15 @@ from typing import Any
 
 from eps_hil.diagnosis.balance.excerpt import evenly
 from eps_hil.diagnosis.data import quality
+from eps_hil.diagnosis.data.drift import Drift
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.direct import kinematics
 from eps_hil.diagnosis.direct.apart import Apart
 from eps_hil.diagnosis.direct.belt import belt_of, with_belt
-from eps_hil.diagnosis.direct.drift import Drift
 from eps_hil.diagnosis.direct.reversals import Bristle
 from eps_hil.diagnosis.direct.seen import finding
+from eps_hil.diagnosis.direct.speed_and_angle import speed_and_angle
 from eps_hil.diagnosis.direct.zero_reading import ZeroReadings, zero_readings
 from eps_hil.physics.effects.rack_ratio import local_share
 from eps_hil.physics.model import Model
@@ -51,11 +52,13 @@ class FirstLook:
     """What of rotor against rack no name stands for."""
     zero: ZeroReadings = field(default_factory=ZeroReadings)
     """What the torque sensors read with nothing on them; ``model`` has the errors among it."""
+    remarks: tuple[str, ...] = ()
+    """What a reader has to know of speed and angle, which have been put right in it."""
 
     @property
     def put_right(self) -> bool:
         """Whether the recordings hold something else now than what was read."""
-        return any(
+        return bool(self.remarks) or any(
             one["effect"] in _PUT_RIGHT or "slope_per_m" in one.get("parameters", {})
             for one in self.findings
         )
@@ -132,6 +135,10 @@ def first_look(
     lost = quality.finding(looks)
     if lost is not None and "dropped_frames" not in without:
         findings.append(lost)
+    apart = speed_and_angle(evenly(ready[:n]), model, without)
+    if apart is not None:
+        ready, model = [apart.put_right(one) for one in ready], apart.in_model(model)
+        findings += apart.findings()
     seen = kinematics.examine(ready[:n], ready[n:], model, without)
     ready = [seen.put_right(one, model) for one in ready]
     for effect in seen.seen:
@@ -139,6 +146,7 @@ def first_look(
         if name == "clock_drift":
             drifting = Drift(effect.entry["ppm"], effect.half_width["ppm"], effect.gain)
             ready = [drifting.corrected(one) for one in ready]
+            findings = [one for one in findings if one["effect"] != name]  # one clock, one finding
             findings.append(drifting.finding())
             continue
         findings.append(finding(effect))
@@ -169,6 +177,7 @@ def first_look(
         tuple(looks[n:]),
         seen.left,
         zero,
+        () if apart is None else tuple(apart.remarks()),
     )
 
 

@@ -1,4 +1,4 @@
-"""What a finding of the kinematics is drawn from: rotor against rack, and twist against torque.
+"""What a finding of the kinematics is drawn from: rotor against rack, speed, angle and twist.
 
 These findings do not show in the torque balance, so each has a plot of its own residual, on the
 recordings that were kept from the fit where those hold what it needs.
@@ -12,9 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
+from eps_hil.diagnosis.data.drift import IN_BALANCE
 from eps_hil.diagnosis.data.prepare import Prepared, prepare, with_play
 from eps_hil.diagnosis.diagnose import Diagnosis
 from eps_hil.diagnosis.direct.rotor_and_rack import Rows, has_rack
+from eps_hil.diagnosis.direct.speed_and_angle import SEEN_IN, compared, has_both
 from eps_hil.diagnosis.direct.torsion_bar import has_twist, twist_rad
 from eps_hil.physics.model import Model
 from eps_hil.report.plots import Line, Plot
@@ -37,7 +39,9 @@ def figure(diagnosis: Diagnosis, finding: Mapping[str, Any]) -> Plot | None:
     recordings = [_as_read(one) for one in diagnosis.judged]
     if finding["effect"] == "torque_sensor_hysteresis":
         return _twist(recordings, diagnosis.problem.model, finding)
-    if finding["effect"] not in IN_ROTOR_AND_RACK:
+    if finding["seen_in"] == SEEN_IN:
+        return _against_rate(recordings, diagnosis.problem.model, finding)
+    if finding["effect"] not in IN_ROTOR_AND_RACK or finding["seen_in"] == IN_BALANCE:
         return None
     model = _given(diagnosis)
     rows = [Rows(one, model) for one in recordings if has_rack(one, model)]
@@ -90,6 +94,27 @@ def _given(diagnosis: Diagnosis) -> Model:
     seen = {one["effect"] for one in diagnosis.content["findings"] if "seen_in" in one}
     effects = tuple(one for one in model.effects if one["effect"] not in seen)
     return replace(model, effects=effects)
+
+
+def _against_rate(
+    recordings: Sequence[Prepared], model: Model, finding: Mapping[str, Any]
+) -> Plot | None:
+    """Reported speed less the angle's rate: along the acceleration, or that times time."""
+    both = [one for one in recordings if has_both(one)]
+    if not both:
+        return None
+    delays, values = model.delays_s, finding["parameters"]
+    late_s = values["delay_s"]["value"] if "delay_s" in values else 0.0
+    apart_s = delays.of("motor_speed_rad_s") - delays.of("motor_angle_rad") - late_s
+    shown = [compared(one, apart_s) for one in both]
+    acceleration, grown, left = (np.concatenate(parts) for parts in zip(*shown, strict=True))
+    if "ppm" in values:
+        label, x, own = "acceleration times time in rad/s", grown, values["ppm"]["value"] * 1e-6
+    else:
+        label, x, own = "acceleration in rad/s²", acceleration, late_s
+    lines, centre = _binned(x, left, -own * x, 1.0)
+    name = f"kinematics-{finding['effect']}"
+    return Plot(name, label, "speed less the angle's rate, rad/s", centre, lines, height=260)
 
 
 def _coordinate(one: Rows, source: str) -> Floats:

@@ -1,9 +1,10 @@
-"""A load cell or torque sensor that is late, or a load cell that reads too much: no effect's name.
+"""One signal that is late, adrift or reads too much, where the torque balance names others for it.
 
 A signal that is late against all others looks like all others being early: the torque balance then
 names a late motor torque, an early speed sensor, or nothing. A load cell that reads too much looks
-like a ratio and a sensor's gain that are both off. Where such names were taken, or much was left,
-one number for the one signal is tried in the place of them all.
+like a ratio and a sensor's gain that are both off. One whose clock drifts looks late by the mean
+of that. Where such names were taken, or much was left, one number for the one signal is tried in
+the place of them all. A clock has a name in the catalogue (`clock_drift`), the others have none.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -11,35 +12,51 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from eps_hil.diagnosis.attribute.numbers import SCALES, SPANNED
 from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, refitted, threshold
 from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.baseline import ALL, HOLD
 from eps_hil.diagnosis.balance.fit import Fit, fit
-from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.balance.problem import Problem, huber
+from eps_hil.diagnosis.balance.spread import half_widths
+from eps_hil.diagnosis.data.drift import IN_BALANCE, MOTION, Drift, drift_matters
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.mismatch.leftover import LARGE_EXCESS
 from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
 
 CHANNELS = {"rack_force_n": "rack_force", "torque_sensor_nm": "torque_sensor"}
 """Signals without a delay effect of their own, and their entries in the model's ``delays_s``."""
 LOAD_CELL = "rack_force_n"
 """The signal without a gain effect of its own."""
+CLOCKS: Mapping[str, tuple[str, ...]] = {
+    "motor_torque_nm": ("motor_torque_nm",),
+    "torque_sensor_nm": ("torque_sensor_nm",),
+    "rack_force_n": ("rack_force_n",),
+    MOTION[0]: MOTION,
+}
+"""Signals whose clock may drift, and those that share it."""
 LEAST_S, LEAST_GAIN = 1e-3, 0.005
 """Less is how signals are sampled and filtered, and how load cells are calibrated."""
 MOST_S, MOST_GAIN = 0.1, 0.5
 _TIMING = (HOLD, "speed_sensor_delay")
 _LEAST_PART = 0.5
 """Of what a refit leaves over that the one number has to explain."""
-_RESOLUTION_S, _RESOLUTION = 1e-4, 1e-3
+_RESOLUTION_S, _RESOLUTION, _RESOLUTION_PPM = 1e-4, 1e-3, 0.5
+_STEP_PPM = 5.0
+"""For a difference."""
 _ROUNDS = 5
 _GRID = 26
 
 
 @dataclass(frozen=True)
 class Misread:
-    """A signal, how much later (s) or larger (factor) it is than the truth, what that explains.
+    """A signal, how much later (s), larger (factor) or adrift (ppm) it is, what that explains.
+
+    ``ppm`` is None where its clock is not what is asked for.
 
     ``low`` to ``high`` is what it goes through, in its unit.
     """
@@ -50,6 +67,8 @@ class Misread:
     share: float = 1.0
     low: float = 0.0
     high: float = 0.0
+    ppm: float | None = None
+    half_ppm: float = 0.0
 
     def in_model(self, model: Model) -> Model:
         """The model with that signal's true delay."""
@@ -60,13 +79,22 @@ class Misread:
         return replace(model, delays_s=replace(model.delays_s, **moved))
 
     def put_right(self, one: Prepared) -> Prepared:
-        """The recording with that signal as large as it should be."""
+        """The recording with that signal as large, or on the clock, as it should be."""
+        if self.ppm is not None:
+            return self._drift.corrected(one)
         if self.gain == 1.0:
             return one
         return one.changed(raw={**one.raw, self.signal: one.raw[self.signal] / self.gain})
 
+    @property
+    def _drift(self) -> Drift:
+        ppm = 0.0 if self.ppm is None else self.ppm
+        return Drift(ppm, self.half_ppm, np.inf, CLOCKS[self.signal], IN_BALANCE)
+
     def finding(self, model: Model) -> dict[str, Any]:
         """The JSON entry (CONTRACT 7), beside the model file's ``model``."""
+        if self.ppm is not None:
+            return self._drift.finding()
         return {
             "effect": "unknown",
             "kind": "instrument",
@@ -99,11 +127,16 @@ class Misread:
         )
 
 
-def misread(problem: Problem, selection: Selection, measured: Collection[str]) -> Misread | None:
+def misread(
+    problem: Problem,
+    selection: Selection,
+    measured: Collection[str],
+    without: Collection[str] = (),
+) -> Misread | None:
     """The signal of which one number does as well as all such numbers that were named, or None.
 
     And it has to explain most of what the model's own numbers, refitted, leave over. ``measured``:
-    the signals that were recorded.
+    the signals that were recorded. Effects in ``without`` (ids) are not considered.
     """
     found = selection.searched
     names = [str(entry["effect"]) for entry in found.entries]
@@ -112,11 +145,15 @@ def misread(problem: Problem, selection: Selection, measured: Collection[str]) -
     much = excess > LARGE_EXCESS
     if set(names) & set(_TIMING) or much:
         tried += [(Misread(name), _TIMING) for name in CHANNELS if name in measured]
+        if "clock_drift" not in without:
+            clocks = [name for name in CLOCKS if name in measured]
+            tried += [(Misread(name, ppm=0.0), _TIMING) for name in clocks]
     if LOAD_CELL in measured and (len(set(names) & set(SCALES)) > 1 or much):
         tried.append((Misread(LOAD_CELL, gain=1.0 + LEAST_GAIN), SCALES))
     best: tuple[float, Misread] | None = None
+    compared = {instead: _Compared(problem, found, instead) for _, instead in tried}
     for start, instead in tried:
-        one = _instead(problem, found, start, instead)
+        one = compared[instead].to(start)
         if one is not None and (best is None or one[0] < best[0]):
             best = one
     if best is None:
@@ -134,31 +171,45 @@ def refined(wrong: Misread, problem: Problem, selection: Selection) -> Misread:
     """
     others = [e for e in selection.searched.entries if e["effect"] not in SPANNED]
     bare = fit(problem, others, own={**ALL, **problem.tied})
-    still = Misread(wrong.signal, gain=1.0 if wrong.gain == 1.0 else 1.0 + LEAST_GAIN)
+    still = Misread(
+        wrong.signal,
+        gain=1.0 if wrong.gain == 1.0 else 1.0 + LEAST_GAIN,
+        ppm=None if wrong.ppm is None else 0.0,
+    )
     more, _ = _followed(problem, bare, others, still)
+    if wrong.ppm is not None and more.ppm is not None:
+        far = abs(more.ppm) > _RESOLUTION_PPM
+        return replace(wrong, ppm=wrong.ppm + more.ppm, half_ppm=more.half_ppm) if far else wrong
     if abs(more.late_s) < _RESOLUTION_S and abs(more.gain - 1.0) < _RESOLUTION:
         return wrong
     return replace(wrong, late_s=wrong.late_s + more.late_s, gain=wrong.gain * more.gain)
 
 
-def _instead(
-    problem: Problem, found: Fit, start: Misread, names: Sequence[str]
-) -> tuple[float, Misread] | None:
-    """(cost, what) of one number of a signal in the place of the entries of these ``names``."""
-    others = [e for e in found.entries if e["effect"] not in (*names, *SPANNED)]
-    named = [e for e in found.entries if e["effect"] in names]
-    bare = fit(problem, others, own={**ALL, **problem.tied})
-    best_named = fit(problem, [*others, *named], own=bare.own) if named else bare
-    one, after = _followed(problem, bare, others, start)
-    gain, over = bare.cost - after.cost, bare.cost - float(len(bare.residual))
-    if not _matters(one) or gain < _LEAST_PART * over:
-        return None
-    if after.cost > best_named.cost + threshold(problem, best_named.residual, FINAL_SHARE):
-        return None
-    return after.cost, replace(one, share=min(gain / over, 1.0))
+class _Compared:
+    """Entries of some names, beside which one number of a signal has to do as well."""
+
+    def __init__(self, problem: Problem, found: Fit, names: Sequence[str]) -> None:
+        self.problem = problem
+        self.others = [e for e in found.entries if e["effect"] not in (*names, *SPANNED)]
+        named = [e for e in found.entries if e["effect"] in names]
+        self.bare = fit(problem, self.others, own={**ALL, **problem.tied})
+        self.named = fit(problem, [*self.others, *named], own=self.bare.own) if named else self.bare
+
+    def to(self, start: Misread) -> tuple[float, Misread] | None:
+        """(cost, what) of the one number; None where it does not do as well."""
+        problem, bare = self.problem, self.bare
+        one, after = _followed(problem, bare, self.others, start)
+        gain, over = bare.cost - after.cost, bare.cost - float(len(bare.residual))
+        if not _matters(one, problem) or gain < _LEAST_PART * over:
+            return None
+        if after.cost > self.named.cost + threshold(problem, self.named.residual, FINAL_SHARE):
+            return None
+        return after.cost, replace(one, share=min(gain / over, 1.0))
 
 
-def _matters(one: Misread) -> bool:
+def _matters(one: Misread, problem: Problem) -> bool:
+    if one.ppm is not None:
+        return abs(one.ppm) > 2.0 * one.half_ppm and drift_matters(one.ppm, problem.recordings)
     return abs(one.late_s) > LEAST_S or abs(one.gain - 1.0) > LEAST_GAIN
 
 
@@ -169,16 +220,23 @@ def _followed(
 
     The numbers that the wrong signal bent come back while it is found, so it takes a few rounds.
     """
-    is_gain = start.gain != 1.0
-    one, after = Misread(start.signal), bare
+    best = _best_delay if start.gain == 1.0 else _best_gain
+    if start.ppm is not None:
+        best = _best_ppm
+    one, after = Misread(start.signal, ppm=start.ppm), bare
     for _ in range(_ROUNDS):
         before = one
-        one = _best_gain(problem, after, one) if is_gain else _best_delay(problem, after, one)
+        one = best(problem, after, one)
         after = fit(_right(problem, one), others, own=after.own)
-        small = abs(one.late_s - before.late_s) < _RESOLUTION_S
-        if (small and abs(one.gain - before.gain) < _RESOLUTION) or not _matters(one):
+        if _same(one, before) or not _matters(one, problem):
             break
     return one, after
+
+
+def _same(one: Misread, other: Misread) -> bool:
+    late, gain = abs(one.late_s - other.late_s), abs(one.gain - other.gain)
+    ppm = abs((one.ppm or 0.0) - (other.ppm or 0.0))
+    return late < _RESOLUTION_S and gain < _RESOLUTION and ppm < _RESOLUTION_PPM
 
 
 def _right(problem: Problem, one: Misread) -> Problem:
@@ -190,9 +248,14 @@ def _right(problem: Problem, one: Misread) -> Problem:
 
 def with_misread(content: Mapping[str, Any], finding: Mapping[str, Any]) -> dict[str, Any]:
     """The JSON (CONTRACT 7) with this finding beside the others."""
-    named = any(one["effect"] != "unknown" for one in content["findings"])
-    verdict = "partly_explained" if named else "unknown_effect"
-    return {**content, "verdict": verdict, "findings": [*content["findings"], dict(finding)]}
+    findings = [*content["findings"], dict(finding)]
+    unknown = [one["effect"] == "unknown" for one in findings]
+    verdict = "partly_explained" if any(unknown) else "explained"
+    return {
+        **content,
+        "verdict": "unknown_effect" if all(unknown) else verdict,
+        "findings": findings,
+    }
 
 
 def _best_delay(problem: Problem, fitted: Fit, one: Misread) -> Misread:
@@ -217,6 +280,28 @@ def _best_gain(problem: Problem, fitted: Fit, one: Misread) -> Misread:
 
     low, high = 1.0 / (1.0 + MOST_GAIN), 1.0 + MOST_GAIN
     return replace(one, gain=_least(cost, low, high, _RESOLUTION))
+
+
+def _best_ppm(problem: Problem, fitted: Fit, one: Misread) -> Misread:
+    """One step towards less: what a drift moves is nearly linear in it."""
+    model = problem.with_entries(fitted.entries, fitted.own)
+
+    def left(ppm: float) -> Floats:
+        right = replace(one, ppm=ppm)
+        parts = [right.put_right(each).left_over(model) for each in problem.recordings]
+        return np.concatenate(parts) / problem.scale
+
+    now = one.ppm or 0.0
+    residual = left(now)
+    column = (left(now + _STEP_PPM) - residual) / _STEP_PPM
+    jacobian = np.column_stack([column, fitted.jacobian])
+    weight = np.sqrt(huber(refitted(residual, jacobian), problem.knee))
+    size = np.sqrt(np.sum(jacobian**2, axis=0)) + 1e-300
+    scaled = jacobian / size * weight[:, None]
+    step = np.linalg.lstsq(scaled, residual * weight, rcond=1e-9)[0] / size
+    left_over = (residual - jacobian @ step) * weight
+    half = half_widths(jacobian * weight[:, None], left_over, (problem.block, problem.stretch))
+    return replace(one, ppm=now - float(step[0]), half_ppm=float(half[0]))
 
 
 def _least(cost: Callable[[float], float], low: float, high: float, resolution: float) -> float:

@@ -19,8 +19,24 @@ from eps_hil.physics.effects.effect import Parameter, Probe
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
+_IN_STRETCH = 5
+"""Blocks."""
 FEWEST = 2.0
 """Least degrees of freedom: fewer would make an interval of everything."""
+
+
+def partitions(blocks: Sequence[Integers]) -> tuple[Integers, Integers]:
+    """Groups for :func:`half_widths`: each recording's blocks numbered on, and stretches of them.
+
+    ``blocks``: of each recording, the block of each sample, ascending; one may have no samples.
+    """
+    fine, wide = [], []
+    first = 0
+    for block in blocks:
+        fine.append(block + first)
+        wide.append(block // _IN_STRETCH + first)
+        first += int(block[-1]) + 1 if len(block) else 0
+    return np.concatenate(fine), np.concatenate(wide)
 
 
 def half_widths(

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -47,17 +48,26 @@ def check_rates(recordings: Mapping[str, Mapping[str, Series]]) -> None:
             check_rate(name, series)
 
 
-def prepared(name: str, series: Mapping[str, Series], unexplained_nm: float) -> Prepared:
-    """:func:`prepare`, with the recording's name and signals in what it refuses."""
+def prepared(
+    name: str,
+    series: Mapping[str, Series],
+    unexplained_nm: float,
+    whole: Mapping[str, Mapping[str, Series]] = MappingProxyType({}),
+) -> Prepared:
+    """:func:`prepare`, with the recording's name and signals in what it refuses.
+
+    ``whole``: recordings by name, of which this one may be a part.
+    """
     for signal, most in BELIEVABLE.items():
         if signal in series and (found := _largest(series[signal])) > most:
             problem = f"{signal} reaches {found:.3g}, which no drive does; check unit and scaling"
             raise RecordingError(name, problem)
     try:
-        return prepare(name, series, unexplained_nm)
+        one = prepare(name, series, unexplained_nm)
     except ValueError as error:
         there = ", ".join(sorted(series))
         raise RecordingError(name, f"{error} (it holds {there})") from None
+    return one.changed(begins_s=_began_s(series, whole.get(name, series)))
 
 
 def _largest(one: Series) -> float:
@@ -95,6 +105,12 @@ def split(
         first[name] = {key: _part(one, start, cut) for key, one in series.items()}
         last[name] = {key: _part(one, cut, end) for key, one in series.items()}
     return first, last
+
+
+def _began_s(part: Mapping[str, Series], whole: Mapping[str, Series]) -> float:
+    """How long after the start of its recording a part of it begins, s."""
+    first, start = (min(int(one.t_ns[0]) for one in some.values()) for some in (part, whole))
+    return 1e-9 * (first - start)
 
 
 def _part(one: Series, start: int, end: int) -> Series:

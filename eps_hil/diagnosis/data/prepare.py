@@ -60,6 +60,8 @@ class Prepared:
     """Thinned samples that nothing may be concluded from (``first_look.py``); None: no such."""
     interval_s: float = STEP_S
     """Between samples of the slowest signal that the balance needs: no instant is known better."""
+    begins_s: float = 0.0
+    """Where its own time is 0, since the start of a recording of which it is the last part."""
     slack_rad_s2: Floats | None = None
     """What a belt that gives adds to the acceleration of all inertia (``belt.py``), (n,)."""
     _shifted: dict[tuple[int, float], Floats] = field(default_factory=dict)
@@ -73,6 +75,16 @@ class Prepared:
         copy = replace(self, **values)
         copy.__dict__["_kinematics"] = self._kinematics
         return copy
+
+    def by_angle(self) -> "Prepared":
+        """The same with the angle's rate for its speed."""
+        angle = self.raw["motor_angle_rad"]
+        speed, noise = _rate(angle, self.noise["motor_angle_rad"])
+        return self.changed(
+            raw={**self.raw, "motor_speed_rad_s": speed},
+            noise={**self.noise, "motor_speed_rad_s": noise},
+            speed_is_derived=True,
+        )
 
     def never_resting(self) -> "Prepared":
         """The same with its speed as it was measured also where that is nothing but noise.
@@ -140,6 +152,11 @@ class Prepared:
         """Low-pass without phase at CUTOFF_HZ, edges off, every THIN-th sample."""
         edge = round(EDGE_S / STEP_S)
         return np.ascontiguousarray(low_pass(signal, CUTOFF_HZ)[edge : len(signal) - edge : THIN])
+
+    @property
+    def since_start_s(self) -> Floats:
+        """Time since the start of the whole recording, (n,): what a drifting clock goes by."""
+        return self.time_s + self.begins_s
 
     @cached_property
     def thin_time_s(self) -> Floats:
@@ -255,16 +272,19 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
     raw = {name: _on_grid(one, origin, t_ns) for name, one in used.items()}
     noise = {name: _noise_at_1_khz(one) for name, one in used.items()}
     if derived:
-        raw["motor_speed_rad_s"] = np.gradient(low_pass(raw["motor_angle_rad"], SMOOTH_HZ), STEP_S)
-        # as a white speed noise that leaves as much in the smoothed speed
-        noise["motor_speed_rad_s"] = noise["motor_angle_rad"] * float(
-            np.sqrt(passed(SMOOTH_HZ, 2) / passed(SMOOTH_HZ, 0))
-        )
+        speed, sigma = _rate(raw["motor_angle_rad"], noise["motor_angle_rad"])
+        raw["motor_speed_rad_s"], noise["motor_speed_rad_s"] = speed, sigma
     time_s = np.asarray(t_ns * 1e-9 + (origin - start) * 1e-9, dtype=np.float64)
     balance = ("motor_torque_nm", "motor_speed_rad_s", "motor_angle_rad", "rack_force_n")
     slowest = max(float(np.median(np.diff(used[n].t_ns))) for n in balance if n in used) * 1e-9
     interval = max(slowest, STEP_S)
     return Prepared(name, time_s, raw, noise, derived, unexplained_nm, interval_s=interval)
+
+
+def _rate(angle: Floats, noise: float) -> tuple[Floats, float]:
+    """(speed, its noise: white, as strong in the smoothed speed) from an angle and its noise."""
+    share = float(np.sqrt(passed(SMOOTH_HZ, 2) / passed(SMOOTH_HZ, 0)))
+    return np.gradient(low_pass(angle, SMOOTH_HZ), STEP_S), noise * share
 
 
 def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:

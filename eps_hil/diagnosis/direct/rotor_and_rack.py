@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.balance.spread import Integers, half_widths
+from eps_hil.diagnosis.balance.spread import half_widths, partitions
+from eps_hil.diagnosis.data.drift import drift_matters
 from eps_hil.diagnosis.data.prepare import CUTOFF_HZ, Prepared
 from eps_hil.diagnosis.data.side_by_side import each
-from eps_hil.diagnosis.direct.drift import drift_matters
 from eps_hil.diagnosis.direct.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
 from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.physics.model import Model
@@ -23,7 +23,6 @@ Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 BLOCK_S = 2.0
-_IN_STRETCH = 5
 LEAST_COMPLIANCE = 1.0 / 60.0
 """rad/Nm; a stiffer drive resonates above 150 Hz, where no torque balance sees it."""
 LEAST_GAP_RAD = 0.005
@@ -81,7 +80,7 @@ class Rows:
         self.columns = {
             "ratio": ratio * self.x,
             "delay": -thin(motion.speed_rad_s),
-            "drift": -thin(motion.speed_rad_s * (one.time_s - one.time_s[0])) * 1e-6,
+            "drift": -thin(motion.speed_rad_s * one.since_start_s) * 1e-6,
             "compliance": self.torque,
             "inertia": thin(model.inertia_kg_m2 * motion.acceleration_rad_s2),
             "half_gap": np.tanh(self.torque / _CONTACT_NM),
@@ -144,7 +143,8 @@ def _design(
     return np.concatenate(columns), np.concatenate(residuals)
 
 
-def _least_squares(a: Floats, b: Floats) -> Floats:
+def least_squares(a: Floats, b: Floats) -> Floats:
+    """What of the columns ``a`` (n, p) comes nearest to ``b`` (n,), whatever their units; (p,)."""
     size = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
     return np.asarray(np.linalg.lstsq(a / size, b, rcond=1e-9)[0] / size)
 
@@ -152,7 +152,7 @@ def _least_squares(a: Floats, b: Floats) -> Floats:
 def solved(rows: Sequence[Rows], names: Sequence[str]) -> tuple[dict[str, float], Floats]:
     """(coefficients by name, their residual in noise deviations)."""
     a, b = _design(rows, names)
-    best = _least_squares(a, b)
+    best = least_squares(a, b)
     return dict(zip(names, best.tolist(), strict=True)), b - a @ best
 
 
@@ -170,7 +170,7 @@ def _held_out_gain(rows: Sequence[Rows], names: Sequence[str], group: Sequence[s
         a, b = _design(rows, [*names, *group], part)
         costs = []
         for columns in (a[:, : len(names)], a):
-            best = _least_squares(columns[fitted], b[fitted])
+            best = least_squares(columns[fitted], b[fitted])
             costs.append(robust_cost(b[~fitted] - columns[~fitted] @ best))
         gain += costs[0] - costs[1]
     return gain
@@ -334,10 +334,5 @@ def _helps(
 def _half_widths(rows: Sequence[Rows], names: Sequence[str], residual: Floats) -> dict[str, float]:
     """Half widths of 95 % intervals, over blocks and stretches."""
     a, _ = _design(rows, names)
-    blocks: list[Integers] = []
-    stretches: list[Integers] = []
-    for one in rows:
-        blocks.append(one.block + (blocks[-1][-1] + 1 if blocks else 0))
-        stretches.append(one.block // _IN_STRETCH + (stretches[-1][-1] + 1 if stretches else 0))
-    wide = half_widths(a, residual, (np.concatenate(blocks), np.concatenate(stretches)))
+    wide = half_widths(a, residual, partitions([one.block for one in rows]))
     return dict(zip(names, wide.tolist(), strict=True))

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 import pytest
 
 from eps_hil.diagnosis.attribute.misread import with_misread
@@ -89,3 +90,44 @@ def test_the_verdict_beside_names_and_alone() -> None:
     named = with_misread({"verdict": "explained", "findings": [{"effect": "stribeck"}]}, late)
     assert named["verdict"] == "partly_explained"
     assert [one["effect"] for one in named["findings"]] == ["stribeck", "unknown"]
+    drift = {"effect": "clock_drift"}
+    assert with_misread({"verdict": "no_mismatch", "findings": []}, drift)["verdict"] == "explained"
+    beside = with_misread({"verdict": "unknown_effect", "findings": [late]}, drift)
+    assert beside["verdict"] == "partly_explained"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("signals", "ppm"),
+    [
+        (("motor_torque_nm",), 150.0),
+        (("rack_force_n",), -300.0),
+        (("motor_speed_rad_s", "motor_angle_rad"), 150.0),
+    ],
+)
+def test_a_clock_adrift_is_named_where_only_torques_show_it(
+    record: Callable[..., Any], reference_model: Model, signals: tuple[str, ...], ppm: float
+) -> None:
+    def adrift(recordings: Recordings) -> Recordings:
+        out = {}
+        for name, one in recordings.items():
+            there = {key: values for key, values in one.items() if key != "rack_position_m"}
+            for signal in signals:
+                stamps = there[signal].t_ns
+                late_ns = np.round((stamps - stamps[0]) * ppm * 1e-6).astype(np.int64)
+                there[signal] = Series(stamps + late_ns, there[signal].value)
+            out[name] = there
+        return out
+
+    train, holdout = (
+        adrift(one) for one in (record({}, seconds=30.0), record({}, ("weave",), 2, seconds=30.0))
+    )
+    told = diagnose(reference_model, train, holdout).content
+    (finding,) = told["findings"]
+    assert finding["effect"] == "clock_drift"
+    assert finding["signal"] == signals[0]
+    number = finding["parameters"]["ppm"]
+    assert number["value"] == pytest.approx(ppm, rel=0.1)
+    assert told["verdict"] == "explained"
+    error = {k: one["torque_nrmse"] for k, one in told["fit"]["holdout"].items()}
+    assert error["augmented"] < min(1.05 * error["noise_floor"], error["baseline"])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.data.intake import BELIEVABLE, RecordingError, prepared
+from eps_hil.diagnosis.data.intake import BELIEVABLE, RecordingError, prepared, split
 from eps_hil.series import Series
 
 
@@ -25,3 +25,14 @@ def test_what_no_drive_does_is_refused_by_name(signal: str) -> None:
     with pytest.raises(RecordingError, match=f"{signal} reaches 1e[+]20.*unit and scaling") as said:
         prepared("weave", wild, 0.0)
     assert said.value.recording == "weave"
+
+
+def test_the_last_part_of_a_recording_knows_when_it_begins() -> None:
+    """A clock that drifts goes on drifting."""
+    whole = {"weave": signals(9000)}
+    first, last = split(whole, {})
+    assert prepared("weave", first["weave"], 0.0, whole).begins_s == 0.0
+    part = prepared("weave", last["weave"], 0.0, whole)
+    assert part.begins_s == pytest.approx(6.0, abs=0.01)
+    assert part.since_start_s[0] == pytest.approx(6.0, abs=0.01)
+    assert prepared("weave", whole["weave"], 0.0).begins_s == 0.0
