@@ -202,7 +202,10 @@ class _Compared:
         gain, over = bare.cost - after.cost, bare.cost - float(len(bare.residual))
         if not _matters(one, problem) or gain < _LEAST_PART * over:
             return None
-        if after.cost > self.named.cost + threshold(problem, self.named.residual, FINAL_SHARE):
+        unlike = threshold(problem, self.named.residual, FINAL_SHARE)
+        if start.ppm is not None:
+            unlike = -unlike  # most of a drift is its mean: a delay that is one does as well, nearly
+        if after.cost > self.named.cost + unlike:
             return None
         return after.cost, replace(one, share=min(gain / over, 1.0))
 
