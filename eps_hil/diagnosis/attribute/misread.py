@@ -24,6 +24,7 @@ from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.data.drift import IN_BALANCE, MOTION, Drift, drift_matters
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.mismatch.leftover import LARGE_EXCESS
+from eps_hil.identification.filters import shifted
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -43,10 +44,12 @@ LEAST_S, LEAST_GAIN = 1e-3, 0.005
 """Less is how signals are sampled and filtered, and how load cells are calibrated."""
 MOST_S, MOST_GAIN = 0.1, 0.5
 _TIMING = (HOLD, "speed_sensor_delay")
+_DELAY_PART = 0.3
+"""Of what a drift comes to at the end of the recordings that a delay beside it may be."""
 _LEAST_PART = 0.5
 """Of what a refit leaves over that the one number has to explain."""
 _RESOLUTION_S, _RESOLUTION, _RESOLUTION_PPM = 1e-4, 1e-3, 0.5
-_STEP_PPM = 5.0
+_STEP_PPM, _STEP_S = 5.0, 1e-4
 """For a difference."""
 _ROUNDS = 5
 _GRID = 26
@@ -150,17 +153,24 @@ def misread(
             tried += [(Misread(name, ppm=0.0), _TIMING) for name in clocks]
     if LOAD_CELL in measured and (len(set(names) & set(SCALES)) > 1 or much):
         tried.append((Misread(LOAD_CELL, gain=1.0 + LEAST_GAIN), SCALES))
-    best: tuple[float, Misread] | None = None
     compared = {instead: _Compared(problem, found, instead) for _, instead in tried}
-    for start, instead in tried:
-        one = compared[instead].to(start)
-        if one is not None and (best is None or one[0] < best[0]):
-            best = one
+    told = [compared[instead].to(start) for start, instead in tried]
+    best = _best([one for one in told if one is not None], problem)
     if best is None:
         return None
-    seen = np.concatenate([one.raw[best[1].signal] for one in problem.recordings])
+    seen = np.concatenate([one.raw[best.signal] for one in problem.recordings])
     low, high = np.percentile(seen, [2, 98])
-    return replace(best[1], low=float(low), high=float(high))
+    return replace(best, low=float(low), high=float(high))
+
+
+def _best(told: Sequence[tuple[Misread, Fit]], problem: Problem) -> Misread | None:
+    """What leaves least; no clock at all where the clock that leaves least is a delay."""
+    if not told:
+        return None
+    one, after = min(told, key=lambda each: each[1].cost)
+    if one.ppm is None or not _is_a_delay(problem, after, one):
+        return one
+    return _best([each for each in told if each[0].ppm is None], problem)
 
 
 def refined(wrong: Misread, problem: Problem, selection: Selection) -> Misread:
@@ -195,8 +205,8 @@ class _Compared:
         self.bare = fit(problem, self.others, own={**ALL, **problem.tied})
         self.named = fit(problem, [*self.others, *named], own=self.bare.own) if named else self.bare
 
-    def to(self, start: Misread) -> tuple[float, Misread] | None:
-        """(cost, what) of the one number; None where it does not do as well."""
+    def to(self, start: Misread) -> tuple[Misread, Fit] | None:
+        """The one number and the fit with it; None where it does not do as well."""
         problem, bare = self.problem, self.bare
         one, after = _followed(problem, bare, self.others, start)
         gain, over = bare.cost - after.cost, bare.cost - float(len(bare.residual))
@@ -204,10 +214,12 @@ class _Compared:
             return None
         unlike = threshold(problem, self.named.residual, FINAL_SHARE)
         if start.ppm is not None:
-            unlike = -unlike  # most of a drift is its mean: a delay that is one does as well, nearly
+            unlike = (
+                -unlike
+            )  # most of a drift is its mean: a delay that is one does as well, nearly
         if after.cost > self.named.cost + unlike:
             return None
-        return after.cost, replace(one, share=min(gain / over, 1.0))
+        return replace(one, share=min(gain / over, 1.0)), after
 
 
 def _matters(one: Misread, problem: Problem) -> bool:
@@ -287,24 +299,52 @@ def _best_gain(problem: Problem, fitted: Fit, one: Misread) -> Misread:
 
 def _best_ppm(problem: Problem, fitted: Fit, one: Misread) -> Misread:
     """One step towards less: what a drift moves is nearly linear in it."""
+    step, half = _clock_step(problem, fitted, one, 0.0)
+    return replace(one, ppm=(one.ppm or 0.0) + float(step[0]), half_ppm=float(half[0]))
+
+
+def _is_a_delay(problem: Problem, fitted: Fit, one: Misread) -> bool:
+    """Whether a drift, once a delay of the same signal is free beside it, becomes that delay."""
+    if one.ppm is None:
+        return False
+    late_s, ppm = 0.0, one.ppm
+    for _ in range(_ROUNDS):
+        step, half = _clock_step(problem, fitted, replace(one, ppm=ppm), late_s, delay=True)
+        ppm, late_s = ppm + float(step[0]), late_s + float(step[1])
+    longest = max(float(each.since_start_s[-1]) for each in problem.recordings)
+    unsure = abs(ppm) < 2.0 * float(half[0])
+    return unsure or abs(late_s) > _DELAY_PART * abs(ppm) * 1e-6 * longest
+
+
+def _clock_step(
+    problem: Problem, fitted: Fit, one: Misread, late_s: float, *, delay: bool = False
+) -> tuple[Floats, Floats]:
+    """(step of ppm and, if ``delay``, of late_s; half widths): one of least squares."""
     model = problem.with_entries(fitted.entries, fitted.own)
 
-    def left(ppm: float) -> Floats:
-        right = replace(one, ppm=ppm)
-        parts = [right.put_right(each).left_over(model) for each in problem.recordings]
+    def left(ppm: float, late_s: float) -> Floats:
+        clock, parts = replace(one, ppm=ppm), []
+        for each in problem.recordings:
+            late = {n: shifted(each.raw[n], late_s) for n in CLOCKS[one.signal] if n in each.raw}
+            moved = each.changed(raw={**each.raw, **late}) if late_s else each
+            parts.append(clock.put_right(moved).left_over(model))
         return np.concatenate(parts) / problem.scale
 
     now = one.ppm or 0.0
-    residual = left(now)
-    column = (left(now + _STEP_PPM) - residual) / _STEP_PPM
-    jacobian = np.column_stack([column, fitted.jacobian])
+    residual = left(now, late_s)
+    columns = [(left(now + _STEP_PPM, late_s) - residual) / _STEP_PPM]
+    others = fitted.jacobian
+    if delay:  # which stands for how the motor's torque is held, too
+        columns.append((left(now, late_s + _STEP_S) - residual) / _STEP_S)
+        others = np.delete(others, [k for k, name in enumerate(fitted.own) if name == HOLD], axis=1)
+    jacobian = np.column_stack([*columns, others])
     weight = np.sqrt(huber(refitted(residual, jacobian), problem.knee))
     size = np.sqrt(np.sum(jacobian**2, axis=0)) + 1e-300
     scaled = jacobian / size * weight[:, None]
     step = np.linalg.lstsq(scaled, residual * weight, rcond=1e-9)[0] / size
     left_over = (residual - jacobian @ step) * weight
     half = half_widths(jacobian * weight[:, None], left_over, (problem.block, problem.stretch))
-    return replace(one, ppm=now - float(step[0]), half_ppm=float(half[0]))
+    return -step, half
 
 
 def _least(cost: Callable[[float], float], low: float, high: float, resolution: float) -> float:

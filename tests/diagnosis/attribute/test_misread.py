@@ -131,3 +131,17 @@ def test_a_clock_adrift_is_named_where_only_torques_show_it(
     assert told["verdict"] == "explained"
     error = {k: one["torque_nrmse"] for k, one in told["fit"]["holdout"].items()}
     assert error["augmented"] < min(1.05 * error["noise_floor"], error["baseline"])
+
+
+@pytest.mark.slow
+def test_a_delay_without_a_name_is_no_drift(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    """Most of what a drift does, its mean does."""
+    train, holdout = (
+        record({}, manoeuvres, seed, speed_late_s=0.004)
+        for manoeuvres, seed in ((("sweep", "weave", "slow"), 1), (("weave",), 2))
+    )
+    without = {"speed_sensor_delay", "motor_torque_delay"}
+    told = diagnose(reference_model, train, holdout, without=without).content
+    assert "clock_drift" not in [one["effect"] for one in told["findings"]]
