@@ -22,6 +22,7 @@ from eps_hil.diagnosis.balance.fit import Fit, fit
 from eps_hil.diagnosis.balance.problem import Problem, huber
 from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.data.drift import IN_BALANCE, MOTION, Drift, drift_matters
+from eps_hil.diagnosis.data.entry import place, unknown
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.mismatch.leftover import LARGE_EXCESS
 from eps_hil.identification.filters import shifted
@@ -98,26 +99,13 @@ class Misread:
         """The JSON entry (CONTRACT 7), beside the model file's ``model``."""
         if self.ppm is not None:
             return self._drift.finding()
-        return {
-            "effect": "unknown",
-            "kind": "instrument",
-            "confidence": 0.95,
-            "equation": "",
-            "summary": f"{self._words(model)} explains {100 * self.share:.0f} % of the mismatch. "
-            "No effect of the catalogue stands for that.",
-            "parameters": {},
-            "where": [
-                {
-                    "signal": self.signal,
-                    "from": self.low,
-                    "to": self.high,
-                    "share_of_excess": self.share,
-                }
-            ],
-            "curve": [],
-            "confusable_with": [],
-            "next_experiment": "",
-        }
+        return unknown(
+            f"{self._words(model)} explains {100 * self.share:.0f} % of the mismatch. No effect of "
+            "the catalogue stands for that.",
+            0.95,
+            [place(self.signal, self.low, self.high, self.share)],
+            kind="instrument",
+        )
 
     def _words(self, model: Model) -> str:
         if self.late_s == 0.0:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from eps_hil.diagnosis.data.entry import around, known
 from eps_hil.diagnosis.data.prepare import Prepared
 
 MOTION = ("motor_speed_rad_s", "motor_angle_rad")
@@ -44,30 +45,15 @@ class Drift:
 
     def finding(self) -> dict[str, Any]:
         """The JSON entry (CONTRACT 7)."""
-        from eps_hil.physics.effects.catalogue import catalogue
-
-        effect = catalogue()["clock_drift"]
-        half = self.half_width_ppm
-        return {
-            "effect": effect.id,
-            "kind": str(effect.kind),
-            "confidence": round(min(0.99, 1.0 - 0.4 * float(np.exp(1 - self.gain / _SURE))), 3),
-            "equation": effect.equation,
-            "summary": f"The clock of {self.signals[0]} drifts by {self.ppm:+.3g} ppm against the "
-            "other signals.",
-            "parameters": {
-                "ppm": {
-                    "value": self.ppm,
-                    "unit": "1e-6",
-                    "ci95": [self.ppm - half, self.ppm + half],
-                }
-            },
-            "where": [],
-            "confusable_with": [],
-            "next_experiment": "",
-            "signal": self.signals[0],
-            "seen_in": self.seen_in,
-        }
+        return known(
+            "clock_drift",
+            f"The clock of {self.signals[0]} drifts by {self.ppm:+.3g} ppm against the other "
+            "signals.",
+            {"ppm": around(self.ppm, self.half_width_ppm)},
+            round(min(0.99, 1.0 - 0.4 * float(np.exp(1 - self.gain / _SURE))), 3),
+            self.seen_in,
+            signal=self.signals[0],
+        )
 
 
 def drift_matters(ppm: float, recordings: Sequence[Prepared]) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
+from eps_hil.diagnosis.data.entry import around, known, place
 from eps_hil.diagnosis.data.prepare import Prepared, noise_of
 from eps_hil.series import Series
 
@@ -289,20 +290,12 @@ def finding(qualities: list[Quality]) -> dict[str, Any] | None:
 
     effect = catalogue()["dropped_frames"]
     count = sum(one.lost[0] for one in qualities)
-    places = [
-        {"signal": "time_s", "from": a, "to": b, "share_of_excess": 0.0}
-        for channel in worst.channels
-        for a, b in channel.gaps[:2]
-    ]
-    return {
-        "effect": "dropped_frames",
-        "kind": str(effect.kind),
-        "confidence": 0.99,
-        "equation": effect.equation,
-        "summary": effect.sentence.format(count=count),
-        "parameters": {"count": {"value": float(count), "unit": "1", "ci95": [count, count]}},
-        "where": places[:2],
-        "confusable_with": [],
-        "next_experiment": "",
-        "seen_in": "time stamps",
-    }
+    places = [place("time_s", a, b, 0.0) for channel in worst.channels for a, b in channel.gaps[:2]]
+    return known(
+        effect.id,
+        effect.sentence.format(count=count),
+        {"count": around(float(count), 0.0)},
+        0.99,
+        "time stamps",
+        where=places[:2],
+    )

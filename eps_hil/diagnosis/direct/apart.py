@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.data.entry import place, unknown
 from eps_hil.diagnosis.direct.rotor_and_rack import (
     LEAST_COMPLIANCE,
     LEAST_RATIO,
@@ -46,27 +47,14 @@ class Apart:
     def finding(self) -> dict[str, Any]:
         """The JSON entry (CONTRACT 7)."""
         size = max(abs(one[1]) for one in self.curve)
-        return {
-            "effect": "unknown",
-            "kind": "structure",
-            "confidence": 0.95,
-            "equation": "",
-            "summary": f"Rotor and rack move apart by up to {1e3 * size:.3g} mrad at the rotor "
-            f"in a way that no effect of the catalogue explains; it follows {self.signal}.",
-            "parameters": {},
-            "where": [
-                {
-                    "signal": self.signal,
-                    "from": self.curve[0][0],
-                    "to": self.curve[-1][0],
-                    "share_of_excess": self.share,
-                }
-            ],
-            "curve": [list(point) for point in self.curve],
-            "confusable_with": [],
-            "next_experiment": "",
-            "seen_in": "kinematics",
-        }
+        return unknown(
+            f"Rotor and rack move apart by up to {1e3 * size:.3g} mrad at the rotor in a way that "
+            f"no effect of the catalogue explains; it follows {self.signal}.",
+            0.95,
+            [place(self.signal, self.curve[0][0], self.curve[-1][0], self.share)],
+            self.curve,
+            seen_in="kinematics",
+        )
 
 
 def apart(rows: Sequence[Rows], accepted: Sequence[str], without: Collection[str]) -> Apart | None:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.balance.fit import BRISTLE, Fit
 from eps_hil.diagnosis.balance.problem import SETTLED_RAD, Problem
+from eps_hil.diagnosis.data.entry import known
 from eps_hil.diagnosis.data.prepare import STEP_S, THIN, Floats, Prepared
 from eps_hil.physics.balance import residual_nm, sliding_levels_nm
 from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
@@ -80,27 +81,16 @@ class Bristle:
         """The JSON entry (CONTRACT 7)."""
         effect = catalogue()[BRISTLE]
         value = float(self.entry["sigma0_nm_per_rad"])
-        ends = [value * float(np.exp(side * 1.96 * self.sigma)) for side in (-1, 1)]
+        low, high = (value * float(np.exp(side * 1.96 * self.sigma)) for side in (-1, 1))
         sentence, values = effect.wording({"sigma0_nm_per_rad": value})
-        return {
-            "effect": effect.id,
-            "kind": str(effect.kind),
-            "confidence": 0.95,
-            "equation": effect.equation,
-            "summary": f"{sentence.format(**values)} Seen in {self.count} full reversals of "
-            f"{_MASING if self.masing else _LUGRE}.",
-            "parameters": {
-                "sigma0_nm_per_rad": {
-                    "value": value,
-                    "unit": effect.parameters[0].unit,
-                    "ci95": ends,
-                }
-            },
-            "where": [],
-            "confusable_with": [],
-            "next_experiment": "",
-            "seen_in": "reversals",
-        }
+        form = _MASING if self.masing else _LUGRE
+        return known(
+            effect.id,
+            f"{sentence.format(**values)} Seen in {self.count} full reversals of {form}.",
+            {"sigma0_nm_per_rad": (value, low, high)},
+            0.95,
+            "reversals",
+        )
 
 
 def bristle(problem: Problem, found: Fit) -> Bristle | None:

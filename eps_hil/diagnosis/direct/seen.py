@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.data.entry import around, known, place
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Effect
 
@@ -39,30 +40,19 @@ def finding(seen: Seen) -> dict[str, Any]:
     """The JSON entry (CONTRACT 7) of an effect seen in the kinematics."""
     effect = catalogue()[seen.entry["effect"]]
     sentence, values = effect.wording({**_defaults(effect), **seen.entry})
-    parameters = {}
-    for one in effect.parameters:
-        if one.name in seen.entry:
-            value, half = seen.entry[one.name], seen.half_width.get(one.name, 0.0)
-            parameters[one.name] = {
-                "value": value,
-                "unit": one.unit,
-                "ci95": [value - half, value + half],
-            }
-    return {
-        "effect": effect.id,
-        "kind": str(effect.kind),
-        "confidence": round(min(0.99, 1.0 - 0.4 * float(np.exp(1.0 - seen.gain / LEAST_GAIN))), 3),
-        "equation": effect.equation,
-        "summary": sentence.format(**values),
-        "parameters": parameters,
-        "where": [
-            {"signal": s, "from": low, "to": high, "share_of_excess": seen.share}
-            for s, low, high, _ in seen.where
-        ],
-        "confusable_with": [],
-        "next_experiment": "",
-        "seen_in": "kinematics",
+    parameters = {
+        one.name: around(seen.entry[one.name], seen.half_width.get(one.name, 0.0))
+        for one in effect.parameters
+        if one.name in seen.entry
     }
+    return known(
+        effect.id,
+        sentence.format(**values),
+        parameters,
+        round(min(0.99, 1.0 - 0.4 * float(np.exp(1.0 - seen.gain / LEAST_GAIN))), 3),
+        "kinematics",
+        where=[place(s, low, high, seen.share) for s, low, high, _ in seen.where],
+    )
 
 
 def _defaults(effect: Effect) -> dict[str, Any]:

@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.spread import Integers, half_widths, partitions
-from eps_hil.diagnosis.data.drift import Drift, drift_matters
+from eps_hil.diagnosis.data.drift import MOTION, Drift, drift_matters
+from eps_hil.diagnosis.data.entry import around, known
 from eps_hil.diagnosis.data.prepare import CUTOFF_HZ, STEP_S, Prepared
 from eps_hil.diagnosis.direct.rotor_and_rack import BLOCK_S, least_squares
 from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.identification.filters import shifted
-from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -129,7 +129,7 @@ class OutOfStep:
 
     @property
     def _drift(self) -> Drift:
-        return Drift(self.ppm.value, self.ppm.half, np.inf, ("motor_speed_rad_s",), SEEN_IN)
+        return Drift(self.ppm.value, self.ppm.half, np.inf, MOTION[:1], SEEN_IN)
 
     def findings(self) -> list[dict[str, Any]]:
         """JSON entries (CONTRACT 7)."""
@@ -154,30 +154,18 @@ class OutOfStep:
         ]
 
     def _late_speed(self) -> dict[str, Any]:
-        effect = catalogue()[LATE]
-        late, half = self.late_s.value, self.late_s.half
+        late = self.late_s.value
         way = "later" if late > 0.0 else "earlier"
         why = f", smoothed {self._how}" if self.smoothed else ""
-        return {
-            "effect": effect.id,
-            "kind": str(effect.kind),
-            "confidence": 0.99,
-            "equation": effect.equation,
-            "summary": f"The speed is reported {1e3 * abs(late):.3g} ms {way} than the model file "
-            f"says{why}; the angle is not. Speed and angle show it against each other.",
-            "parameters": {
-                "delay_s": {
-                    "value": late,
-                    "unit": effect.parameters[0].unit,
-                    "ci95": [late - half, late + half],
-                }
-            },
-            "where": [],
-            "confusable_with": [],
-            "next_experiment": "",
-            "signal": "motor_speed_rad_s",
-            "seen_in": SEEN_IN,
-        }
+        return known(
+            LATE,
+            f"The speed is reported {1e3 * abs(late):.3g} ms {way} than the model file says{why}; "
+            "the angle is not. Speed and angle show it against each other.",
+            {"delay_s": around(late, self.late_s.half)},
+            0.99,
+            SEEN_IN,
+            signal=MOTION[0],
+        )
 
 
 def speed_and_angle(

@@ -13,6 +13,7 @@ import numpy as np
 
 from eps_hil.diagnosis.balance.fit import Fit
 from eps_hil.diagnosis.balance.problem import Problem, clipped, knee
+from eps_hil.diagnosis.data.entry import around, known
 from eps_hil.diagnosis.data.prepare import STEP_S, Floats, Prepared
 from eps_hil.identification.zero_torque import WINDOW_S, readings
 from eps_hil.physics.effects.catalogue import catalogue
@@ -76,27 +77,14 @@ class ZeroReading:
         """The JSON entry (CONTRACT 7)."""
         effect = catalogue()[self.effect]
         sentence, values = effect.wording(self.entry)
-        value = self.entry["offset_nm"]
         alone = "the motor off" if self.signal == "motor_torque_nm" else "the hands off"
-        return {
-            "effect": effect.id,
-            "kind": str(effect.kind),
-            "confidence": _SURE,
-            "equation": effect.equation,
-            "summary": f"{sentence.format(**values)} Seen in {self.seconds:g} s of motion with "
-            f"{alone}.",
-            "parameters": {
-                "offset_nm": {
-                    "value": value,
-                    "unit": effect.parameters[0].unit,
-                    "ci95": [value - self.scale * self.half, value + self.scale * self.half],
-                }
-            },
-            "where": [],
-            "confusable_with": [],
-            "next_experiment": "",
-            "seen_in": "zero torque",
-        }
+        return known(
+            effect.id,
+            f"{sentence.format(**values)} Seen in {self.seconds:g} s of motion with {alone}.",
+            {"offset_nm": around(self.entry["offset_nm"], self.scale * self.half)},
+            _SURE,
+            "zero torque",
+        )
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.fit import Fit
 from eps_hil.diagnosis.balance.problem import Problem, term_of
+from eps_hil.diagnosis.data.entry import place
+from eps_hil.diagnosis.data.entry import unknown as unknown_entry
 from eps_hil.diagnosis.mismatch import locate
 from eps_hil.diagnosis.mismatch.leftover import Leftover
 from eps_hil.physics.effects.catalogue import catalogue
@@ -118,18 +120,10 @@ def unknown(left: Leftover) -> dict[str, Any]:
         if left.curve
         else "a torque that follows no measured signal on its own (dynamic, or of two signals)"
     )
-    return {
-        "effect": "unknown",
-        "kind": "structure",
-        "confidence": round(min(SUREST, 1.0 - float(np.exp(-left.excess))), 3),
-        "equation": "",
-        "summary": f"Something is left that no effect of the catalogue explains: {shape}; "
+    return unknown_entry(
+        f"Something is left that no effect of the catalogue explains: {shape}; "
         f"{100 * left.excess:.0f} % more energy than sensor noise.",
-        "parameters": {},
-        "where": [
-            {"signal": signal, "from": left.low, "to": left.high, "share_of_excess": left.share}
-        ],
-        "curve": [list(point) for point in left.curve],
-        "confusable_with": [],
-        "next_experiment": "",
-    }
+        round(min(SUREST, 1.0 - float(np.exp(-left.excess))), 3),
+        [place(signal, left.low, left.high, left.share)],
+        left.curve,
+    )

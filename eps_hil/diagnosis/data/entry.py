@@ -1,0 +1,78 @@
+"""A finding as the JSON has it (CONTRACT 7)."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from eps_hil.physics.effects.catalogue import catalogue
+
+Ends = tuple[float, float, float]
+"""Value, and the ends of its 95 % interval."""
+
+
+def known(
+    effect: str,
+    summary: str,
+    parameters: Mapping[str, Ends],
+    confidence: float,
+    seen_in: str,
+    *,
+    where: Sequence[Mapping[str, Any]] = (),
+    signal: str = "",
+) -> dict[str, Any]:
+    """An effect of the catalogue that something else than the balance shows; no name beside it.
+
+    ``signal``: the one it is of, where the effect may be of several.
+    """
+    told = catalogue()[effect]
+    units = {one.name: one.unit for one in told.parameters}
+    return {
+        "effect": told.id,
+        "kind": str(told.kind),
+        "confidence": confidence,
+        "equation": told.equation,
+        "summary": summary,
+        "parameters": {
+            name: {"value": value, "unit": units[name], "ci95": [low, high]}
+            for name, (value, low, high) in parameters.items()
+        },
+        "where": [dict(one) for one in where],
+        "confusable_with": [],
+        "next_experiment": "",
+        **({"signal": signal} if signal else {}),
+        "seen_in": seen_in,
+    }
+
+
+def unknown(
+    summary: str,
+    confidence: float,
+    where: Sequence[Mapping[str, Any]],
+    curve: Sequence[Sequence[float]] = (),
+    *,
+    kind: str = "structure",
+    seen_in: str = "",
+) -> dict[str, Any]:
+    """What no effect of the catalogue stands for."""
+    return {
+        "effect": "unknown",
+        "kind": kind,
+        "confidence": confidence,
+        "equation": "",
+        "summary": summary,
+        "parameters": {},
+        "where": [dict(one) for one in where],
+        "curve": [list(point) for point in curve],
+        "confusable_with": [],
+        "next_experiment": "",
+        **({"seen_in": seen_in} if seen_in else {}),
+    }
+
+
+def place(signal: str, low: float, high: float, share: float) -> dict[str, Any]:
+    """A stretch of a signal, and the share of the mismatch's excess that is there."""
+    return {"signal": signal, "from": low, "to": high, "share_of_excess": share}
+
+
+def around(value: float, half: float) -> Ends:
+    """A value with an interval that is as wide on both sides."""
+    return value, value - half, value + half
