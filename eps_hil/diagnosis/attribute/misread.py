@@ -44,6 +44,8 @@ CLOCKS: Mapping[str, tuple[str, ...]] = {
 LEAST_S, LEAST_GAIN = 1e-3, 0.005
 """Less is how signals are sampled and filtered, and how load cells are calibrated."""
 MOST_S, MOST_GAIN = 0.1, 0.5
+_MOST_PPM = 5e3
+"""No clock is worse; a step that goes farther has left what is linear."""
 _TIMING = (HOLD, "speed_sensor_delay")
 _DELAY_PART = 0.3
 """Of what a drift comes to at the end of the recordings that a delay beside it may be."""
@@ -288,7 +290,8 @@ def _best_gain(problem: Problem, fitted: Fit, one: Misread) -> Misread:
 def _best_ppm(problem: Problem, fitted: Fit, one: Misread) -> Misread:
     """One step towards less: what a drift moves is nearly linear in it."""
     step, half = _clock_step(problem, fitted, one, 0.0)
-    return replace(one, ppm=(one.ppm or 0.0) + float(step[0]), half_ppm=float(half[0]))
+    ppm = float(np.clip((one.ppm or 0.0) + step[0], -_MOST_PPM, _MOST_PPM))
+    return replace(one, ppm=ppm, half_ppm=float(half[0]))
 
 
 def _is_a_delay(problem: Problem, fitted: Fit, one: Misread) -> bool:
@@ -298,7 +301,8 @@ def _is_a_delay(problem: Problem, fitted: Fit, one: Misread) -> bool:
     late_s, ppm = 0.0, one.ppm
     for _ in range(_ROUNDS):
         step, half = _clock_step(problem, fitted, replace(one, ppm=ppm), late_s, delay=True)
-        ppm, late_s = ppm + float(step[0]), late_s + float(step[1])
+        ppm = float(np.clip(ppm + step[0], -_MOST_PPM, _MOST_PPM))
+        late_s = float(np.clip(late_s + step[1], -MOST_S, MOST_S))
     longest = max(float(each.since_start_s[-1]) for each in problem.recordings)
     unsure = abs(ppm) < 2.0 * float(half[0])
     return unsure or abs(late_s) > _DELAY_PART * abs(ppm) * 1e-6 * longest

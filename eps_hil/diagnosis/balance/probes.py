@@ -182,7 +182,10 @@ def _columns(
 def hats(
     problem: Problem, base: Base, effect: Effect, places: Sequence[float], residual: Floats
 ) -> Floats:
-    """One column a knot: the curve that is one there and zero at its neighbours."""
+    """One column a knot: the curve that is one there and zero at its neighbours.
+
+    While sliding only: at rest a place has the torque that friction holds there, whichever it is.
+    """
     probe = effect.probe
     assert probe is not None
     columns = []
@@ -190,7 +193,7 @@ def hats(
         knots = [[x, probe.step if i == k else 0.0] for i, x in enumerate(places)]
         entry = {"effect": effect.id, probe.amplitude: knots}
         changed = problem.residual(problem.with_entries([*base[0], entry], base[1]))
-        columns.append((residual - changed) / probe.step)
+        columns.append(np.where(problem.sliding, (residual - changed) / probe.step, 0.0))
     return np.column_stack(columns)
 
 

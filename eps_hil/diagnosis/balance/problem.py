@@ -114,7 +114,7 @@ class Problem:
         """Twice Huber's loss at the common knee: the sum of squares but for outliers."""
         size = np.abs(residual)
         at = self.knee
-        return float(np.sum(np.where(size < at, residual**2, at * (2.0 * size - at))))
+        return float(np.sum(np.where(size < at, np.minimum(size, at) ** 2, at * (2.0 * size - at))))
 
     def with_entries(
         self, entries: Sequence[Mapping[str, Any]], own: Mapping[str, float] | None = None

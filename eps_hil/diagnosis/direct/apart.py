@@ -64,6 +64,8 @@ def apart(rows: Sequence[Rows], accepted: Sequence[str], without: Collection[str
     left, where its name is in ``without``.
     """
     names = list(dict.fromkeys([*columns_of(accepted), *USUAL]))
+    if "belt_compliance" in accepted:
+        names.append("friction")  # of the rack, which a belt that gives carries too
     values, left = solved(rows, names)
     beyond = [
         column

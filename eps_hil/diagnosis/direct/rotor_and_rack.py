@@ -37,6 +37,8 @@ _CLEAR = 2.0
 """Half widths of its interval that a gap is away from none."""
 _CONTACT_NM = 0.01
 """Transmitted torque at which a gap counts as closed."""
+_TURNS_RAD_S = 1.0
+"""Speed within which friction turns over."""
 _ONE_SOURCE = 1e-3
 """A rack position this near (rad at the rotor) to the angle was made from it."""
 _INERTIA_SHARE = 0.33
@@ -83,6 +85,7 @@ class Rows:
             "drift": -thin(motion.speed_rad_s * one.since_start_s) * 1e-6,
             "compliance": self.torque,
             "inertia": thin(model.inertia_kg_m2 * motion.acceleration_rad_s2),
+            "friction": thin(np.tanh(motion.speed_rad_s / _TURNS_RAD_S)),
             "half_gap": np.tanh(self.torque / _CONTACT_NM),
             "ratio_slope": ratio * self.x * self.x,
             "ratio_bend": ratio * self.x**3,
