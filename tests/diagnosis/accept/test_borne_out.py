@@ -25,6 +25,9 @@ pytestmark = pytest.mark.slow
             {"level_nm": 0.2, "speed_rad_s": 20.0},
             True,  # they are hard to tell apart, not hard to see
         ),
+        # the form of presliding is nobody's: what the balance alone shows of it has to be clearer
+        ({"effect": "presliding_hysteresis", "sigma0_nm_per_rad": 3.0}, {"s": 0.7}, False),
+        ({"effect": "presliding_hysteresis", "sigma0_nm_per_rad": 3.0}, {"s": 0.5}, True),
     ],
 )
 def test_one_number_that_may_as_well_be_nothing_is_no_finding(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.balance.probes import Candidate, _clear_orders, candidates
+from eps_hil.diagnosis.balance.probes import Candidate, _clear_orders, candidates, hats
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.physics.effects.catalogue import catalogue
@@ -69,3 +69,15 @@ def test_what_a_model_has_no_room_for_is_not_looked_for(
     pool = candidates(problem, [], problem.residual(model))
     assert {"stribeck", "torque_ripple"} <= {one.effect.id for one in pool}
     assert "cogging_torque" not in {one.effect.id for one in pool}
+
+
+def test_a_curve_over_position_is_made_while_sliding_only(problem: Problem) -> None:
+    """At rest friction holds whatever torque there is; a place would be told by its dwells."""
+    residual = problem.residual(problem.model)
+    low, high = problem.visited_m
+    places = np.linspace(low, high, 5).tolist()
+    columns = hats(problem, ([], {}), catalogue()["position_torque"], places, residual)
+    resting = ~problem.sliding
+    assert np.any(resting)
+    assert not np.any(columns[resting])
+    assert np.all(np.any(columns[problem.sliding], axis=0))

@@ -9,6 +9,7 @@ import pytest
 
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.data.quality import look_at
+from eps_hil.diagnosis.direct.apart import apart
 from eps_hil.diagnosis.direct.kinematics import examine
 from eps_hil.diagnosis.direct.rotor_and_rack import Rows, _held_out_gain, rotor_against_rack, solved
 from eps_hil.diagnosis.direct.seen import robust_cost
@@ -81,6 +82,22 @@ def test_a_joint_that_is_never_loaded_says_nothing(
     assert found.seen == ()
     assert found.left is None
     assert found.content == {}
+
+
+@pytest.mark.parametrize(("stiffness", "left"), [(8.0, False), (None, True)])
+def test_friction_of_the_rack_goes_through_a_belt_that_gives(
+    rows: list[Rows], stiffness: float | None, left: bool
+) -> None:
+    """Beside a belt it is no unknown; rotor and rack that part by themselves are one."""
+    rng, parted = np.random.default_rng(3), []
+    for one in rows:
+        parted.append(copy(one))
+        parted[-1].e = 0.002 * np.tanh(one.at["motor_speed_rad_s"] / 0.8)
+        parted[-1].e += one.sigma * rng.standard_normal(len(one.e))
+        if stiffness is not None:
+            parted[-1].e = parted[-1].e + one.torque / stiffness
+    accepted = ["belt_compliance"] if stiffness is not None else []
+    assert (apart(parted, accepted, ()) is not None) == left
 
 
 def test_bad_stretches_are_left_out(record: Callable[..., Any], reference_model: Model) -> None:

@@ -1,0 +1,23 @@
+"""The weighted residual: its cost, by Huber's own formula."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from eps_hil.diagnosis.balance.problem import Problem
+
+
+def test_the_cost_is_twice_hubers_loss(problem: Problem) -> None:
+    problem.knee = 4.0
+    small, large = np.array([0.0, -1.0, 3.9]), np.array([4.0, -5.0, 1e3])
+    assert problem.cost(small) == pytest.approx(float(np.sum(small**2)))
+    assert problem.cost(large) == pytest.approx(float(np.sum(4.0 * (2.0 * np.abs(large) - 4.0))))
+
+
+def test_a_trial_that_blows_up_costs_much_and_says_nothing(problem: Problem) -> None:
+    """A step of a fit may go anywhere; what it prints, a user reads."""
+    problem.knee = 4.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert problem.cost(np.array([1e200, -1e300])) > 1e300
