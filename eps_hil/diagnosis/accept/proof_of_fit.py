@@ -125,9 +125,9 @@ def still_left(told: Mapping[str, Mapping[str, float]]) -> list[str]:
     if times < _CLEARLY:
         return []
     return [
-        f"The hold-outs keep {times:.2g} times what the sensors' noise makes, where nothing was "
-        "concluded from them (beside an open gap) or for a short while only: there the model is no "
-        "better than that."
+        f"The hold-outs keep {times:.2g} times what the sensors' noise makes: for a short while, "
+        "or where nothing was concluded from them (samples barred as bad, or beside a gap if one "
+        "was found). There the model is no better than that."
     ]
 
 

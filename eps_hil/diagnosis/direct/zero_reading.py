@@ -34,6 +34,10 @@ _AS_NOISE = 1.5
 """Times the scatter that noise alone makes, up to which it is noise."""
 _OF_A_SENSOR = 0.2
 """Of the scatter that a sensor's noise makes, what a command that is none does not have."""
+_FEWEST_TOGETHER, _TOGETHER = 5, 0.2
+"""Windows that make a majority, and their range over the scatter of all: by chance it is 1.2."""
+_AS_SURE = 3.0
+"""Times the half width of the surest recording, up to which another one counts as sure too."""
 _REFUTED = 0.5
 """Of a reading, that the balance takes back under another name."""
 _SURE = 0.95
@@ -161,9 +165,9 @@ def zero_readings(
     for signal, effect in SENSORS.items():
         if effect in without or not all(signal in one.raw for one in recordings):
             continue
-        values = [value for one in recordings for value in windows_nm(one, signal, model)]
+        values = [np.array(windows_nm(one, signal, model)) for one in recordings]
         white = float(np.mean([one.noise[signal] for one in recordings]))
-        reading = _reading(signal, np.array(values), _of_a_window(white))
+        reading = _together(signal, values, _of_a_window(white))
         if reading is None:
             continue
         unsure = play_nm if signal == "torque_sensor_nm" else 0.0
@@ -225,17 +229,50 @@ def windows_nm(one: Prepared, signal: str, model: Model) -> list[float]:
     return readings(one.raw[signal], one.raw["motor_speed_rad_s"], good, one.noise[signal], wheel)
 
 
+def _together(signal: str, values: Sequence[Floats], noise: float) -> ZeroReading | None:
+    """What the windows of all recordings say, each recording by how well its own agree.
+
+    In one of them somebody may have held a torque. Recordings with few windows go together. Where
+    two that are sure contradict one another, neither is believed more than they differ.
+    """
+    many = [one for one in values if len(one) >= _FEWEST_TOGETHER]
+    few = [one for one in values if len(one) < _FEWEST_TOGETHER]
+    groups = [*many, np.concatenate(few)] if few else many
+    told = [one for one in (_reading(signal, each, noise) for each in groups) if one is not None]
+    if not told:
+        return None
+    best = min(told, key=lambda one: one.half)
+    weight = np.array([one.half**-2.0 for one in told])
+    apart = np.array([one.value - best.value for one in told])
+    mean = float(weight @ apart / np.sum(weight))
+    sure = np.array([one.half < _AS_SURE * best.half for one in told])
+    spread = float(np.max(np.abs(apart[sure]) - 2.0 * np.array([one.half for one in told])[sure]))
+    return replace(
+        best,
+        value=best.value + mean,
+        half=max(float(np.sum(weight)) ** -0.5, spread),
+        seconds=sum(one.seconds for one, counts in zip(told, sure, strict=True) if counts),
+    )
+
+
 def _reading(signal: str, values: Floats, noise: float) -> ZeroReading | None:
     """What windows read together; ``noise`` is what noise alone makes of one (rms).
 
-    Their mean, where they scatter as that noise does; else their median, by their own scatter.
+    Their mean, where they scatter as that noise does, or where most of them lie close together and
+    the others far off: torques that somebody held are not all the same. Else their median, by
+    their own scatter.
     """
     from scipy.special import stdtrit
 
     n = len(values)
     if n < FEWEST:
         return None
-    if float(np.std(values)) < _AS_NOISE * noise:
+    together = _closest(values)
+    if len(together) >= _FEWEST_TOGETHER and np.ptp(together) < _TOGETHER * np.std(values):
+        values, n = together, len(together)
+        middle = float(np.mean(values))
+        half = float(stdtrit(n - 1, 0.975)) * max(_AS_NOISE * float(np.std(values)), noise)
+    elif float(np.std(values)) < _AS_NOISE * noise:
         middle, half = float(np.mean(values)), 1.96 * noise
     else:
         middle = float(np.median(values))
@@ -245,6 +282,15 @@ def _reading(signal: str, values: Floats, noise: float) -> ZeroReading | None:
         return None
     measured = float(np.std(values)) > _OF_A_SENSOR * noise
     return ZeroReading(signal, middle, half / float(np.sqrt(n)), n * WINDOW_S, 0.0, measured)
+
+
+def _closest(values: Floats) -> Floats:
+    """More than half of the values, those that lie closest together (the shorth)."""
+    ordered = np.sort(values)
+    count = len(values) // 2 + 1
+    widths = ordered[count - 1 :] - ordered[: len(values) - count + 1]
+    first = int(np.argmin(widths))
+    return ordered[first : first + count]
 
 
 def _at_rotor(entry: Mapping[str, Any], model: Model) -> float:

@@ -6,12 +6,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
-from eps_hil.diagnosis.direct.zero_reading import ZeroReading, ZeroReadings, zero_readings
+from eps_hil.diagnosis.direct.zero_reading import (
+    ZeroReading,
+    ZeroReadings,
+    _together,
+    zero_readings,
+)
 from eps_hil.physics.model import Model
 from eps_hil.proof import sensors
 from eps_hil.proof.programmes import programme
@@ -156,3 +163,61 @@ def test_a_command_that_is_none_rules_nothing_out(reference_model: Model, comman
     seen = zero_readings(recordings, reference_model, ())
     assert "motor_torque_offset" in seen.settled
     assert ("motor_torque_offset" in seen.possible) is command
+
+
+NOISE_NM = 2e-4
+"""Of one window."""
+
+
+def agreeing(count: int, at: float = 0.0, scatter: float = 2.0) -> np.ndarray:
+    return at + scatter * NOISE_NM * np.random.default_rng(count).standard_normal(count)
+
+
+def held(count: int, scatter: float = 0.05) -> np.ndarray:
+    """Windows in which somebody held what looks like a free wheel."""
+    return scatter * np.random.default_rng(7 + count).standard_normal(count)
+
+
+def test_a_recording_with_the_hands_on_does_not_blur_one_with_the_hands_off() -> None:
+    """Each counts by how well its own windows agree; all in one heap said nothing."""
+    alone = _together("torque_sensor_nm", [agreeing(10, 0.03)], NOISE_NM)
+    both = _together("torque_sensor_nm", [agreeing(10, 0.03), held(9), held(8)], NOISE_NM)
+    assert alone is not None
+    assert both is not None
+    assert both.value == pytest.approx(alone.value, abs=alone.half)
+    assert both.half < 1.2 * alone.half
+    assert both.seconds == alone.seconds
+
+
+def test_two_recordings_that_are_sure_of_different_torques_are_believed_neither() -> None:
+    one = _together("torque_sensor_nm", [agreeing(8), agreeing(9, 0.2)], NOISE_NM)
+    assert one is not None
+    assert one.half > 0.1
+    assert not one.clear
+
+
+def test_most_windows_of_a_recording_may_agree_beside_some_that_were_held() -> None:
+    mixed = np.concatenate([agreeing(7, 0.01), held(5)])
+    one = _together("torque_sensor_nm", [mixed], NOISE_NM)
+    assert one is not None
+    assert one.value == pytest.approx(0.01, abs=one.half)
+    assert one.half < 2e-3
+    nothing = _together("torque_sensor_nm", [held(12)], NOISE_NM)
+    assert nothing is not None
+    assert nothing.half > 0.02
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(5, 40))
+def test_a_scatter_alone_makes_no_narrow_reading(seed: int, count: int) -> None:
+    """The windows that lie closest together lie closer than all; by chance not by so much."""
+    values = 0.05 * np.random.default_rng(seed).standard_normal(count)
+    one = _together("torque_sensor_nm", [values], NOISE_NM)
+    assert one is None or one.half > 0.05 / count
+
+
+def test_few_windows_each_go_together() -> None:
+    one = _together("torque_sensor_nm", [agreeing(2), agreeing(1), agreeing(2)], NOISE_NM)
+    assert one is not None
+    assert one.seconds == 10.0
+    assert _together("torque_sensor_nm", [agreeing(1), agreeing(1)], NOISE_NM) is None
+    assert _together("torque_sensor_nm", [], NOISE_NM) is None
