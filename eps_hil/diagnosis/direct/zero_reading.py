@@ -35,7 +35,7 @@ _AS_NOISE = 1.5
 _OF_A_SENSOR = 0.2
 """Of the scatter that a sensor's noise makes, what a command that is none does not have."""
 _FEWEST_TOGETHER, _TOGETHER = 5, 0.2
-"""Windows that make a majority, and their range over the scatter of all: by chance it is 1.2."""
+"""Windows that make a majority, and their range over the scatter of all: chance makes it wide."""
 _AS_SURE = 3.0
 """Times the half width of the surest recording, up to which another one counts as sure too."""
 _REFUTED = 0.5
