@@ -62,9 +62,8 @@ _GRID = 26
 class Misread:
     """A signal, how much later (s), larger (factor) or adrift (ppm) it is, what that explains.
 
-    ``ppm`` is None where its clock is not what is asked for.
-
-    ``low`` to ``high`` is what it goes through, in its unit.
+    ``ppm`` is None where its clock is not what is asked for; ``low`` to ``high`` is what
+    it goes through, in its unit.
     """
 
     signal: str
@@ -204,9 +203,7 @@ class _Compared:
             return None
         unlike = threshold(problem, self.named.residual, FINAL_SHARE)
         if start.ppm is not None:
-            unlike = (
-                -unlike
-            )  # most of a drift is its mean: a delay that is one does as well, nearly
+            unlike = -unlike  # a drift is mostly its mean: a delay does nearly as well
         if after.cost > self.named.cost + unlike:
             return None
         return replace(one, share=min(gain / over, 1.0)), after
@@ -254,13 +251,10 @@ def _right(problem: Problem, one: Misread) -> Problem:
 def with_misread(content: Mapping[str, Any], finding: Mapping[str, Any]) -> dict[str, Any]:
     """The JSON (CONTRACT 7) with this finding beside the others."""
     findings = [*content["findings"], dict(finding)]
-    unknown = [one["effect"] == "unknown" for one in findings]
-    verdict = "partly_explained" if any(unknown) else "explained"
-    return {
-        **content,
-        "verdict": "unknown_effect" if all(unknown) else verdict,
-        "findings": findings,
-    }
+    nameless = [one["effect"] == "unknown" for one in findings]
+    verdict = "partly_explained" if any(nameless) else "explained"
+    verdict = "unknown_effect" if all(nameless) else verdict
+    return {**content, "verdict": verdict, "findings": findings}
 
 
 def _best_delay(problem: Problem, fitted: Fit, one: Misread) -> Misread:
