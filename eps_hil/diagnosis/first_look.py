@@ -14,14 +14,13 @@ from eps_hil.diagnosis.data import quality
 from eps_hil.diagnosis.data.drift import Drift
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
-from eps_hil.diagnosis.direct import kinematics
+from eps_hil.diagnosis.direct import already, kinematics
 from eps_hil.diagnosis.direct.apart import Apart
-from eps_hil.diagnosis.direct.belt import belt_of, with_belt
+from eps_hil.diagnosis.direct.belt import belt_in, belt_of, with_belt
 from eps_hil.diagnosis.direct.reversals import Bristle
 from eps_hil.diagnosis.direct.seen import finding
 from eps_hil.diagnosis.direct.speed_and_angle import speed_and_angle
 from eps_hil.diagnosis.direct.zero_reading import ZeroReadings, zero_readings
-from eps_hil.physics.effects.rack_ratio import local_share
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -58,10 +57,7 @@ class FirstLook:
     @property
     def put_right(self) -> bool:
         """Whether the recordings hold something else now than what was read."""
-        return bool(self.remarks) or any(
-            one["effect"] in _PUT_RIGHT or "slope_per_m" in one.get("parameters", {})
-            for one in self.findings
-        )
+        return bool(self.remarks) or any(one["effect"] in _PUT_RIGHT for one in self.findings)
 
     def added_to(self, content: Mapping[str, Any]) -> dict[str, Any]:
         """The JSON with this look's findings and keys; names found twice stand once."""
@@ -141,6 +137,9 @@ def first_look(
         findings += apart.findings()
     seen = kinematics.examine(ready[:n], ready[n:], model, without)
     ready = [seen.put_right(one, model) for one in ready]
+    given = model
+    for effect in seen.seen:  # the balance has of them what is put right, once
+        model = already.without(model, effect)
     for effect in seen.seen:
         name = effect.entry["effect"]
         if name == "clock_drift":
@@ -149,17 +148,19 @@ def first_look(
             findings = [one for one in findings if one["effect"] != name]  # one clock, one finding
             findings.append(drifting.finding())
             continue
-        findings.append(finding(effect))
+        held = already.held(given, effect)
+        findings += [] if held else [finding(effect)]
         if name == "rack_ratio":
             model = replace(model, effects=(*model.effects, effect.entry))
-            ready = [_as_in_the_middle(one, effect.entry) for one in ready]
-        elif name == "belt_compliance" and "rack_force_n" in ready[0].raw:
+            continue
+        entries.append(held or dict(effect.entry))
+        if name == "belt_compliance" and "rack_force_n" in ready[0].raw:
             belt = belt_of(evenly(ready[:n]), model, effect.entry["stiffness_nm_per_rad"])
             if belt is not None:
                 ready = [with_belt(one, model, belt) for one in ready]
-            entries.append(dict(effect.entry))
-        else:
-            entries.append(dict(effect.entry))
+    unseen = belt_in(model)  # by a model that holds one, where nothing measured it
+    if unseen is not None:
+        ready = [with_belt(one, model, unseen) for one in ready]
     # an open gap bars the balance, not a sensor
     whole = [one.changed(barred=bad) for one, bad in zip(ready, barred, strict=True)]
     play = [one for one in seen.seen if one.entry["effect"] == "torque_sensor_hysteresis"]
@@ -179,15 +180,3 @@ def first_look(
         zero,
         () if apart is None else tuple(apart.remarks()),
     )
-
-
-def _as_in_the_middle(one: Prepared, ratio: Mapping[str, float]) -> Prepared:
-    """Rack force and torsion-bar torque as what they are worth at the rotor in mid travel.
-
-    The torque balance has one ratio; where it varies, both reach the rotor by the local one.
-    """
-    if "slope_per_m" not in ratio or "rack_position_m" not in one.raw:
-        return one
-    share = local_share(ratio, one.raw["rack_position_m"])
-    signals = {"rack_force_n", "torque_sensor_nm"} & one.raw.keys()
-    return one.changed(raw={**one.raw, **{name: one.raw[name] * share for name in signals}})

@@ -27,7 +27,7 @@ from eps_hil.estimation.bristle_setup import (
     filter_constants,
     new_belief,
 )
-from eps_hil.estimation.compensation import drive_torque_nm, instant_of
+from eps_hil.estimation.compensation import drive_torque_nm, instant_of, moved
 from eps_hil.estimation.levels import approach, forget
 from eps_hil.estimation.rack_force import publish
 from eps_hil.estimation.settings import EstimatorSettings
@@ -36,6 +36,7 @@ from eps_hil.estimation.setup import (
     ADDED_POS,
     CLOCK,
     HELD,
+    LOCAL,
     LP2,
     RUNNING,
     SETTLE,
@@ -108,9 +109,10 @@ def filter_step(
         return reason
     f, b = x.filter, x.belief
     approach(c, s)
-    law = _law_in_use(x.law, s)
+    i = instant_of(c, Physics(x.law, x.effects), s, u)
+    b.extra[2] = s[LOCAL]
+    law = in_mid_travel(_law_in_use(x.law, s), s[LOCAL])
     known = Physics(law, x.effects)
-    i = instant_of(c, s, u)
     b.extra[1] = added.torque_nm(x.effects, i, 0.0)
     torque = drive_torque_nm(c, known, i, u) - b.extra[1]
     if s[RUNNING] <= 0.0:
@@ -152,6 +154,22 @@ def friction_nm(law: FrictionLaw, extra: Floats, mean: Floats) -> float:
 
 
 @njit
+def in_mid_travel(law: FrictionLaw, local: float) -> FrictionLaw:
+    """The law for a force as it would be in mid travel, where dφ/dx is ``local`` of that there."""
+    return FrictionLaw(
+        law.offset_pos_nm,
+        law.offset_neg_nm,
+        law.viscous_pos_nm_s_per_rad,
+        law.viscous_neg_nm_s_per_rad,
+        local * law.load_pos_nm_per_n,
+        local * law.load_neg_nm_per_n,
+        law.sigma0_nm_per_rad,
+        law.sigma1_nm_s_per_rad,
+        law.sigma1_speed_rad_s,
+    )
+
+
+@njit
 def _law_in_use(law: FrictionLaw, s: Floats) -> FrictionLaw:
     """The friction law with what adaptation has added to k0± so far."""
     return FrictionLaw(
@@ -171,16 +189,7 @@ def _law_in_use(law: FrictionLaw, s: Floats) -> FrictionLaw:
 def _extra_level_nm(x: Physics, i: Instant, mean: Floats) -> float:
     """What added effects make of T_fs (Nm) at this state, beyond eq. 3."""
     level = static_level_nm(mean[BRISTLE], mean[FORCE], x.law)
-    now = Instant(
-        i.time_s,
-        mean[OMEGA],
-        i.angle_rad,
-        i.position_m,
-        i.rack_force_n,
-        i.pinion_rad,
-        i.motor_torque_nm,
-        i.torque_sensor_nm,
-    )
+    now = moved(i, mean[OMEGA], i.position_m, i.rack_force_n)
     return added.level_nm(x.effects, now, level) - level
 
 

@@ -55,7 +55,8 @@ class Belief(NamedTuple):
     ``mean`` (5,), ``cov`` (5, 5); ``jacobian`` (5, 5), ``gain`` (2, 5), ``innovation`` (2,) and
     ``spread`` (2,), its variance, each for [speed, angle]; ``ring`` (LAG + 1,): rack force of the
     last steps given all that came since; ``ring_cov`` (LAG + 1, 5): its covariance with the
-    present state; ``extra`` (2,): what added effects make of T_fs, and their torque (Nm);
+    present state; ``extra`` (3,): what added effects make of T_fs, and their torque (Nm),
+    and dφ/dx over i_APA, by which a force is larger than ``mean`` has it for mid travel;
     ``place``: steps since the start, and 1 where the last step was a start.
     """
 
@@ -83,7 +84,7 @@ def new_belief() -> Belief:
         np.ones(2),
         np.zeros(LAG_STEPS + 1),
         np.zeros((LAG_STEPS + 1, SIZE)),
-        np.zeros(2),
+        np.array([0.0, 0.0, 1.0]),
         np.zeros((SIZE, SIZE)),
         np.zeros(2, np.int64),
     )

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.estimation import stream as streams
-from eps_hil.estimation.bristle_filter import PhysicsInside, filter_step, friction_nm
+from eps_hil.estimation.bristle_filter import PhysicsInside, filter_step, friction_nm, in_mid_travel
 from eps_hil.estimation.bristle_setup import FORCE, OMEGA, PHI, SIZE
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import STEP_NS, Constants, Inputs, new_state
@@ -59,7 +59,7 @@ def _room(steps: int) -> Forward:
         np.zeros((steps, 2, SIZE)),
         np.zeros((steps, 2)),
         np.ones((steps, 2)),
-        np.zeros((steps, 2)),
+        np.zeros((steps, 3)),
     )
 
 
@@ -134,7 +134,9 @@ def _backward(angle: bool, law: FrictionLaw, of: Forward, n: int, out: Floats) -
             smooth[i] = of.mean[k, i]
             for j in range(SIZE):
                 smooth[i] -= of.cov[k, i, j] * adjoint[j]
-        out[k, 0], out[k, 1] = smooth[FORCE], friction_nm(law, of.extra[k], smooth)
+        local = of.extra[k, 2]
+        out[k, 0] = local * smooth[FORCE]
+        out[k, 1] = friction_nm(in_mid_travel(law, local), of.extra[k], smooth)
         if of.kind[k] == _HELD:
             continue
         for which in range(1, -1, -1):

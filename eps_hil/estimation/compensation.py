@@ -20,6 +20,7 @@ from eps_hil.estimation.setup import (
     DRIVE_NOISE,
     FORCE,
     HELD,
+    LOCAL,
     NOISE,
     OMEGA,
     PATH,
@@ -45,26 +46,30 @@ CREEP_SIGMA = 3.0
 
 
 @njit
-def instant_of(c: Constants, s: npt.NDArray[np.float64], u: Inputs) -> Instant:
+def instant_of(c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs) -> Instant:
     """What the physics is told of this millisecond; T_fs and effects need the load.
 
     The load is the last estimate, led by its own lag (the loop of PAPER's second trap); the angle
     is the measured one, else the observer's integrated one.
     """
-    load = s[FORCE] + s[SLOPE] * (c.observer_lag_s + STEP_S)
-    if c.known_force:
-        load = u.rack_force_n
     angle = u.motor_angle_rad if c.angle_seen else s[PHI]
-    return Instant(
+    i = Instant(
         s[CLOCK],
         u.motor_speed_rad_s,
         angle,
         angle / c.ratio,
-        load,
+        u.rack_force_n,
         angle * c.sensor_to_rotor,
         u.motor_torque_nm,
         u.torque_sensor_nm,
+        c.ratio,
     )
+    i = moved(i, i.speed_rad_s, added.position_m(x.effects, i, i.position_m), i.rack_force_n)
+    s[LOCAL] = 1.0 / added.load_nm(x.effects, i, 1.0)
+    if c.known_force:
+        return i
+    load = s[LOCAL] * (s[FORCE] + s[SLOPE] * (c.observer_lag_s + STEP_S))
+    return moved(i, i.speed_rad_s, i.position_m, load)
 
 
 @njit
@@ -93,7 +98,7 @@ def friction_step(
         direction = s[BRISTLE]
     approach(c, s)
     level = adapted_level_nm(x, s, direction, i.rack_force_n)
-    now = _at_speed(i, moving)
+    now = moved(i, moving, i.position_m, i.rack_force_n)
     level = max(added.level_nm(x.effects, now, level), SMALLEST_LEVEL_NM)
     added.advance(x.effects, now, STEP_S)
     before = abs(s[BRISTLE])
@@ -108,17 +113,18 @@ def friction_step(
 
 
 @njit
-def _at_speed(i: Instant, speed: float) -> Instant:
-    """The same instant with the dead zone's word on the speed."""
+def moved(i: Instant, speed_rad_s: float, position_m: float, rack_force_n: float) -> Instant:
+    """The same instant with another motion and load."""
     return Instant(
         i.time_s,
-        speed,
+        speed_rad_s,
         i.angle_rad,
-        i.position_m,
-        i.rack_force_n,
+        position_m,
+        rack_force_n,
         i.pinion_rad,
         i.motor_torque_nm,
         i.torque_sensor_nm,
+        i.ratio_rad_per_m,
     )
 
 

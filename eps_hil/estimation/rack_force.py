@@ -34,6 +34,7 @@ from eps_hil.estimation.setup import (
     HELD,
     LINE,
     LINE_LENGTH,
+    LOCAL,
     LP1,
     LP2,
     NOISE,
@@ -77,7 +78,7 @@ class Output(NamedTuple):
 def start(c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs) -> None:
     """Begin, or begin again after a gap, from the inputs of one instant."""
     law = x.law
-    torque = drive_torque_nm(c, x, instant_of(c, s, u), u)
+    torque = drive_torque_nm(c, x, instant_of(c, x, s, u), u)
     s[PHI], s[OMEGA] = u.motor_angle_rad, u.motor_speed_rad_s
     s[SPEED] = s[SPEED_BEFORE] = u.motor_speed_rad_s
     s[ANGLE] = s[HELD] = s[ANGLE_BEFORE] = s[ANGLE_EARLIER] = u.motor_angle_rad
@@ -87,20 +88,20 @@ def start(c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs) -> No
         s[NOISE], s[DRIVE_NOISE] = c.first_noise, c.first_drive_noise
     if s[RUNNING] < 0.0:  # never ran: a rotor at rest balances its torque with the rack
         if abs(u.motor_speed_rad_s) > c.limiter_speed:
-            load = c.ratio * torque
+            load = s[LOCAL] * c.ratio * torque
             level = adapted_level_nm(x, s, u.motor_speed_rad_s, load)
             s[BRISTLE] = math.copysign(level / law.sigma0_nm_per_rad, u.motor_speed_rad_s)
         s[FORCE] = c.ratio * torque
         if c.compensate:
             s[FORCE] -= c.ratio * law.sigma0_nm_per_rad * s[BRISTLE]
         if c.known_force:
-            s[FORCE] -= u.rack_force_n
+            s[FORCE] -= u.rack_force_n / s[LOCAL]
         s[LP1] = s[LP2] = s[FORCE]
     compensated = torque
     if c.compensate:
         compensated -= law.sigma0_nm_per_rad * s[BRISTLE]
     if c.known_force:
-        compensated -= u.rack_force_n / c.ratio
+        compensated -= u.rack_force_n / (c.ratio * s[LOCAL])
     s[TORQUE] = compensated
     s[RUNNING], s[SETTLE] = 1.0, c.settle_steps
 
@@ -119,14 +120,14 @@ def estimator_step(
         return reason
     if s[RUNNING] <= 0.0:
         start(c, x, s, u)
-    i = instant_of(c, s, u)
+    i = instant_of(c, x, s, u)
     torque = drive_torque_nm(c, x, i, u)
     friction = friction_step(c, x, s, u, i, torque)
     s[CLOCK] += STEP_S
     if c.compensate:
         torque -= friction
     if c.known_force:
-        torque -= u.rack_force_n / c.ratio
+        torque -= u.rack_force_n / (c.ratio * s[LOCAL])
     observer_step(c, s, torque, u)
     s[LP1] += c.low_pass * (s[FORCE] - s[LP1])
     s[LP2] += c.low_pass * (s[LP1] - s[LP2])
@@ -152,7 +153,7 @@ def publish(c: Constants, s: npt.NDArray[np.float64], friction: float) -> None:
     whole = int(steps)
     newer = s[LINE + (head - whole) % LINE_LENGTH]
     older = s[LINE + (head - whole - 1) % LINE_LENGTH]
-    s[OUT_FORCE] = s[LP2]
+    s[OUT_FORCE] = s[LOCAL] * s[LP2]
     s[OUT_FRICTION] = newer + (steps - whole) * (older - newer)
     s[HEAD] = (head + 1) % LINE_LENGTH
 

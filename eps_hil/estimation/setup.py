@@ -23,7 +23,9 @@ SPEED_BEFORE, NOISE, PATH, DRIVE, DRIVE_BEFORE, DRIVE_NOISE, CLOCK = range(16, 2
 HELD, ANGLE_BEFORE, ANGLE_EARLIER, ANGLE_NOISE = range(23, 27)
 # Adapted friction levels: what is added to k0+ and k0− now, and where that is going (Nm).
 ADDED_POS, ADDED_NEG, GOAL_POS, GOAL_NEG = range(27, 31)
-LINE = 31
+# dφ/dx over i_APA where the rack is: FORCE and its low-pass are as they would be in mid travel.
+LOCAL = 31
+LINE = 32
 LINE_LENGTH = 64
 STATES = LINE + LINE_LENGTH
 
@@ -148,5 +150,5 @@ def _smoothing(frequency_hz: float) -> float:
 def new_state() -> npt.NDArray[np.float64]:
     """The state vector before the first step, shape (STATES,)."""
     state = np.zeros(STATES)
-    state[RUNNING] = -1.0
+    state[RUNNING], state[LOCAL] = -1.0, 1.0
     return state

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.physics.effects import added
+from eps_hil.physics.effects.effect import Ratios
 from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
     FrictionLaw,
@@ -60,7 +61,7 @@ def residual_nm(model: Model, motion: Motion) -> tuple[Floats, Floats]:
     sensor = sensor.copy() if use.sensor else sensor
     more = np.zeros(len(out)) if use.torque else _NOTHING
     levels = np.zeros((2, len(out))) if use.level else _NO_LEVELS
-    _balance(drive, motion, motor, sensor, more, levels, out)
+    _balance(drive, motion, motor, sensor, motion.rack_force_n / drive.ratio, more, levels, out)
     return out[:, 0], out[:, 1]
 
 
@@ -73,9 +74,10 @@ def sliding_levels_nm(model: Model, motion: Motion) -> Floats:
 
 @njit
 def _levels_with_effects(drive: Drive, m: Motion, levels: Floats) -> None:
+    ratios = Ratios(drive.sensor_to_rotor, drive.ratio)
     _levels(m, drive.law, levels)
     if drive.use.level:
-        added.levels_along(drive.effects, m, drive.sensor_to_rotor, levels[0], levels[1])
+        added.levels_along(drive.effects, m, ratios, levels[0], levels[1])
 
 
 _NOTHING, _NO_LEVELS = np.zeros(0), np.zeros((2, 0))
@@ -89,27 +91,30 @@ def _balance(
     m: Motion,
     motor: Floats,
     sensor: Floats,
+    load: Floats,
     more: Floats,
     levels: Floats,
     out: Floats,
 ) -> None:
-    """``motor``, ``sensor``: as reported, changed in place by effects; ``more``: zeros, or empty
-    where nothing adds torque; ``levels``: (2, n), or (2, 0) where nothing adds to eq. 3.
+    """``motor``, ``sensor``, F/i_APA: as reported, changed in place by effects; ``more``: zeros, or
+    empty where nothing adds torque; ``levels``: (2, n), or (2, 0) where nothing adds to eq. 3.
 
     The slots' functions are called in here because compiled code out of the disk cache may call
     closures, and Python may not: there, each process would compile them again.
     """
-    use = drive.use
+    use, ratios = drive.use, Ratios(drive.sensor_to_rotor, drive.ratio)
     if use.motor:
-        added.motor_along(drive.effects, m, drive.sensor_to_rotor, motor)
+        added.motor_along(drive.effects, m, ratios, motor)
     if use.sensor:
-        added.sensor_along(drive.effects, m, drive.sensor_to_rotor, sensor)
+        added.sensor_along(drive.effects, m, ratios, sensor)
+    if use.load:
+        added.load_along(drive.effects, m, ratios, load)
     if use.torque:
-        added.torque_along(drive.effects, m, drive.sensor_to_rotor, more)
+        added.torque_along(drive.effects, m, ratios, more)
     law = drive.law
     if use.level:
         _levels(m, law, levels)
-        added.levels_along(drive.effects, m, drive.sensor_to_rotor, levels[0], levels[1])
+        added.levels_along(drive.effects, m, ratios, levels[0], levels[1])
     bristle = 0.0
     for k in range(len(m.time_s)):
         speed, force = m.speed_rad_s[k], m.rack_force_n[k]
@@ -128,9 +133,9 @@ def _balance(
         friction = friction_torque_nm(bristle, speed, level, law)
         if use.torque:
             friction += more[k]
-        drive_torque = motor[k] + drive.sensor_to_rotor * sensor[k] - force / drive.ratio
+        drive_torque = motor[k] + drive.sensor_to_rotor * sensor[k] - load[k]
         out[k, 0] = drive_torque - drive.inertia * m.acceleration_rad_s2[k] - friction
-        out[k, 1] = friction + force / drive.ratio
+        out[k, 1] = friction + load[k]
 
 
 @njit

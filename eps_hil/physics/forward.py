@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
-from eps_hil.physics.simulate import simulate
+from eps_hil.physics.simulate import rack_position_m, simulate
 from eps_hil.series import Series
 
 Floats = npt.NDArray[np.float64]
@@ -64,7 +64,7 @@ def forward(model: Model, series: Mapping[str, Series], *, physical: bool = Fals
         "motor_speed_rad_s": motion.speed_rad_s,
         "motor_angle_rad": motion.angle_rad,
         "rack_force_n": force,
-        "rack_position_m": motion.rack_rad / model.rack_to_rotor_ratio_rad_per_m,
+        "rack_position_m": rack_position_m(model, motion.rack_rad),
         "friction_torque_nm": motion.friction_torque_nm,
     }
     if not physical:

@@ -65,6 +65,32 @@ def drive_of(model: Model) -> Drive:
     )
 
 
+def rack_position_m(model: Model, rack_rad: Floats) -> Floats:
+    """The rack's position, (n,), of an angle that is i_APA times it where the ratio is one."""
+    return _positions(drive_of(model), np.asarray(rack_rad, dtype=np.float64))
+
+
+def rotor_angle_rad(model: Model, rack_position_m: Floats) -> Floats:
+    """The rotor's angle, (n,), of a rigid drive without play at a rack position; its inverse."""
+    worked_in = with_model_effects(model)
+    angle = worked_in.rack_to_rotor_ratio_rad_per_m * np.asarray(rack_position_m, dtype=np.float64)
+    for entry in worked_in.effects:
+        if entry["effect"] == "rack_ratio":
+            slope, bend = entry["slope_per_m"], entry["bend_per_m2"]
+            angle = angle * (1.0 + (slope + bend * rack_position_m) * rack_position_m)
+    return angle
+
+
+@njit
+def _positions(drive: Drive, rack_rad: Floats) -> Floats:
+    position = rack_rad / drive.ratio
+    if drive.use.position:
+        nothing = np.zeros(3)
+        for k in range(len(position)):
+            position[k] = instant(drive, 0.0, 0.0, rack_rad[k], nothing).position_m
+    return position
+
+
 def simulate(
     model: Model,
     time_s: Floats,
@@ -101,7 +127,11 @@ def instant(drive: Drive, t: float, speed: float, angle: float, row: Floats) -> 
     """What a kernel is told; ``row``: motor torque, torsion-bar torque, rack force."""
     position = angle / drive.ratio
     pinion = angle * drive.sensor_to_rotor
-    return Instant(t, speed, angle, position, row[2], pinion, row[0], row[1])
+    u = Instant(t, speed, angle, position, row[2], pinion, row[0], row[1], drive.ratio)
+    if not drive.use.position:
+        return u
+    position = added.position_m(drive.effects, u, position)
+    return Instant(t, speed, angle, position, row[2], pinion, row[0], row[1], drive.ratio)
 
 
 @njit
@@ -116,6 +146,13 @@ def sensor_nm(drive: Drive, u: Instant) -> float:
     """True torsion-bar torque from the reported one, at the column."""
     reported = u.torque_sensor_nm
     return added.sensor_nm(drive.effects, u, reported) if drive.use.sensor else reported
+
+
+@njit
+def load_nm(drive: Drive, u: Instant) -> float:
+    """What the rack force is at the rotor (Nm)."""
+    load = u.rack_force_n / drive.ratio
+    return added.load_nm(drive.effects, u, load) if drive.use.load else load
 
 
 @njit
@@ -172,9 +209,8 @@ def _middle(
     weight = drive.inertia / (0.5 * dt)
     for _ in range(4):
         u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
-        push = (
-            motor_nm(drive, u) + drive.sensor_to_rotor * sensor_nm(drive, u) - row[2] / drive.ratio
-        )
+        hand = drive.sensor_to_rotor * sensor_nm(drive, u)
+        push = motor_nm(drive, u) + hand - load_nm(drive, u)
         level = level_nm(drive, u)
         after = bristle_step(bristle, middle * dt, abs(middle) * dt, level, law.sigma0_nm_per_rad)
         friction = friction_nm(drive, u, level, bristle, after)

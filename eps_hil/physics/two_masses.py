@@ -18,7 +18,15 @@ from eps_hil.compiled import njit
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.effect import Joint
 from eps_hil.physics.friction import bristle_step
-from eps_hil.physics.simulate import Drive, friction_nm, instant, level_nm, motor_nm, sensor_nm
+from eps_hil.physics.simulate import (
+    Drive,
+    friction_nm,
+    instant,
+    level_nm,
+    load_nm,
+    motor_nm,
+    sensor_nm,
+)
 
 STEP_S = 2e-5
 
@@ -65,7 +73,7 @@ def integrate(
             t = time_s[k] + part * interval
             u = instant(drive, t, speed, angle, row)
             torque = joint_torque_nm(joint, angle - rack, speed - rack_speed)
-            outer = drive.sensor_to_rotor * sensor_nm(drive, u) - row[2] / drive.ratio
+            outer = drive.sensor_to_rotor * sensor_nm(drive, u) - load_nm(drive, u)
             rack_speed += dt / behind * (torque + outer)
             rack += dt * rack_speed
             middle, bristle = _middle(drive, rotor, t, speed, angle, bristle, row, dt, torque)

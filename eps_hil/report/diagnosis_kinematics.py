@@ -91,9 +91,12 @@ def size(finding: Mapping[str, Any], model: Model) -> str:
 def _given(diagnosis: Diagnosis) -> Model:
     """The model before a wrong ratio was put right, which is what the residual is about."""
     model = diagnosis.problem.model
-    seen = {one["effect"] for one in diagnosis.content["findings"] if "seen_in" in one}
-    effects = tuple(one for one in model.effects if one["effect"] not in seen)
-    return replace(model, effects=effects)
+    effects = list(model.effects)
+    for name in {one["effect"] for one in diagnosis.content["findings"] if "seen_in" in one}:
+        last = max((k for k, one in enumerate(effects) if one["effect"] == name), default=None)
+        if last is not None:
+            del effects[last]
+    return replace(model, effects=tuple(effects))
 
 
 def _against_rate(

@@ -27,6 +27,7 @@ def look(reference_model: Model) -> Look:
         world: World,
         change: Callable[[dict[str, Any]], None] | None = None,
         without: tuple[str, ...] = (),
+        model: Model = reference_model,
     ) -> FirstLook:
         rng = np.random.default_rng(3)
         made = []
@@ -42,12 +43,26 @@ def look(reference_model: Model) -> Look:
             if change:
                 change(series)
             made.append((prepare(name, series), series))
-        return first_look(made[:2], made[2:], reference_model, without)
+        return first_look(made[:2], made[2:], model, without)
 
     return at
 
 
 FULL = World(simple=False)
+
+
+def bent_by(slope_per_m: float) -> Callable[[dict[str, Any]], None]:
+    """The same motion and the same work on a rack whose φ = i·x·(1 + slope·x)."""
+
+    def bent(series: dict[str, Series]) -> None:
+        x = series["rack_position_m"]
+        place = (np.sqrt(1.0 + 4.0 * slope_per_m * x.value) - 1.0) / (2.0 * slope_per_m)
+        series["rack_position_m"] = Series(x.t_ns, place)
+        for name in ("rack_force_n", "torque_sensor_nm"):
+            one = series[name]
+            series[name] = Series(one.t_ns, one.value * (1.0 + 2.0 * slope_per_m * place))
+
+    return bent
 
 
 def only(found: FirstLook, effect: str, parameter: str) -> dict[str, Any]:
@@ -125,6 +140,61 @@ def test_a_wrong_ratio_is_found(look: Look) -> None:
     assert found.model.effects[-1]["effect"] == "rack_ratio"
 
 
+@pytest.mark.parametrize(
+    ("effect", "hidden", "instruments", "parameter", "other"),
+    [
+        ("backlash", {"gap_rad": 0.1}, {}, "gap_rad", 0.05),
+        (
+            "belt_compliance",
+            {"belt_nm_per_rad": 10.0, "belt_damping": 5e-3},
+            {},
+            "stiffness_nm_per_rad",
+            20.0,
+        ),
+        ("torque_sensor_hysteresis", {}, {"sensor_play_nm": 0.4}, "play_nm", 0.2),
+    ],
+)
+def test_what_the_model_holds_already_is_known_and_no_finding(
+    look: Look,
+    reference_model: Model,
+    effect: str,
+    hidden: dict[str, Any],
+    instruments: dict[str, Any],
+    parameter: str,
+    other: float,
+) -> None:
+    """A written model meets its recordings again; one of another size is a finding, told whole."""
+    world = dataclasses.replace(FULL, **hidden, instruments=Instruments(**instruments))
+    first = look(world)
+    value = only(first, effect, parameter)["value"]
+    written = first.in_model(reference_model)
+    again = look(world, model=written)
+    assert again.findings == ()
+    assert again.in_model(again.model).effects == written.effects
+    for one, before in zip(again.fitted, first.fitted, strict=True):
+        np.testing.assert_allclose(one.left_over(again.model), before.left_over(first.model))
+    wrong = dataclasses.replace(reference_model, effects=({"effect": effect, parameter: other},))
+    told = look(world, model=wrong)
+    assert only(told, effect, parameter)["value"] == pytest.approx(value, rel=1e-6)
+    assert [one[parameter] for one in told.in_model(told.model).effects] == [
+        pytest.approx(value, rel=1e-6)
+    ]
+
+
+@pytest.mark.parametrize("slope_per_m", [0.0, 0.3])
+def test_a_ratio_that_the_model_holds_is_the_models(
+    look: Look, reference_model: Model, slope_per_m: float
+) -> None:
+    drive = FULL.drive._replace(rack_rad_per_m=2513.0 * 1.03)
+    world = dataclasses.replace(FULL, drive=drive)
+    change = bent_by(slope_per_m) if slope_per_m else None
+    written = look(world, change).model
+    again = look(world, change, model=written)
+    assert again.findings == ()
+    assert again.kinematics["ratio_error"] == pytest.approx(0.0, abs=1e-4)
+    assert again.model.effects == written.effects
+
+
 def test_a_drifting_clock_is_found_and_set_right(look: Look) -> None:
     """A clock that stamps early: 100 ppm are 4 ms after 40 s."""
     found = look(dataclasses.replace(FULL, instruments=Instruments(speed_drift=1e-4)))
@@ -191,25 +261,20 @@ def test_play_leaves_no_drag_behind_where_an_angle_is_late(look: Look, late_s: f
 
 
 @pytest.mark.parametrize("slope_per_m", [-0.3, 0.4])
-def test_a_ratio_that_varies_is_taken_out_of_force_and_torque(
-    look: Look, slope_per_m: float
+def test_a_ratio_that_varies_is_in_the_balance(
+    look: Look, reference_model: Model, slope_per_m: float
 ) -> None:
-    """The same motion and the same work on a rack whose φ = i·x·(1 + slope·x)."""
-
-    def bent(series: dict[str, Series]) -> None:
-        x = series["rack_position_m"]
-        place = (np.sqrt(1.0 + 4.0 * slope_per_m * x.value) - 1.0) / (2.0 * slope_per_m)
-        series["rack_position_m"] = Series(x.t_ns, place)
-        for name in ("rack_force_n", "torque_sensor_nm"):
-            one = series[name]
-            series[name] = Series(one.t_ns, one.value * (1.0 + 2.0 * slope_per_m * place))
-
-    found, straight = look(FULL, bent), look(FULL)
+    """The same motion and the same work, but for friction, which goes with the force itself."""
+    found, straight = look(FULL, bent_by(slope_per_m)), look(FULL)
     value = only(found, "rack_ratio", "slope_per_m")
     assert value["value"] == pytest.approx(slope_per_m, rel=0.02)
     assert "varies over the rack position" in found.findings[0]["summary"]
-    assert found.put_right
+    loose = dataclasses.replace(
+        reference_model.friction, load_pos_nm_per_n=0.0, load_neg_nm_per_n=0.0
+    )
+    bent, plain = (dataclasses.replace(one.model, friction=loose) for one in (found, straight))
     for one, as_it_was in zip(found.fitted, straight.fitted, strict=True):
-        for name, least in (("rack_force_n", 0.05), ("torque_sensor_nm", 2e-4)):
-            off = one.raw[name] - as_it_was.raw[name]
-            assert float(np.sqrt(np.mean(off**2))) < least
+        off = one.left_over(bent) - as_it_was.left_over(plain)
+        assert float(np.sqrt(np.mean(off**2))) < 2e-5
+        off = one.left_over(plain) - as_it_was.left_over(plain)
+        assert float(np.sqrt(np.mean(off**2))) > 5e-4

@@ -31,7 +31,7 @@ plain = dataclasses.replace(load_model("rig.yaml"), delays_s=Delays())
 true = dataclasses.replace(plain, effects=(entry,))
 table = added.added(true)
 for speed in (-60.0, -3.0, 0.0, 25.0, 100.0):
-    got = added.torque_nm(table, Instant(0, speed, 0, 0, 0, 0, 0, 0), 0.1)
+    got = added.torque_nm(table, Instant(0, speed, 0, 0, 0, 0, 0, 0, 1.0), 0.1)
     relative = speed / 25.0
     assert math.isclose(got, 0.1 + 0.04 * 2 * relative / (1 + relative**2)), (speed, got)
 

@@ -11,6 +11,7 @@ import pytest
 
 from eps_hil.physics.balance import Floats, Motion, residual_nm, sliding_levels_nm
 from eps_hil.physics.effects import added
+from eps_hil.physics.effects.effect import Ratios
 from eps_hil.physics.friction import (
     bristle_step,
     friction_law,
@@ -86,7 +87,7 @@ def test_levels_along_a_motion_are_the_kernels_sample_by_sample(names: list[str]
         speed, force, travel = m.speed_rad_s[k], m.rack_force_n[k], m.travel_rad[k]
         way = next((one for one in (speed, travel, bristle) if one), 0.0)
         rests |= {np.sign(way)} if not speed and not travel else set()
-        u = added.instant(m, k, drive.sensor_to_rotor)
+        u = added.instant(m, k, Ratios(drive.sensor_to_rotor, drive.ratio))
         level = added.level_nm(drive.effects, u, static_level_nm(way, force, drive.law))
         bristle = bristle_step(bristle, travel, abs(travel), level, drive.law.sigma0_nm_per_rad)
         torque = m.motor_torque_nm[k] + drive.sensor_to_rotor * m.torque_sensor_nm[k]

@@ -17,7 +17,6 @@ from eps_hil.physics import simulate as simulate_module
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.catalogue import catalogue, values_of, with_model_effects
 from eps_hil.physics.effects.effect import Instant, Slot
-from eps_hil.physics.effects.rack_ratio import local_share
 from eps_hil.physics.forward import forward
 from eps_hil.physics.model import Model
 from eps_hil.physics.simulate import simulate
@@ -91,6 +90,8 @@ def inputs(pauses: bool = False) -> dict[str, Series]:
     return {name: Series(t_ns, push * column) for name, column in columns.items()}
 
 
+RATIO = 2513.0
+"""i_APA (rad/m) of the instants here."""
 SPRING = {"effect": "unmodelled_spring", "stiffness_nm_per_rad": 0.03}
 
 
@@ -171,7 +172,7 @@ def test_a_kernel_does_its_equation(reference_model: Model, name: str) -> None:
     table = added.added(model)
     phi, w, t, force = 7.3, -12.0, 1.7, 400.0
     x, psi = phi / 2513.0, phi * 125.7 / 2513.0
-    u = Instant(t, w, phi, x, force, psi, 0.6, 0.0)
+    u = Instant(t, w, phi, x, force, psi, 0.6, 0.0, RATIO)
     curve = [(-0.01, -0.1), (0.0, 0.05), (0.01, 0.1)]
     written_out = {
         "stribeck": lambda v: v + 0.08 * math.exp(-((w / 15) ** 2)),
@@ -210,7 +211,7 @@ def test_a_sensor_is_undone_from_what_it_reports_to_what_acts(reference_model: M
     entries = [{"effect": name, **EXAMPLES[name]} for name in reversed(sorted(EXAMPLES))]
     motor = ("motor_torque_gain", "motor_torque_offset", "motor_torque_saturation")
     sensor = ("torque_sensor_offset", "torque_sensor_gain", "cardan_joint")
-    u = Instant(1.7, -12.0, 7.3, 0.003, 400.0, 0.4, 0.6, 0.0)
+    u = Instant(1.7, -12.0, 7.3, 0.003, 400.0, 0.4, 0.6, 0.0, RATIO)
     model = model_with(reference_model, *(e for e in entries if e["effect"] in motor + sensor))
     table = added.added(model)
     acts = (2.3 - 0.8) / 1.5 * (1 + 0.3 * math.cos(2 * 0.4 + 0.5))
@@ -242,14 +243,17 @@ def test_end_stop_pushes_back_on_both_sides(reference_model: Model) -> None:
     table = added.added(dataclasses.replace(reference_model, effects=(entry,)))
     for side in (1, -1):
         x = side * 0.005
-        u = Instant(0.0, 0.0, x * 2513.0, x, 0.0, 0.0, 0.0, 0.0)
+        u = Instant(0.0, 0.0, x * 2513.0, x, 0.0, 0.0, 0.0, 0.0, RATIO)
         assert added.torque_nm(table, u, 0.0) == pytest.approx(side * 1e6 * 0.001 / 2513.0)
 
 
 def test_dwell_grows_at_rest_and_is_lost_by_sliding(reference_model: Model) -> None:
     entry = {"effect": "breakaway_dwell", "level_nm": 0.1, "time_s": 1.0, "release_rad": 0.5}
     table = added.added(dataclasses.replace(reference_model, effects=(entry,)))
-    rest, slide = Instant(0, 0, 0, 0, 0, 0, 0, 0.0), Instant(0, 10.0, 0, 0, 0, 0, 0, 0.0)
+    rest, slide = (
+        Instant(0, 0, 0, 0, 0, 0, 0, 0.0, RATIO),
+        Instant(0, 10.0, 0, 0, 0, 0, 0, 0.0, RATIO),
+    )
     for _ in range(2000):
         added.advance(table, rest, 1e-3)
     assert added.level_nm(table, rest, 0.0) == pytest.approx(0.1 * (1 - math.exp(-2.0)), rel=1e-3)
@@ -268,7 +272,7 @@ def test_sensor_play_is_taken_back_past_its_gap(reference_model: Model, play: fl
     true, reading, error = 3.0 * np.sin(2 * math.pi * 0.3 * t), 0.0, []
     for now in true:
         reading = min(max(reading, now - play), now + play)
-        u = Instant(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, reading)
+        u = Instant(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, reading, RATIO)
         added.advance(table, u, 1e-3)
         error.append(added.sensor_nm(table, u, reading) - now)
     settled = np.abs(np.array(error))[1000:]
@@ -299,7 +303,7 @@ def test_terms_of_one_effect_follow_on_one_another(reference_model: Model) -> No
     first = {"effect": "cogging_torque", "amplitude_nm": 0.02, "order": 4.0, "phase_rad": 0.1}
     second = {**first, "order": 12.0, "amplitude_nm": 0.01}
     table = added.added(dataclasses.replace(reference_model, effects=(first, second)))
-    u = Instant(0.0, 1.0, 0.7, 0.0, 0.0, 0.0, 0.0, 0.0)
+    u = Instant(0.0, 1.0, 0.7, 0.0, 0.0, 0.0, 0.0, 0.0, RATIO)
     both = 0.02 * math.sin(4 * 0.7 + 0.1) + 0.01 * math.sin(12 * 0.7 + 0.1)
     assert added.torque_nm(table, u, 0.0) == pytest.approx(both)
 
@@ -314,7 +318,7 @@ def test_each_term_remembers_for_itself(reference_model: Model) -> None:
     entry = {"effect": "breakaway_dwell", "level_nm": 0.1, "time_s": 1.0, "release_rad": 0.5}
     slow = {**entry, "time_s": 10.0}
     table = added.added(dataclasses.replace(reference_model, effects=(entry, slow)))
-    rest = Instant(0, 0, 0, 0, 0, 0, 0, 0.0)
+    rest = Instant(0, 0, 0, 0, 0, 0, 0, 0.0, RATIO)
     for _ in range(1000):
         added.advance(table, rest, 1e-3)
     grown = 0.1 * (1 - math.exp(-1.0)) + 0.1 * (1 - math.exp(-0.1))
@@ -384,18 +388,8 @@ def test_a_ripple_too_fast_for_the_samples_is_none(
 
     def at(passing_hz: float) -> float:
         speed = 2 * math.pi * passing_hz / order
-        return float(slot(table, Instant(1.0, speed, 7.3, 0.003, 0.0, 0.36, 0.6, 0.0), 0.3))
+        return float(slot(table, Instant(1.0, speed, 7.3, 0.003, 0.0, 0.36, 0.6, 0.0, RATIO), 0.3))
 
     assert at(1000.0) == at(-1000.0) == at(500.0) == 0.3
     assert at(0.0) == at(390.0) != 0.3
     assert at(450.0) - 0.3 == pytest.approx(0.5 * (at(0.0) - 0.3))
-
-
-def test_what_a_force_is_worth_where_the_ratio_varies() -> None:
-    """dφ/dx by differences of φ = i·x·(1 + scale + slope·x + bend·x²)."""
-    values = {"scale": 0.02, "slope_per_m": 0.3, "bend_per_m2": -4.0}
-    x = np.linspace(-0.06, 0.06, 2001)
-    turned = x * (1.02 + 0.3 * x - 4.0 * x**2)
-    expected = 1.02 / np.gradient(turned, x, edge_order=2)
-    np.testing.assert_allclose(local_share(values, x), expected, rtol=1e-6)
-    np.testing.assert_array_equal(local_share({"scale": 0.02}, x), 1.0)

@@ -20,6 +20,7 @@ from eps_hil.identification.filters import between, shifted
 from eps_hil.physics.balance import Motion, residual_nm
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
+from eps_hil.physics.simulate import rack_position_m
 from eps_hil.series import Series
 
 Floats = npt.NDArray[np.float64]
@@ -121,7 +122,7 @@ class Prepared:
         if "rack_position_m" in self.raw:
             position = self._at(self.raw["rack_position_m"], 0.0)
         else:
-            position = angle / model.rack_to_rotor_ratio_rad_per_m
+            position = rack_position_m(model, angle)
         return Motion(
             self.time_s,
             self._signal("motor_torque_nm", delays.of("motor_torque_nm")),
@@ -175,8 +176,9 @@ class Prepared:
         motor = gains.get("motor_torque_gain", 1.0)
         sensor = worked_in.sensor_to_rotor / gains.get("torque_sensor_gain", 1.0)
         load = 1.0 / worked_in.rack_to_rotor_ratio_rad_per_m
+        behind = _behind_lag(worked_in)
         squared = (
-            (motor * self.noise.get("motor_torque_nm", 0.0)) ** 2 * share
+            (motor * self.noise.get("motor_torque_nm", 0.0)) ** 2 * share * behind
             + (sensor * self.noise.get("torque_sensor_nm", 0.0)) ** 2 * share
             + (load * self.noise.get("rack_force_n", 0.0)) ** 2 * share
             + worked_in.inertia_kg_m2**2 * self._acceleration_variance()
@@ -248,6 +250,13 @@ class Prepared:
         mean = np.convolve(np.pad(speed, n // 2, mode="edge"), window, mode="valid")
         sigma = self.noise["motor_speed_rad_s"] / np.sqrt(n)
         return np.asarray(np.abs(mean) < max(4.0 * sigma, 0.02))
+
+
+def _behind_lag(model: Model) -> float:
+    """Share of the motor torque's noise variance that a lag before the shaft lets through."""
+    lags = [e["delay_s"] for e in model.effects if e["effect"] == "motor_torque_delay"]
+    bend = 2.0 * np.pi * CUTOFF_HZ * sum(lags)
+    return float(np.arctan(bend) / bend) if bend > 0.0 else 1.0
 
 
 def _moved(speed: Floats) -> Floats:

@@ -19,7 +19,7 @@ from eps_hil.diagnosis.balance.baseline import ALL
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import STEP_S, Prepared
-from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.effects.catalogue import catalogue, joint_of, with_model_effects
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -43,12 +43,20 @@ class Belt:
     share: float = USUAL_SHARE
 
 
+def belt_in(model: Model) -> Belt | None:
+    """The belt that a model holds, with the usual share of the inertia behind it."""
+    joint = joint_of(model) if any(one["effect"] == ID for one in model.effects) else None
+    if joint is None:
+        return None
+    return Belt(joint.stiffness_nm_per_rad, joint.damping_nm_s_per_rad, joint.behind_share)
+
+
 def slack_rad_s2(one: Prepared, model: Model, belt: Belt) -> Floats:
     """−share · ë (n,) at the stamps at which the speed is reported, rad/s² at the rotor."""
     from scipy.signal import bilinear, lfilter, lfilter_zi
 
+    motion, model = one.motion(model), with_model_effects(model)
     behind = belt.share * model.inertia_kg_m2
-    motion = one.motion(model)
     load = motion.rack_force_n / model.rack_to_rotor_ratio_rad_per_m
     pushed = load - model.sensor_to_rotor * motion.torque_sensor_nm
     driven = motion.acceleration_rad_s2 + pushed / behind

@@ -1,8 +1,9 @@
 """Rotor against rack, e = φ − i_APA · x: play, a belt that gives, a wrong ratio, a clock's drift.
 
-With the transmitted torque τ = F/i_APA − (i_pi/i_APA)·T_sen + J₂ω̇ an elastic belt makes e = τ/c,
-play makes e jump by the gap where τ changes its sign, a wrong ratio makes it grow with x, a late
-angle with the speed. All are columns of one least-squares fit.
+The ratio is the model's, its effects included. With the transmitted torque
+τ = F/i_APA − (i_pi/i_APA)·T_sen + J₂ω̇ an elastic belt makes e = τ/c, play makes e jump by the gap
+where τ changes its sign, a wrong ratio makes it grow with x, a late angle with the speed. All are
+columns of one least-squares fit.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -17,7 +18,9 @@ from eps_hil.diagnosis.data.prepare import CUTOFF_HZ, Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.direct.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
 from eps_hil.identification.butterworth import low_pass, passed
+from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
+from eps_hil.physics.simulate import rotor_angle_rad
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -61,7 +64,7 @@ class Rows:
 
     def __init__(self, one: Prepared, model: Model) -> None:
         motion = one.motion(model)
-        ratio = model.rack_to_rotor_ratio_rad_per_m
+        ratio = with_model_effects(model).rack_to_rotor_ratio_rad_per_m
         self.one = one
         torque = transmitted(one, model)
         usable = ~may_be_open(one.thin(torque))
@@ -71,7 +74,7 @@ class Rows:
         def thin(values: Floats) -> Floats:
             return one.thin(values)[usable]
 
-        self.e = thin(motion.angle_rad - ratio * motion.position_m)
+        self.e = thin(motion.angle_rad - rotor_angle_rad(model, motion.position_m))
         self.x = thin(motion.position_m)
         self.torque, self.force = thin(torque), thin(motion.rack_force_n)
         self.at = {
@@ -117,7 +120,7 @@ def has_rack(one: Prepared, model: Model) -> bool:
 
 def transmitted(one: Prepared, model: Model) -> Floats:
     """Torque from rotor to rack (Nm at the rotor), 1 kHz; the rack side's inertia included."""
-    motion = one.motion(model)
+    motion, model = one.motion(model), with_model_effects(model)
     load = motion.rack_force_n / model.rack_to_rotor_ratio_rad_per_m
     hand = model.sensor_to_rotor * motion.torque_sensor_nm
     share = _INERTIA_SHARE * model.inertia_kg_m2

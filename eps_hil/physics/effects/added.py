@@ -14,12 +14,23 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.physics.effects.catalogue import catalogue, values_of
-from eps_hil.physics.effects.effect import STATES, WIDTH, Effect, Floats, Instant, Slot
+from eps_hil.physics.effects.effect import (
+    STATES,
+    WIDTH,
+    Effect,
+    Floats,
+    Instant,
+    Kernel,
+    Ratios,
+    Slot,
+)
 from eps_hil.physics.model import Model
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_KERNELS = [e for e in catalogue().values() if e.kernel is not None and e.simulated]
+_KERNELS = [e for e in catalogue().values() if (e.kernel or e.elsewhere) and e.simulated]
 _ROW = {effect.id: row for row, effect in enumerate(_KERNELS)}
+Acting = tuple[Effect, Kernel]
+"""An effect with the kernel that it has in one slot."""
 MOST_TERMS = 4
 """How many terms of one effect a model may have."""
 
@@ -67,6 +78,8 @@ class InUse(NamedTuple):
     torque: bool
     motor: bool
     sensor: bool
+    position: bool
+    load: bool
     memory: bool
 
 
@@ -95,7 +108,7 @@ def _compiled(function: _F, name: str) -> _F:
     return njit(function)
 
 
-def _fused(slot: str, effects: list[Effect]) -> Callable[[Added, Instant, float], float]:
+def _fused(slot: str, effects: list[Acting]) -> Callable[[Added, Instant, float], float]:
     """One compiled function that passes a value through the kernels of ``effects`` in order."""
 
     def build(k: int) -> Callable[[Added, Instant, float], float]:
@@ -105,8 +118,8 @@ def _fused(slot: str, effects: list[Effect]) -> Callable[[Added, Instant, float]
                 return value
 
             return _compiled(unchanged, f"{slot}_unchanged")
-        before, kernel, row = build(k - 1), effects[k].kernel, _ROW[effects[k].id]
-        assert kernel is not None
+        effect, kernel = effects[k]
+        before, row = build(k - 1), _ROW[effect.id]
 
         def through(a: Added, u: Instant, value: float) -> float:
             value = before(a, u, value)
@@ -114,7 +127,7 @@ def _fused(slot: str, effects: list[Effect]) -> Callable[[Added, Instant, float]
                 value = kernel(a.parameters[row, term], a.state[row, term], u, value)
             return value
 
-        return _compiled(through, f"{slot}_through_{effects[k].id}")
+        return _compiled(through, f"{slot}_through_{effect.id}")
 
     return build(len(effects) - 1)
 
@@ -141,7 +154,7 @@ def _fused_advance(name: str, effects: list[Effect]) -> Callable[[Added, Instant
 
 
 @njit(inline="always")
-def instant(motion: Any, k: int, sensor_to_rotor: float) -> Instant:
+def instant(motion: Any, k: int, ratios: Ratios) -> Instant:
     """Sample ``k`` of a measured motion (``balance.Motion``) as a kernel is given it."""
     angle = motion.angle_rad[k]
     return Instant(
@@ -150,9 +163,10 @@ def instant(motion: Any, k: int, sensor_to_rotor: float) -> Instant:
         angle,
         motion.position_m[k],
         motion.rack_force_n[k],
-        angle * sensor_to_rotor,
+        angle * ratios.sensor_to_rotor,
         motion.motor_torque_nm[k],
         motion.torque_sensor_nm[k],
+        ratios.rad_per_m,
     )
 
 
@@ -160,72 +174,70 @@ def instant(motion: Any, k: int, sensor_to_rotor: float) -> Instant:
 def crept(motion: Any, k: int, u: Instant, step_s: float) -> Instant:
     """The same with the speed of a resting rotor's creep: what remembers rest wants to know."""
     speed = u.speed_rad_s if u.speed_rad_s != 0.0 else motion.travel_rad[k] / step_s
-    return Instant(u[0], speed, u[2], u[3], u[4], u[5], u[6], u[7])
+    return Instant(u[0], speed, u[2], u[3], u[4], u[5], u[6], u[7], u[8])
 
 
-def _fused_along(slot: str, effects: list[Effect]) -> Callable[[Added, Any, float, Floats], None]:
+def _fused_along(slot: str, effects: list[Acting]) -> Callable[[Added, Any, Ratios, Floats], None]:
     """As :func:`_fused`, for a whole motion: effect by effect, each through all samples.
 
     The same operations in the same order for every sample, and several times as fast: what a
     kernel is given is looked up once an effect, not once a sample.
     """
 
-    def build(k: int) -> Callable[[Added, Any, float, Floats], None]:
+    def build(k: int) -> Callable[[Added, Any, Ratios, Floats], None]:
         if k < 0:
 
-            def nothing(_a: Added, _m: Any, _to_rotor: float, _values: Floats) -> None:
+            def nothing(_a: Added, _m: Any, _r: Ratios, _values: Floats) -> None:
                 return None
 
             return _compiled(nothing, f"{slot}_along_nothing")
-        before, kernel, row = build(k - 1), effects[k].kernel, _ROW[effects[k].id]
-        move = effects[k].advance or _stay
-        assert kernel is not None
+        effect, kernel = effects[k]
+        before, row, move = build(k - 1), _ROW[effect.id], effect.advance or _stay
 
-        def along(a: Added, m: Any, to_rotor: float, values: Floats) -> None:
-            before(a, m, to_rotor, values)
+        def along(a: Added, m: Any, ratios: Ratios, values: Floats) -> None:
+            before(a, m, ratios, values)
             step = m.time_s[1] - m.time_s[0] if len(values) > 1 else 1e-3
             for term in range(a.terms[row]):
                 p, s = a.parameters[row, term], a.state[row, term]
                 for i in range(len(values)):
-                    u = instant(m, i, to_rotor)
+                    u = instant(m, i, ratios)
                     values[i] = kernel(p, s, u, values[i])
                     move(p, s, crept(m, i, u, step), step)
 
-        return _compiled(along, f"{slot}_along_{effects[k].id}")
+        return _compiled(along, f"{slot}_along_{effect.id}")
 
     return build(len(effects) - 1)
 
 
-def _fused_levels(effects: list[Effect]) -> Callable[[Added, Any, float, Floats, Floats], None]:
+def _fused_levels(effects: list[Acting]) -> Callable[[Added, Any, Ratios, Floats, Floats], None]:
     """The same for the friction's level, twice where the rotor rests without a direction.
 
     There the bristle decides which of the two levels holds, and it is not known yet.
     """
 
-    def build(k: int) -> Callable[[Added, Any, float, Floats, Floats], None]:
+    def build(k: int) -> Callable[[Added, Any, Ratios, Floats, Floats], None]:
         if k < 0:
 
-            def nothing(_a: Added, _m: Any, _to_rotor: float, _up: Floats, _down: Floats) -> None:
+            def nothing(_a: Added, _m: Any, _r: Ratios, _up: Floats, _down: Floats) -> None:
                 return None
 
             return _compiled(nothing, "levels_along_nothing")
-        before, kernel, row = build(k - 1), effects[k].kernel, _ROW[effects[k].id]
-        move = effects[k].advance or _stay
-        assert kernel is not None
+        effect, kernel = effects[k]
+        before, row, move = build(k - 1), _ROW[effect.id], effect.advance or _stay
 
-        def along(a: Added, m: Any, to_rotor: float, levels: Floats, otherwise: Floats) -> None:
-            before(a, m, to_rotor, levels, otherwise)
+        def along(a: Added, m: Any, ratios: Ratios, levels: Floats, otherwise: Floats) -> None:
+            before(a, m, ratios, levels, otherwise)
             step = m.time_s[1] - m.time_s[0] if len(levels) > 1 else 1e-3
             for term in range(a.terms[row]):
                 p, s = a.parameters[row, term], a.state[row, term]
                 for i in range(len(levels)):
-                    u = instant(m, i, to_rotor)
+                    u = instant(m, i, ratios)
                     levels[i] = kernel(p, s, u, levels[i])
                     if u.speed_rad_s == 0.0 and m.travel_rad[i] == 0.0:
                         otherwise[i] = kernel(p, s, u, otherwise[i])
                     move(p, s, crept(m, i, u, step), step)
 
-        return _compiled(along, f"levels_along_{effects[k].id}")
+        return _compiled(along, f"levels_along_{effect.id}")
 
     return build(len(effects) - 1)
 
@@ -235,8 +247,13 @@ def _stay(_p: Floats, _s: Floats, _u: Instant, _dt: float) -> None:
     return None
 
 
-def _of(slot: Slot) -> list[Effect]:
-    return sorted((one for one in _KERNELS if one.slot is slot), key=lambda one: one.stage)
+def _of(slot: Slot) -> list[Acting]:
+    """What acts in a slot, in its order."""
+    found = []
+    for effect in sorted(_KERNELS, key=lambda one: one.stage):
+        kernel = effect.kernel if effect.slot is slot else effect.elsewhere.get(slot)
+        found += [] if kernel is None else [(effect, kernel)]
+    return found
 
 
 def _remembering(effects: list[Effect]) -> list[Effect]:
@@ -244,13 +261,11 @@ def _remembering(effects: list[Effect]) -> list[Effect]:
 
 
 _LEVELS = _of(Slot.LEVEL) + _of(Slot.LEVEL_FACTOR)
+_SLOTS = (_LEVELS, *map(_of, (Slot.TORQUE, Slot.MOTOR, Slot.SENSOR, Slot.POSITION, Slot.LOAD)))
 _ROWS_OF_SLOTS = [
     np.array([_ROW[effect.id] for effect in effects], np.int64)
     for effects in (
-        _LEVELS,
-        _of(Slot.TORQUE),
-        _of(Slot.MOTOR),
-        _of(Slot.SENSOR),
+        *([one for one, _ in _of_slot] for _of_slot in _SLOTS),
         _remembering(_KERNELS),
     )
 ]
@@ -264,13 +279,18 @@ motor_nm = _fused("motor", _of(Slot.MOTOR))
 """Shaft torque of the motor from the reported one."""
 sensor_nm = _fused("sensor", _of(Slot.SENSOR))
 """True torsion-bar torque from the reported one, at the column."""
+position_m = _fused("position", _of(Slot.POSITION))
+"""The rack's position from φ/i_APA (m): ``position_m(added, instant, φ/i_APA)``."""
+load_nm = _fused("load", _of(Slot.LOAD))
+"""What F/i_APA (Nm) is at this place of the rack: ``load_nm(added, instant, F/i_APA)``."""
 advance = _fused_advance("advance", _remembering(_KERNELS))
 """Moves what effects remember (rest times, …) on by one step."""
+load_along = _fused_along("load", _of(Slot.LOAD))
 torque_along = _fused_along("torque", _of(Slot.TORQUE))
 motor_along = _fused_along("motor", _of(Slot.MOTOR))
 sensor_along = _fused_along("sensor", _of(Slot.SENSOR))
-"""``(added, motion, i_pi/i_APA, values (n,))``: the slots' values of a whole motion, in place; what
+"""``(added, motion, ratios, values (n,))``: the slots' values of a whole motion, in place; what
 the effects of the slot remember is moved on with it."""
 levels_along = _fused_levels(_LEVELS)
-"""``(added, motion, i_pi/i_APA, T_fs (n,), T_fs the other way (n,))``: the levels of a motion, in
+"""``(added, motion, ratios, T_fs (n,), T_fs the other way (n,))``: the levels of a motion, in
 place; the second only where neither speed nor travel say a direction."""

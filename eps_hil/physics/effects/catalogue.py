@@ -82,18 +82,22 @@ def _curve(name: str, value: Any) -> tuple[tuple[float, float], ...]:
 
 
 def with_model_effects(model: Model) -> Model:
-    """The model with those effects worked in, and taken off its list, that only change its numbers.
+    """The model with those effects worked in, and taken off its list, that change its numbers.
 
-    What is left in ``effects`` acts at run time (see ``added.py``).
+    What is left in ``effects`` acts at run time (see ``added.py``); doing it twice changes nothing.
     """
-    left = []
+    left: list[Mapping[str, Any]] = []
+    worked_in = False
     for entry in model.effects:
         effect, values = values_of(entry, model)
         if effect.slot is Slot.MODEL and effect.change is not None:
+            worked_in = True
             model = effect.change(model, values)
+            rest = effect.left(values) if effect.left is not None else None
+            left += [] if rest is None else [{"effect": effect.id, **rest}]
         else:
             left.append(entry)
-    return model if len(left) == len(model.effects) else replace(model, effects=tuple(left))
+    return replace(model, effects=tuple(left)) if worked_in else model
 
 
 def joint_of(model: Model) -> Joint | None:

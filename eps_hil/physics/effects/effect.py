@@ -35,6 +35,15 @@ class Instant(NamedTuple):
     pinion_rad: float
     motor_torque_nm: float
     torque_sensor_nm: float
+    ratio_rad_per_m: float
+    """i_APA in mid travel."""
+
+
+class Ratios(NamedTuple):
+    """What joins rack and column to the rotor: i_pi/i_APA, and i_APA (rad/m) in mid travel."""
+
+    sensor_to_rotor: float
+    rad_per_m: float
 
 
 _WHOLE_RAD_S, _NONE_RAD_S = 2.0 * math.pi * 400.0, 2.0 * math.pi * 500.0
@@ -57,6 +66,8 @@ class Slot(StrEnum):
 
     MODEL = "model"
     """On the model file's own numbers, before anything runs."""
+    POSITION = "position"
+    """From φ/i_APA to the rack's position (m), where it was not measured."""
     LEVEL = "level"
     """On T_fs (Nm), inside the friction model; additive terms."""
     LEVEL_FACTOR = "level_factor"
@@ -67,6 +78,8 @@ class Slot(StrEnum):
     """From the reported motor torque to that on the shaft (Nm)."""
     SENSOR = "sensor"
     """From the reported torsion-bar torque to the true one (Nm, at the column)."""
+    LOAD = "load"
+    """On what the rack force is worth at the rotor: F/i_APA (Nm)."""
     JOINT = "joint"
     """On the joint between rotor and rack, which the simulator then runs as two masses."""
     DATA = "data"
@@ -158,8 +171,13 @@ class Effect:
     """Effects that recordings may not tell from this one -> the experiment that does."""
     kernel: Kernel | None = None
     advance: Advance | None = None
+    elsewhere: Mapping[Slot, Kernel] = field(default_factory=dict)
+    """Kernels of other slots in which it acts too; what remembers acts in one slot."""
     change: Callable[[Model, Mapping[str, Any]], Model] | None = None
     """For ``Slot.MODEL``: the model with the effect's numbers worked in."""
+    left: Callable[[Mapping[str, Any]], Mapping[str, float] | None] | None = None
+    """Beside ``change``: the numbers of what still acts at run time; worked in, they change
+    nothing more. None, or an answer of None: nothing."""
     joint: Callable[[Joint, Mapping[str, Any]], Joint] | None = None
     """For ``Slot.JOINT``: the joint with the effect in it."""
     probe: Probe | None = None
@@ -175,10 +193,8 @@ class Effect:
     def wording(self, values: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
         """The sentence for these values, and the values to fill it with."""
         filled = dict(values)
-        if self.words is not None:
-            return self.words(filled), filled
         amplitude = self.probe.amplitude if self.probe is not None else ""
         if self.sentence_negative and filled[amplitude] < 0.0:
             filled[amplitude] = -filled[amplitude]
             return self.sentence_negative, filled
-        return self.sentence, filled
+        return self.words(filled) if self.words is not None else self.sentence, filled

@@ -9,10 +9,9 @@ from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parame
 @njit
 def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
     beyond = abs(u.position_m) - p[0]
-    if beyond <= 0.0 or u.position_m == 0.0:
+    if beyond <= 0.0:
         return torque
-    rotor_per_m = u.angle_rad / u.position_m
-    return torque + math.copysign(p[1] * beyond, u.position_m) / rotor_per_m
+    return torque + math.copysign(p[1] * beyond, u.position_m) / u.ratio_rad_per_m
 
 
 EFFECT = Effect(

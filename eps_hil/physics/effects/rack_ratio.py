@@ -1,11 +1,11 @@
 """The ratio from rack to rotor off: what the rack force is worth at the rotor; perhaps over x."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
-
-from eps_hil.physics.effects.effect import Effect, Floats, Kind, Parameter, Probe, Slot
+from eps_hil.compiled import njit
+from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 from eps_hil.physics.model import Model
 
 
@@ -21,21 +21,50 @@ def _words(values: Mapping[str, float]) -> str:
 
 
 _CONSTANT = "The ratio from rack to rotor is {scale:+.2%} off."
+_MOST, _STEPS = 3.0, 5
 _VARYING = (
     "The ratio from rack to rotor varies over the rack position x: {scale:+.2%} off in the middle, "
     "and by {slope_per_m:.3g}/m · x + {bend_per_m2:.3g}/m² · x² beside it."
 )
 
 
-def local_share(values: Mapping[str, float], position_m: Floats) -> Floats:
-    """Rotor ratio in the middle over the local dφ/dx, (n,): what a force at the rack is worth.
-
-    φ = i·x·(1 + scale + slope·x + bend·x²), so dφ/dx = i·(1 + scale + 2·slope·x + 3·bend·x²).
-    """
+def _left(values: Mapping[str, float]) -> Mapping[str, float] | None:
+    """What varies, once the middle's scale is in the model: φ = i_APA·x · (1 + a·x + b·x²)."""
+    slope, bend = values["slope_per_m"], values["bend_per_m2"]
+    if slope == bend == 0.0:
+        return None
     middle = 1.0 + values["scale"]
-    slope, bend = values.get("slope_per_m", 0.0), values.get("bend_per_m2", 0.0)
-    local = middle + 2.0 * slope * position_m + 3.0 * bend * position_m**2
-    return np.asarray(middle / local)
+    return {"scale": 0.0, "slope_per_m": slope / middle, "bend_per_m2": bend / middle}
+
+
+@njit
+def _local(p: Floats, position_m: float) -> float:
+    """dφ/dx over i_APA: what a torque at the rotor is worth at the rack, here over mid travel.
+
+    A ratio that turns over is none: far beyond what was seen the polynomial is not believed.
+    """
+    local = 1.0 + (2.0 * p[1] + 3.0 * p[2] * position_m) * position_m
+    return min(max(local, 1.0 / _MOST), _MOST)
+
+
+@njit
+def _position_m(p: Floats, _s: Floats, _u: Instant, middle_m: float) -> float:
+    """The rack's position x at which φ = i_APA·x · (1 + a·x + b·x²); Newton's method."""
+    x = middle_m
+    for _ in range(_STEPS):
+        x -= (x * (1.0 + (p[1] + p[2] * x) * x) - middle_m) / _local(p, x)
+        x = math.copysign(min(max(abs(x), abs(middle_m) / _MOST), _MOST * abs(middle_m)), middle_m)
+    return x
+
+
+@njit
+def _sensor_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
+    return torque / _local(p, u.position_m)
+
+
+@njit
+def _load_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
+    return torque / _local(p, u.position_m)
 
 
 EFFECT = Effect(
@@ -56,5 +85,12 @@ EFFECT = Effect(
         "motor_torque_gain": "count rotor turns over a measured rack travel",
     },
     change=_change,
+    left=_left,
+    elsewhere={
+        Slot.POSITION: _position_m,
+        Slot.SENSOR: _sensor_nm,
+        Slot.LOAD: _load_nm,
+    },
+    stage=9,
     probe=Probe("scale", 0.0, 2e-3, least=0.004),
 )
