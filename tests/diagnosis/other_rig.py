@@ -87,6 +87,8 @@ class Effects:
     sensor_offset: float = 0.0
     speed_late_s: float = 0.0
     torque_late_s: float = 0.0
+    torque_lag_s: float = 0.0
+    """Time constant of a low-pass between what is asked for, and reported, and the shaft."""
 
 
 def _late(values: Array, seconds: float) -> Array:
@@ -114,9 +116,10 @@ def record(
         noisy = true + noise * sigma * rng.standard_normal(len(true))
         return np.round(noisy / quantum) * quantum
 
+    asked = torque + effects.torque_lag_s * np.gradient(torque, 1e-3)
     return {
         "time_s": t,
-        "motor_torque_nm": measured(_late(torque, 1e-3 - effects.torque_late_s), 3e-3, 2e-3),
+        "motor_torque_nm": measured(_late(asked, 1e-3 - effects.torque_late_s), 3e-3, 2e-3),
         "torque_sensor_nm": measured(
             hand * effects.sensor_gain + effects.sensor_offset, 1e-2, 5e-3
         ),

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.attribute.exchange import bettered, exchanged
+from eps_hil.diagnosis.attribute.lag import as_lag
 from eps_hil.diagnosis.attribute.numbers import SPANNED, levels_first, numbers_off
 from eps_hil.diagnosis.attribute.scoring import (
     FINAL_SHARE,
@@ -139,7 +140,7 @@ def _search(
     refitted, found = found, numbers_off(problem, found, pool, least)
     if has_curve(found):
         found = levelled(problem, found) or numbers_off(problem, refitted, pool, least, level=False)
-    found = _backward(problem, found)
+    found = _backward(problem, as_lag(problem, found))
     found = bettered(problem, exchanged(problem, found, pool), pool)
     considered = {one.effect.id for one in pool}
     least = threshold(problem, found.residual, FORWARD_SHARE)

@@ -1,0 +1,34 @@
+"""Dead time or lag: how a late torque is late."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.physics.model import Model
+
+pytestmark = pytest.mark.slow
+
+HELD_S = 0.5e-3
+"""This rig holds its torque for a sample of 1 ms."""
+
+
+@pytest.mark.parametrize(
+    ("dead_s", "lag_s"), [(10e-3, 0.0), (0.0, 10e-3), (0.0, 20e-3), (6e-3, 12e-3), (4e-3, 0.0)]
+)
+def test_a_late_torque_says_how_much_of_it_is_a_lag(
+    record: Callable[..., Any], reference_model: Model, dead_s: float, lag_s: float
+) -> None:
+    late = {"torque_late_s": dead_s, "torque_lag_s": lag_s}
+    told = diagnose(reference_model, record({}, **late), record({}, ("weave",), 2, **late)).content
+    assert told["verdict"] == "explained"
+    (finding,) = told["findings"]
+    assert finding["effect"] == "motor_torque_delay"
+    values = {name: one["value"] for name, one in finding["parameters"].items()}
+    late_s = dead_s + lag_s + HELD_S
+    assert values["delay_s"] == pytest.approx(late_s, rel=0.02)
+    assert values.get("lag_share", 0.0) == pytest.approx(lag_s / late_s, abs=0.08)
+    assert ("low-pass" in finding["summary"]) is (lag_s > dead_s)
+    floor = told["fit"]["holdout"]["noise_floor"]["torque_nrmse"]
+    assert told["fit"]["holdout"]["augmented"]["torque_nrmse"] < 1.05 * floor
