@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.accept.borne_out import augmented_by, beside_unknown, borne_out, unjudged
+from eps_hil.diagnosis.accept.measured_ratio import settled
 from eps_hil.diagnosis.accept.placebo import placebos
 from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
@@ -126,14 +127,16 @@ def diagnose(
             wrong = better
             look, problem, selection = _beside(wrong, given, tied, say, without)
         judged = _holdouts(look, kept)
-    findings = borne_out(problem, selection, judged)
+    findings, force = settled(
+        problem, selection, borne_out(problem, selection, judged), look.ratio_is_measured
+    )
     if say:
         say("looking at what is left", 0.9)
     hidden = load is not None and load.form == "arbitrary"  # what is left may be the load
-    left = None if hidden else _left(problem, selection, judged)
+    left = None if hidden else force or _left(problem, selection, judged)
     if left is not None and findings:
         findings = beside_unknown(problem, selection, findings)
-        left = _left(problem, selection, judged)
+        left = force or _left(problem, selection, judged)
     if left is None and not hidden and HOLD in without:
         left = late_torque(problem, selection.found)
     content = look.added_to(_content(problem, selection, findings, left, judged))

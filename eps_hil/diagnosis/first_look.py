@@ -59,6 +59,11 @@ class FirstLook:
         """Whether the recordings hold something else now than what was read."""
         return bool(self.remarks) or any(one["effect"] in _PUT_RIGHT for one in self.findings)
 
+    @property
+    def ratio_is_measured(self) -> bool:
+        """Whether rotor against rack has shown what the ratio is."""
+        return "ratio_error" in self.kinematics
+
     def added_to(self, content: Mapping[str, Any]) -> dict[str, Any]:
         """The JSON with this look's findings and keys; names found twice stand once."""
         named = {one["effect"] for one in content["findings"]}

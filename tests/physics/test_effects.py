@@ -393,3 +393,22 @@ def test_a_ripple_too_fast_for_the_samples_is_none(
     assert at(1000.0) == at(-1000.0) == at(500.0) == 0.3
     assert at(0.0) == at(390.0) != 0.3
     assert at(450.0) - 0.3 == pytest.approx(0.5 * (at(0.0) - 0.3))
+
+
+@pytest.mark.parametrize("name", sorted(n for n in EXAMPLES if catalogue()[n].kernel is not None))
+def test_what_goes_with_time_says_so(reference_model: Model, name: str) -> None:
+    """``over_time`` is what the kernel does: all else the same, minutes later."""
+    effect = catalogue()[name]
+    table = added.added(model_with(reference_model, {"effect": name, **EXAMPLES[name]}))
+    slots = {
+        Slot.LEVEL: added.level_nm,
+        Slot.LEVEL_FACTOR: added.level_nm,
+        Slot.TORQUE: added.torque_nm,
+        Slot.MOTOR: added.motor_nm,
+        Slot.SENSOR: added.sensor_nm,
+    }
+    then, later = (
+        slots[effect.slot](table, Instant(t, 5.0, 7.3, 0.003, 400.0, 0.4, 0.6, 0.5, RATIO), 0.3)
+        for t in (1.0, 200.0)
+    )
+    assert (then != later) is effect.over_time

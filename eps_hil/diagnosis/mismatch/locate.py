@@ -49,13 +49,18 @@ def coordinates(problem: Problem) -> Mapping[str, Floats]:
     return {name: np.concatenate(parts) for name, parts in rows.items()}
 
 
-def where(problem: Problem, energy: Floats) -> list[Region]:
-    """The signals in whose intervals ``energy`` (n,) is most concentrated, best first."""
+def where(problem: Problem, energy: Floats, over_time: bool = True) -> list[Region]:
+    """The signals in whose intervals ``energy`` (n,) is most concentrated, best first.
+
+    Without ``over_time`` a recording's time is none of them: it is where a manoeuvre was.
+    """
     total = float(np.sum(energy))
     if total <= 0.0:
         return []
     found = []
     for name, values in coordinates(problem).items():
+        if name == "time_s" and not over_time:
+            continue
         region = _interval(name, values, energy / total)
         if region is not None and region.share - region.occupancy > 0.1:
             found.append(region)

@@ -48,7 +48,7 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     without = problem.residual(problem.with_entries(others, found.own))
     share = (without - found.residual) ** 2
     sentence, values = effect.wording(entry)
-    places = locate.where(problem, np.where(problem.sliding, share, 0.0))
+    places = locate.where(problem, np.where(problem.sliding, share, 0.0), effect.over_time)
     return {
         "effect": effect.id,
         "kind": str(effect.kind),

@@ -187,6 +187,8 @@ class Effect:
     at_reversal: bool = False
     """Whether it changes the friction level while the rotor turns round: how a bristle goes along
     with that is open, so a reversal tells nothing of its stiffness then."""
+    over_time: bool = False
+    """Whether it depends on how long the recording has run: only then its place is a time."""
     simulated: bool = True
     """Whether simulator and estimator can use it (a model file may then hold it)."""
 

@@ -27,6 +27,7 @@ EFFECT = Effect(
         "coulomb_level": "record the same manoeuvre again, cold and warm",
     },
     kernel=_level_nm,
+    over_time=True,
     probe=Probe(
         "amplitude", 0.0, 0.02, tuple({"time_s": t} for t in (8.0, 30.0, 120.0)), one_sided=True
     ),
