@@ -25,10 +25,10 @@ _WHY = {
     "friction.viscous": "too few different speeds in this direction; record constant speeds",
     "friction.load": "too few different loads in this direction; record several preloads",
     "friction.sigma": "too few reversals and small motions; record slow reversals",
-    "torque_sensor": "no stretch with hands off and the rotor moving; an offset would look like an "
-    "asymmetry of the friction",
-    "motor_torque": "no stretch with the motor off and the rotor moving; an offset would look like "
-    "an asymmetry of the friction",
+    "torque_sensor": "less than 6 s with hands off and the rotor turning to and fro; an offset "
+    "would look like an asymmetry of the friction",
+    "motor_torque": "less than 6 s with the motor off and the rotor turning to and fro; an offset "
+    "would look like an asymmetry of the friction",
 }
 
 

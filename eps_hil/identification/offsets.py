@@ -11,7 +11,8 @@ from eps_hil.identification.zero_torque import WINDOW_S, readings
 
 MOST_NM = {"torque_sensor_nm": 0.5, "motor_torque_nm": 0.05}
 """A reading beyond this is a torque, not an offset."""
-FEWEST = 5
+FEWEST = 3
+"""Windows; the interval of so few is wide, by Student's t."""
 
 
 @dataclass(frozen=True)

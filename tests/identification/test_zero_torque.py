@@ -1,10 +1,14 @@
 """What a sensor reads with nothing on it: seen where it is so, and nowhere else."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from eps_hil.identification.offsets import Offset, offset
 from eps_hil.identification.zero_torque import WINDOW_S, _kernel, readings
 from eps_hil.proof import sensors
 from eps_hil.proof.programmes import programme
@@ -101,3 +105,27 @@ def test_on_a_truth_plant_with_a_wheel_on_its_bar(name: str, free: bool) -> None
         assert np.median(torque) == pytest.approx(0.0, abs=1e-3)
         assert np.max(np.abs(torque)) < 0.03
         assert np.max(np.abs(motor)) < 5e-4
+
+
+def with_motor_off(off_s: float, seed: int) -> Offset | None:
+    """What is found of an offset of 4 mNm where the motor is off for so long, and works then."""
+    torque = np.where(off_s > T, 0.004, 0.3 * np.sin(9.0 * T)) + noise(seed)
+    recording = SimpleNamespace(
+        has=lambda _signal: True,
+        density={"motor_torque_nm": 2e-3 * NOISE_NM**2},
+        raw={"motor_torque_nm": torque},
+        good=GOOD,
+    )
+    case: Any = SimpleNamespace(recording=recording, motion=SimpleNamespace(speed=SPEED))
+    return offset([case], "motor_torque_nm", RATIO)
+
+
+def test_six_seconds_with_the_motor_off_are_enough() -> None:
+    """Three windows, whose interval is as wide as so few make it: it holds the offset."""
+    found = [with_motor_off(6.9, seed) for seed in range(60)]
+    seen = [one for one in found if one is not None]
+    assert len(seen) > 50
+    assert all(one.seconds == 6.0 for one in seen)
+    assert sum(one.ci95[0] < 0.004 < one.ci95[1] for one in seen) > 0.88 * len(seen)
+    assert max(abs(one.value - 0.004) for one in seen) < 2e-3
+    assert all(with_motor_off(5.0, seed) is None for seed in range(10))
