@@ -111,7 +111,7 @@ def left_open(findings: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _open(told: Mapping[str, Any], one: Parameter, probe: Probe | None) -> bool:
     """What turns round has no bound; intervals are of the torque balance's own effects only."""
-    if told["ci95"] is None or (probe is not None and one.name == probe.phase):
+    if told["ci95"] is None or one.closed or (probe is not None and one.name == probe.phase):
         return False
     return _on_bound(told, one) or (probe is not None and _beyond(told, one))
 

@@ -86,6 +86,8 @@ def _parameters(problem: Problem, found: Fit, k: int, effect: Effect) -> dict[st
                 np.hypot(half, 1.96 * INSTANT * max(one.interval_s for one in problem.recordings))
             )
         ends = [value - half, value + half]
+        if parameter.closed:
+            ends = [max(ends[0], parameter.lower), min(ends[1], parameter.upper)]
         result[parameter.name] = {"value": value, "unit": parameter.unit, "ci95": ends}
     return result
 

@@ -105,6 +105,8 @@ class Parameter:
     meaning: str
     default: float | None = None
     """Used where the model file leaves the parameter out; None if it has to be given."""
+    closed: bool = False
+    """Whether its bounds are values like any other (a share: none, all) and not only limits."""
 
 
 @dataclass(frozen=True, slots=True)

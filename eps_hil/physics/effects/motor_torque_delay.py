@@ -61,7 +61,9 @@ EFFECT = Effect(
     equation="T_em(t) on the shaft = reported for t − delay; lag_share of it is a first-order lag",
     parameters=(
         Parameter("delay_s", "s", -0.05, 0.1, "shaft torque later than reported"),
-        Parameter("lag_share", "1", 0.0, 1.0, "how much of that is a first-order lag", 0.0),
+        Parameter(
+            "lag_share", "1", 0.0, 1.0, "how much of that is a first-order lag", 0.0, closed=True
+        ),
     ),
     sentence=_LATE,
     sentence_negative="The torque reaches the shaft {delay_s:.3g} s earlier than the file says.",

@@ -30,5 +30,9 @@ def test_a_late_torque_says_how_much_of_it_is_a_lag(
     assert values["delay_s"] == pytest.approx(late_s, rel=0.02)
     assert values.get("lag_share", 0.0) == pytest.approx(lag_s / late_s, abs=0.08)
     assert ("low-pass" in finding["summary"]) is (lag_s > dead_s)
+    if "lag_share" in finding["parameters"]:
+        low, high = finding["parameters"]["lag_share"]["ci95"]
+        assert 0.0 <= low < high <= 1.0
+    assert not [one for one in told["limits"] if "lag_share" in one]
     floor = told["fit"]["holdout"]["noise_floor"]["torque_nrmse"]
     assert told["fit"]["holdout"]["augmented"]["torque_nrmse"] < 1.05 * floor
