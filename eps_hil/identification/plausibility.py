@@ -37,6 +37,11 @@ _MOST = 2500
 _TORQUES = ("motor_torque_nm", "torque_sensor_nm", "rack_force_n")
 _SMALLER = {"motor_torque_nm": "mNm", "torque_sensor_nm": "mNm", "rack_force_n": "mN"}
 _LARGER = {"motor_torque_nm": "kNm", "torque_sensor_nm": "kNm", "rack_force_n": "kN"}
+_SILENT = 2.0
+"""Times its noise: less is a torque that is none."""
+_MOST_OF_LOAD = 0.4
+"""Friction that grows with the load, per load: a load that drives the rotor always opposes it, and
+friction of its size would be all that it does."""
 _RIGHT = {"motor_torque_nm": "Nm", "torque_sensor_nm": "Nm", "rack_force_n": "N"}
 
 
@@ -102,7 +107,7 @@ def check_one(case: Case, state: State, sure: bool = False) -> float:
     rows = [_rows(case, state, late) for late in _TRIED_S]
     if rows[0].motion.shape[0] < _FEWEST or not np.any(rows[0].torques):
         return 0.0
-    there = [case.recording.has(name) for name in _TORQUES]
+    there = [_speaks(case, name) for name in _TORQUES]
     tried = [one for one in _everything(state) if one.possible(there)]
     inertia = state.model.inertia_kg_m2
     if sure and _left([one.with_spring() for one in rows], tried[0], inertia)[0] < _CLOSED:
@@ -110,6 +115,14 @@ def check_one(case: Case, state: State, sure: bool = False) -> float:
         if as_is >= _CLOSED or _likely(apart):
             return as_is
     return _check(case.recording.name, rows, tried, inertia, _CLOSED if sure else np.inf)
+
+
+def _speaks(case: Case, name: str) -> bool:
+    """Whether a torque is there and more than its noise: of a motor that is off nothing is told."""
+    if not case.recording.has(name):
+        return False
+    noise = float(np.sqrt(case.recording.density[name] / (2.0 * filters.STEP_S)))
+    return float(np.std(case.recording.raw[name])) > _SILENT * noise
 
 
 def _check(
@@ -200,7 +213,7 @@ def _left(rows: Sequence[_Rows], wrong: _Wrong, inertia: float) -> tuple[float, 
 
     The inertia is 1 where it does not matter, 0 where the torques are impossible.
     """
-    from scipy.optimize import nnls
+    from scipy.optimize import lsq_linear
 
     best, apart = np.inf, 1.0
     for one in rows:
@@ -212,11 +225,13 @@ def _left(rows: Sequence[_Rows], wrong: _Wrong, inertia: float) -> tuple[float, 
         # friction grows with the load of this hypothesis
         columns = np.column_stack([one.motion, one.direction * np.abs(torques[2])])
         scale = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
-        found, norm = nnls(columns / scale, torques.sum(axis=0))
-        left = float(norm / np.sqrt(len(columns)) / size)
+        most = np.append(np.full(columns.shape[1] - 1, np.inf), _MOST_OF_LOAD * scale[-1] / size)
+        wanted = torques.sum(axis=0) / size
+        done = lsq_linear(columns / scale, wanted, (0.0, most), method="bvls")
+        left, found = float(np.sqrt(2.0 * done.cost / len(columns))), float(done.x[0]) * size
         if left < best:
-            accelerated = max(scale[0] * inertia, float(found[0])) > _MATTERS * size
-            best, apart = left, float(found[0] / scale[0] / inertia) if accelerated else 1.0
+            accelerated = max(scale[0] * inertia, found) > _MATTERS * size
+            best, apart = left, found / scale[0] / inertia if accelerated else 1.0
     return best, apart
 
 

@@ -103,6 +103,32 @@ def test_a_time_in_ms_is_refused_before_anything_is_made_of_it(
         diagnose_against({"traces": weave}, reference_model, slow, {})
 
 
+def test_a_rotor_that_its_load_drives_is_given_in_rad_per_second(
+    record: Record, reference_model: Model
+) -> None:
+    """With the motor off and no torsion bar the load opposes all that friction and inertia do.
+
+    Friction that grows with the load could then be the whole of it, and the inertia nothing; and
+    the motor's torque is noise, which has no unit.
+    """
+    rng, kernel = np.random.default_rng(4), np.hanning(31)
+    for seed in (1, 2, 3):
+        series = record({}, ("steps",), seed=seed, seconds=15.0)[f"steps_{seed}"]
+        motor = series[TORQUE]
+        drive = np.interp(motor.t_ns + 1e6, motor.t_ns, motor.value)  # it is told 1 ms late
+        drive += reference_model.sensor_to_rotor * series[SENSOR].value
+        drive = np.convolve(drive, kernel / kernel.sum(), mode="same")
+        force = series[LOAD].value - reference_model.rack_to_rotor_ratio_rad_per_m * drive
+        off = {
+            **{name: one for name, one in series.items() if name != SENSOR},
+            LOAD: Series(motor.t_ns, force),
+            TORQUE: Series(motor.t_ns, 3e-3 * rng.standard_normal(len(drive))),
+        }
+        check_channels({"steps": off}, reference_model)
+        with pytest.raises(RecordingError, match="rpm"):
+            check_channels({"steps": times(off, {SPEED: 30 / np.pi})}, reference_model)
+
+
 def test_a_blunder_is_no_finding(weave: Signals, reference_model: Model) -> None:
     """Not even where only the hold-out has it."""
     wrong = times(weave, {TORQUE: 1e3})
