@@ -2,8 +2,8 @@
 
 In the torque balance a sensor's constant error is the same thing as an asymmetry of the friction
 (eq. 3), so sliding cannot show it. With the hands off the wheel the torsion bar carries no more
-than the free wheel's inertia and damping, T_sen = −J_w ψ̈ − d ψ̇; with the motor off its torque is
-none at all. Neither has a mean of its own, whichever way the rotor is moved.
+than the free wheel's inertia, damping and friction, T_sen = −J_w ψ̈ − d ψ̇ − T_w sign ψ̇; with the
+motor off its torque is none at all. Neither has a mean of its own, whichever way the rotor moves.
 """
 
 from functools import cache
@@ -18,7 +18,7 @@ WINDOW_S = 2.0
 _STEP_S, _THIN = 1e-3, 8
 _HALF = 150
 """Samples, half the length of the smoothing: −6 dB at 3.3 Hz, slower than a wheel swings."""
-_MOVING_RAD_S = 2.0
+_MOVING_RAD_S, _TURNS_RAD_S = 2.0, 1.0
 _NOISES, _LEAST_NM = 1.5, 1e-4
 _SHARE = 0.05
 """Of what a free wheel makes the sensor read, what inertia and damping need not explain: a bar that
@@ -27,6 +27,9 @@ _INERTIA_KG_M2 = (-0.01, 0.15)
 """Well beyond a steering wheel's: a hand that turns slowly against a spring looks heavier…"""
 _LEAST_DAMPING_NM_S_PER_RAD = -0.05
 """…and one that drives feeds what a free wheel takes."""
+
+_MOST_FRICTION_NM = 0.3
+"""Of a wheel's bearings; a hand that pushes holds more, or helps."""
 
 
 @cache
@@ -57,6 +60,7 @@ def readings(
     usable = (bad[2 * _HALF + 1 :] == bad[: -2 * _HALF - 1])[::_THIN]
     for _ in range(3):
         motion.append(np.gradient(motion[-1], _STEP_S * _THIN))
+    motion.append(_smooth(np.tanh(speed / _TURNS_RAD_S)))  # the friction of a wheel's bearings
     calm = noise * float(np.sqrt(np.sum(_kernel() ** 2)))
     n = round(WINDOW_S / (_STEP_S * _THIN))
     found = []
@@ -96,5 +100,7 @@ def _level(
         damping, inertia = -coefficient[1:3] * rotor_per_wheel
         low, high = _INERTIA_KG_M2
         if not low < inertia < high or damping < _LEAST_DAMPING_NM_S_PER_RAD:
+            return None
+        if not -6.0 * most < -coefficient[-1] < _MOST_FRICTION_NM:
             return None
     return float(coefficient[0])

@@ -107,6 +107,17 @@ def test_on_a_truth_plant_with_a_wheel_on_its_bar(name: str, free: bool) -> None
         assert np.max(np.abs(motor)) < 5e-4
 
 
+@pytest.mark.parametrize("friction_nm", [0.05, 0.15])
+def test_a_wheel_whose_bearings_rub_is_a_free_wheel_too(friction_nm: float) -> None:
+    """Driven more one way than the other, its friction has a mean that is no offset."""
+    uneven = SPEED + 6.0
+    torque = free_wheel(0.04, 0.0) - friction_nm * np.tanh(uneven / 0.5) + 0.1 + noise()
+    found = readings(torque, uneven, GOOD, NOISE_NM, RATIO)
+    assert len(found) == 5
+    assert np.max(np.abs(np.array(found) - 0.1)) < 0.02
+    assert np.median(found) == pytest.approx(0.1, abs=5e-3)
+
+
 def with_motor_off(off_s: float, seed: int) -> Offset | None:
     """What is found of an offset of 4 mNm where the motor is off for so long, and works then."""
     torque = np.where(off_s > T, 0.004, 0.3 * np.sin(9.0 * T)) + noise(seed)

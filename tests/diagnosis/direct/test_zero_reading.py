@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
@@ -207,12 +205,14 @@ def test_most_windows_of_a_recording_may_agree_beside_some_that_were_held() -> N
     assert nothing.half > 0.02
 
 
-@given(seed=st.integers(0, 10_000), count=st.integers(5, 40))
-def test_a_scatter_alone_makes_no_narrow_reading(seed: int, count: int) -> None:
-    """The windows that lie closest together lie closer than all; by chance not by so much."""
-    values = 0.05 * np.random.default_rng(seed).standard_normal(count)
-    one = _together("torque_sensor_nm", [values], NOISE_NM)
-    assert one is None or one.half > 0.05 / count
+@pytest.mark.parametrize("count", [5, 8, 20, 40])
+def test_a_scatter_alone_hardly_ever_makes_a_narrow_reading(count: int) -> None:
+    """The windows that lie closest together lie closer than all; by chance seldom by so much."""
+    narrow, rng = 0, np.random.default_rng(count)
+    for _ in range(1000):
+        one = _together("torque_sensor_nm", [0.05 * rng.standard_normal(count)], NOISE_NM)
+        narrow += one is not None and one.half <= 0.05 / count
+    assert narrow < 15
 
 
 def test_few_windows_each_go_together() -> None:
