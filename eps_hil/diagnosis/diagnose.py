@@ -19,11 +19,14 @@ from eps_hil.diagnosis.accept.proof_of_fit import (
     worse_force,
 )
 from eps_hil.diagnosis.attribute.misread import Misread, misread, refined, with_misread
+from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Say, Selection, select
 from eps_hil.diagnosis.balance.baseline import HOLD
 from eps_hil.diagnosis.balance.excerpt import only_part
-from eps_hil.diagnosis.balance.fit import BRISTLE, Fit
+from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, matters
 from eps_hil.diagnosis.balance.load import (
+    FREE,
+    Load,
     doubted,
     load_knobs,
     load_of,
@@ -42,6 +45,7 @@ from eps_hil.diagnosis.data.intake import (
     split,
     unseen,
 )
+from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.direct.kinematics import small_ratio
 from eps_hil.diagnosis.direct.reversals import borne_out as reversals_agree
@@ -102,6 +106,37 @@ def diagnose(
     same_load(every)
     check_channels({**recordings, **holdouts}, model)
     load = load_of(every, model) if missing(every) else None
+
+    def under(load: Load | None) -> Diagnosis:
+        return _under(load, model, ready, spare, say, without)
+
+    first = under(load)
+    if load is None or (load.form == "spring" and not first.content["findings"]):
+        return first
+    free = under(FREE)  # friction that grows with a load that is none looks like many things
+    if load.form == "arbitrary":  # which explains whatever there is
+        return free if free.content["verdict"] == "explained" else first
+    return min((first, free), key=_price)
+
+
+def _price(told: Diagnosis) -> float:
+    """What is left, and what counts as a gain for each name that it took."""
+    found, part = told.selection.searched, told.selection.part
+    names = sum(matters(entry, part) for entry in found.entries)
+    return found.cost + names * threshold(part, found.residual, FORWARD_SHARE)
+
+
+def _under(
+    load: Load | None,
+    model: Model,
+    ready: Sequence[tuple[Prepared, Mapping[str, Series]]],
+    spare: Sequence[tuple[Prepared, Mapping[str, Series]]],
+    say: Say | None,
+    without: Collection[str],
+) -> Diagnosis:
+    """The diagnosis where a load that nobody measured is taken to be ``load``."""
+    every = [one for one, _ in (*ready, *spare)]
+    kept = {one.name: series for one, series in spare}
     if load is not None:
         ready = [(with_load(one, model, load), series) for one, series in ready]
         spare = [(with_load(one, model, load), series) for one, series in spare]
@@ -117,7 +152,7 @@ def diagnose(
         )
     look, problem, selection = _searched(look, problem, load_knobs(load), judged, say, without)
     wrong = misread(
-        selection.part, selection, set.intersection(*map(set, fitted.values())), without
+        selection.part, selection, set.intersection(*(set(series) for _, series in ready)), without
     )
     if wrong is not None:
         given, tied = look, load_knobs(load)
@@ -190,7 +225,8 @@ def _searched(
         look = look.with_zero(zero)
         problem = Problem(look.fitted, look.model, tied=tied)
         selection = _selected(problem, look, say, without)
-    seen = None if BRISTLE in without else bristle(selection.part, selection.searched)
+    asked = BRISTLE not in without and not tied  # a load that nobody measured moves the levels
+    seen = bristle(selection.part, selection.searched) if asked else None
     if seen is None:
         return look, problem, selection
     named = any(entry["effect"] == BRISTLE for entry in selection.found.entries)

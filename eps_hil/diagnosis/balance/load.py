@@ -44,9 +44,9 @@ _LIKE_FRICTION_OF_A_SPRING, _OF_LOAD = "position_dependent_friction", "load_depe
 
 @dataclass(frozen=True)
 class Load:
-    """F = stiffness x + damping ẋ + constant, or an arbitrary force; SI units at the rack."""
+    """F = stiffness x + damping ẋ + constant, none, or an arbitrary force; SI units at the rack."""
 
-    form: Literal["spring", "arbitrary"]
+    form: Literal["spring", "free", "arbitrary"]
     stiffness_n_per_m: float
     damping_n_s_per_m: float
     constant_n: float
@@ -59,11 +59,20 @@ class Load:
                 "The rack force was not measured and follows no spring and damper: only ripples "
                 f"({', '.join(RIPPLES)}) can be told from it. Record rack_force_n to find more."
             )
+        if self.form == "free":
+            return (
+                "The rack force was not measured; it is taken as none (a free rack): that explains "
+                f"more than a load would. {', '.join(LIKE_LOAD)} cannot be told from one."
+            )
         return (
             "The rack force was not measured; it is taken as a spring of "
             f"{self.stiffness_n_per_m:.3g} N/m, a damper of {self.damping_n_s_per_m:.3g} N s/m and "
             f"{self.constant_n:.3g} N. {', '.join(LIKE_LOAD)} cannot be told from such a load."
         )
+
+
+FREE = Load("free", 0.0, 0.0, 0.0)
+"""No force at all: friction that grows with load has nothing to grow with then."""
 
 
 def missing(recordings: Iterable[Prepared]) -> bool:
@@ -108,25 +117,31 @@ def load_knobs(load: Load | None) -> Mapping[str, float]:
 
 
 def load_of(recordings: Sequence[Prepared], model: Model) -> Load:
-    """The load of the recordings without a load cell, fitted on their sliding samples."""
+    """The load of the recordings without a load cell, fitted on their sliding samples.
+
+    Beside a friction level of its own, which is no load's: a damper would take it in.
+    """
     bare = [one for one in recordings if "rack_force_n" not in one.raw]
-    numbers = np.zeros(3)
+    numbers = np.zeros(4)
     for _ in range(_ROUNDS):
         rows, left, sizes = [], [], []
         for one in bare:
-            filled = _filled(one, model, numbers)
+            filled = _filled(one, model, numbers[:3])
             mask = sliding(filled, model)
-            rows.append(np.column_stack([one.thin(c) for c in _motion(one, model)])[mask])
-            left.append(filled.left_over(model)[mask] * model.rack_to_rotor_ratio_rad_per_m)
+            way = np.sign(one.motion(model).speed_rad_s)
+            columns = np.column_stack([one.thin(c) for c in (*_motion(one, model), way)])[mask]
+            rows.append(columns)
+            loss = filled.left_over(model)[mask] * model.rack_to_rotor_ratio_rad_per_m
+            left.append(loss - numbers[3] * columns[:, 3])
             sizes.append(np.full(int(np.sum(mask)), filled.floor_nm(model)))
         a, r = np.vstack(rows), np.concatenate(left)
         scale = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
         usual = 1.4826 * float(np.median(np.abs(r))) + 1e-300
         weight = np.minimum(1.0, 2.0 * usual / np.maximum(np.abs(r), 1e-300))
-        normal = (a / scale * weight[:, None]).T @ (a / scale) + 1e-9 * np.eye(3)
+        normal = (a / scale * weight[:, None]).T @ (a / scale) + 1e-9 * np.eye(4)
         numbers = numbers + np.linalg.solve(normal, (a / scale * weight[:, None]).T @ r) / scale
     excess = usual / model.rack_to_rotor_ratio_rad_per_m / float(np.mean(np.concatenate(sizes)))
-    k, c, f = (float(number) for number in numbers)
+    k, c, f = (float(number) for number in numbers[:3])
     return Load("arbitrary" if excess > ARBITRARY_EXCESS else "spring", k, c, f)
 
 
@@ -134,7 +149,7 @@ def with_load(one: Prepared, model: Model, load: Load) -> Prepared:
     """The recording with that load as its rack force; itself if the force was measured."""
     if "rack_force_n" in one.raw:
         return one
-    if load.form == "spring":
+    if load.form != "arbitrary":
         numbers = (load.stiffness_n_per_m, load.damping_n_s_per_m, load.constant_n)
         return _filled(one, model, np.array(numbers))
     empty = _filled(one, model, np.zeros(3))
