@@ -20,7 +20,7 @@ from eps_hil.diagnosis.balance.fit import BRISTLE, Fit
 from eps_hil.diagnosis.balance.problem import SETTLED_RAD, Problem
 from eps_hil.diagnosis.data.entry import known
 from eps_hil.diagnosis.data.prepare import STEP_S, THIN, Floats, Prepared
-from eps_hil.physics.balance import residual_nm, sliding_levels_nm
+from eps_hil.physics.balance import Motion, residual_nm, sliding_levels_nm
 from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
 from eps_hil.physics.model import Model
 
@@ -33,6 +33,11 @@ LONGEST_INTERVAL_S = 2e-3
 """Between samples: a reversal is over in ten to thirty milliseconds."""
 _FORM = 0.02
 """Deviation of ln σ0 for what a curve may be beside both forms, as of a few slip elements."""
+_LEVELS = 0.15
+"""Deviation of ln T_fs between the programmes that a rig is driven by: where the stiffness goes
+with the level, the model's may be that of another level."""
+_LEVEL = 1e-3
+"""Of ln T_fs: less is the same level at all reversals."""
 _SURE, _BEYOND_DOUBT, _SAME = 4.0, 8.0, 2.0
 """Deviations from nothing: of a finding, of one that no hold-out can judge, and of a hold-out's."""
 _AS_NOISE = 1.25
@@ -65,6 +70,8 @@ class Bristle:
     """Whether both ways have one length."""
     times_noise: float
     """What is left in the usual window over the sensors' noise."""
+    scatter: float
+    """As ``sigma``, but for what these recordings' levels may have to do with it."""
 
     @property
     def entry(self) -> dict[str, Any]:
@@ -119,7 +126,7 @@ def borne_out(one: Bristle, problem: Problem, found: Fit, judged: Sequence[Holdo
     if seen is None:
         few = sum(len(_reversals(each, model)) for each in kept) < FEWEST_KEPT
         return few and abs(one.log_ratio) > _BEYOND_DOUBT * one.sigma
-    if seen.log_ratio * one.log_ratio < 0.0 or abs(seen.log_ratio) < _SAME * seen.sigma:
+    if seen.log_ratio * one.log_ratio < 0.0 or abs(seen.log_ratio) < _SAME * seen.scatter:
         return False
     costs = [
         sum(float(w.left @ w.left) for w in _windows(kept, _stiffer(model, by), one.masing))
@@ -142,6 +149,8 @@ class _Window:
 
     left: Floats
     columns: Floats
+    log_level: float
+    """Of T_fs (Nm), the mean of both ways and of the window."""
 
 
 def _asked(
@@ -167,8 +176,25 @@ def _asked(
         return None
     floor = float(np.sqrt(np.mean([one.floor_nm(model) ** 2 for one in recordings])))
     sigma0 = model.friction.sigma0_nm_per_rad
-    deviation = float(np.hypot(sigma, _FORM))
-    return Bristle(total, deviation, len(windows), sigma0, masing, usual_nm / floor)
+    scatter = float(np.hypot(sigma, _FORM))
+    deviation = float(np.hypot(scatter, _LEVELS * _power(windows)))
+    return Bristle(total, deviation, len(windows), sigma0, masing, usual_nm / floor, scatter)
+
+
+def _power(windows: Sequence[_Window]) -> float:
+    """Of the level by which the stiffness may go: 0 for LuGre's σ0, which is one number, up to 1
+    for slip elements that give way after paths of their own, whatever the level.
+    """
+    level = np.array([one.log_level for one in windows])
+    level -= np.median(level)
+    if float(np.std(level)) < _LEVEL:
+        return 1.0
+    more = [
+        replace(one, columns=np.column_stack([one.columns[:, 0] * by, one.columns]))
+        for one, by in zip(windows, level, strict=True)
+    ]
+    power, sigma, _ = _step(more)
+    return min(abs(power) + 2.0 * sigma, 1.0)
 
 
 def _stiffer(model: Model, by: float) -> Model:
@@ -208,15 +234,18 @@ def _windows(
             (_left_over(turning, a, masing) - _left_over(turning, b, masing)) / size
             for a, b, size in (pairs if like is None else ())
         ]
-        way = _way(turning, model)
+        way, level = _way(turning, model), one.thin(_mean_level(one.motion(model), model))
         for instant_s in at:
             rows = _rows(one, instant_s)
-            alone = _less_levels(left[rows], way[rows])
+            alone, log_level = (
+                _less_levels(left[rows], way[rows]),
+                float(np.log(level[rows].mean())),
+            )
             if like is not None:
-                found.append(_Window(alone, like[len(found)].columns))
+                found.append(_Window(alone, like[len(found)].columns, log_level))
                 continue
             columns = np.column_stack([slope[rows] for slope in slopes])
-            found.append(_Window(alone, _less_levels(columns, way[rows])))
+            found.append(_Window(alone, _less_levels(columns, way[rows]), log_level))
     return found
 
 
@@ -260,15 +289,20 @@ def _left_over(one: Prepared, model: Model, masing: bool) -> Floats:
     """As ``one.left_over``; under Masing's rule the bristle's path is times T over their mean."""
     motion = one.motion(model)
     if masing:
-        speed = np.abs(motion.speed_rad_s)
-        up, down = (
-            sliding_levels_nm(model, motion._replace(speed_rad_s=way)) for way in (speed, -speed)
-        )
-        share = np.where(motion.speed_rad_s >= 0.0, up, down) / (0.5 * (up + down))
+        share = sliding_levels_nm(model, motion) / _mean_level(motion, model)
         motion = motion._replace(
             travel_rad=motion.travel_rad * share, slip_rad=motion.slip_rad * share
         )
     return one.thin(residual_nm(model, motion)[0])
+
+
+def _mean_level(motion: Motion, model: Model) -> Floats:
+    """T_fs (Nm) at this speed and load, the mean of both ways, (n,)."""
+    speed = np.abs(motion.speed_rad_s)
+    up, down = (
+        sliding_levels_nm(model, motion._replace(speed_rad_s=way)) for way in (speed, -speed)
+    )
+    return 0.5 * (up + down)
 
 
 def _step(windows: Sequence[_Window]) -> tuple[float, float, float]:
