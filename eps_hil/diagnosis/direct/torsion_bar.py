@@ -7,6 +7,7 @@ fitted with the rest.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,10 @@ _CLEAR = 1.5
 """Play is seen where it is this many deviations of the twist's noise, filtered. Noise alone looks
 like play of a quarter of one; what matters most is the share of the residual that it explains."""
 _LEAST_SHARE = 3 * LEAST_SHARE
+_CALM_HZ, _SEED = 6.0, 1
+_LOST = 0.25
+"""Of the gain: what the same play has to lose where there is none. A play passes no noise that is
+smaller than it is, and gains by that alone where torques are small and the angles noisy."""
 _STRETCH = 1250
 """Thinned samples in 10 s."""
 _PLAYS_NM = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -90,13 +95,24 @@ class _Twisted:
 
     def __init__(self, one: Prepared, model: Model) -> None:
         late = model.delays_s.of("torque_sensor_nm")
-        self.twist = low_pass(twist_rad(one, model), _BEFORE_HZ)
+        self.as_read = twist_rad(one, model)
+        self.twist = low_pass(self.as_read, _BEFORE_HZ)
         self.rate = np.gradient(self.twist, 1e-3)
         self.turning = np.gradient(low_pass(pinion_rad(one, model), _BEFORE_HZ), 1e-3)
         reported = low_pass(one.raw["torque_sensor_nm"], _PLAY_HZ)
         self.torque = np.interp(one.time_s + late, one.time_s, reported)
         self.sigma = max(one.noise["torque_sensor_nm"], 1e-4)
         self.noise = twist_noise(one, model)
+
+    def without_play(self, law: Law, rng: np.random.Generator) -> "_Twisted":
+        """The same twist, slowly, under a sensor of this law without play; noise as it is."""
+        calm, other = low_pass(self.as_read, _CALM_HZ), copy(self)
+        other.twist = low_pass(calm + self.noise * rng.standard_normal(len(calm)), _BEFORE_HZ)
+        other.rate = np.gradient(other.twist, 1e-3)
+        true = law.gain * calm + law.damping * np.gradient(calm, 1e-3) + law.lag * self.turning
+        noise = self.sigma * rng.standard_normal(len(calm))
+        other.torque = low_pass(true + law.offset + noise, _PLAY_HZ)
+        return other
 
     def left(self, law: Law, play: float) -> Floats:
         """Reported torque less what a sensor with this play would report; thinned."""
@@ -122,7 +138,8 @@ def sensor_play(
 ) -> tuple[Seen, Law] | None:
     """Play in the torque sensor, with the law of twist to torque; None if none.
 
-    It must be clear of the noise, and lower what is left of the ``judged`` recordings too.
+    It must be clear of the noise, lower what is left of the ``judged`` recordings too, and raise
+    what would be left if there were none.
     """
     from scipy.optimize import least_squares
 
@@ -165,7 +182,10 @@ def sensor_play(
     play = float(found[4])
     if play < max(LEAST_PLAY_NM, _CLEAR * sigma) or gain < max(LEAST_GAIN, _LEAST_SHARE * excess):
         return None
-    if kept and cost(found, kept) >= cost(start, kept):
+    rng = np.random.default_rng(_SEED)
+    whole = [one.without_play(law(found), rng) for one in rows]
+    lost = cost(found, whole) - cost(np.append(found[:4], 0.0), whole)
+    if lost < _LOST * gain or (kept and cost(found, kept) >= cost(start, kept)):
         return None
     half = half_widths(done.jac, done.fun, (_stretches(rows),))[4]
     half = float(np.hypot(half, 1.96 * 0.5 * sigma))  # noise in the play and the filter against it
