@@ -26,7 +26,8 @@ from eps_hil.series import Series
 
 Signals = Mapping[str, Series]
 
-_PUT_RIGHT = ("clock_drift", "torque_sensor_hysteresis", "belt_compliance")
+_DRIFT, _ROUNDS = "clock_drift", 4
+_PUT_RIGHT = (_DRIFT, "torque_sensor_hysteresis", "belt_compliance")
 """Effects that are taken out of the recordings, not (or not only) put into the model."""
 
 
@@ -118,6 +119,28 @@ class FirstLook:
         return replace(model, effects=(*model.effects, *new))
 
 
+def _on_one_clock(
+    ready: Sequence[Prepared], fitted: int, model: Model, without: Collection[str]
+) -> tuple[list[Prepared], kinematics.Kinematics, Drift | None]:
+    """Rotor against rack once the motion's clock is set right, and by how much it drifted.
+
+    A delay that has grown to many milliseconds is more than the speed times itself, so what is
+    left of it is looked for again.
+    """
+    ready, total = list(ready), None
+    for _ in range(_ROUNDS):
+        seen = kinematics.examine(ready[:fitted], ready[fitted:], model, without)
+        drifts = [one for one in seen.seen if one.entry["effect"] == _DRIFT]
+        if not drifts:
+            break
+        (one,) = drifts
+        more = Drift(one.entry["ppm"], one.half_width["ppm"], one.gain)
+        ready = [more.corrected(recording) for recording in ready]
+        total = more if total is None else replace(more, ppm=total.ppm + more.ppm, gain=total.gain)
+    others = tuple(one for one in seen.seen if one.entry["effect"] != _DRIFT)
+    return ready, replace(seen, seen=others), total
+
+
 def first_look(
     fitted: Sequence[tuple[Prepared, Signals]],
     kept: Sequence[tuple[Prepared, Signals]],
@@ -140,19 +163,16 @@ def first_look(
     if apart is not None:
         ready, model = [apart.put_right(one) for one in ready], apart.in_model(model)
         findings += apart.findings()
-    seen = kinematics.examine(ready[:n], ready[n:], model, without)
+    ready, seen, drifting = _on_one_clock(ready, n, model, without)
+    if drifting is not None:
+        findings = [one for one in findings if one["effect"] != _DRIFT]  # one clock, one finding
+        findings.append(drifting.finding())
     ready = [seen.put_right(one, model) for one in ready]
     given = model
     for effect in seen.seen:  # the balance has of them what is put right, once
         model = already.without(model, effect)
     for effect in seen.seen:
         name = effect.entry["effect"]
-        if name == "clock_drift":
-            drifting = Drift(effect.entry["ppm"], effect.half_width["ppm"], effect.gain)
-            ready = [drifting.corrected(one) for one in ready]
-            findings = [one for one in findings if one["effect"] != name]  # one clock, one finding
-            findings.append(drifting.finding())
-            continue
         held = already.held(given, effect)
         findings += [] if held else [finding(effect)]
         if name == "rack_ratio":

@@ -195,12 +195,14 @@ def test_a_ratio_that_the_model_holds_is_the_models(
     assert again.model.effects == written.effects
 
 
-def test_a_drifting_clock_is_found_and_set_right(look: Look) -> None:
-    """A clock that stamps early: 100 ppm are 4 ms after 40 s."""
-    found = look(dataclasses.replace(FULL, instruments=Instruments(speed_drift=1e-4)))
+@pytest.mark.parametrize(("drift", "rel"), [(1e-4, 0.1), (6e-4, 0.01), (-1.5e-3, 0.01)])
+def test_a_drifting_clock_is_found_and_set_right(look: Look, drift: float, rel: float) -> None:
+    """A clock that stamps early: 100 ppm are 4 ms after 40 s, 1,500 ppm 60 ms."""
+    found = look(dataclasses.replace(FULL, instruments=Instruments(speed_drift=drift)))
     value = only(found, "clock_drift", "ppm")
-    assert value["value"] == pytest.approx(-100.0, rel=0.1)
+    assert value["value"] == pytest.approx(-1e6 * drift, rel=rel)
     assert found.findings[0]["signal"] == "motor_speed_rad_s"
+    assert found.left is None
 
 
 def test_a_late_angle_is_measured_against_the_rack(look: Look) -> None:

@@ -222,6 +222,9 @@ def rotor_against_rack(
         one = _judged(rows, kept, names, values, "rack_ratio", constant=True)
         if one is not None and all(s.entry["effect"] != "rack_ratio" for s in found):
             found.append(one)
+    if kept and _cost(kept, values) >= _cost(kept, start):
+        # two that cancel each other here help each beside the other, and together do not
+        found, accepted, values, left = [], [], start, base
     content = {
         "residual": "motor angle less rack_to_rotor_ratio times rack position, rad",
         "rms_rad": float(np.sqrt(np.mean(base**2))) * rows[0].sigma,
@@ -333,8 +336,11 @@ def _helps(
 ) -> bool:
     """Whether the fitted numbers of ``group`` lower the hold-outs' residual."""
     others = {name: values[name] for name in names if name not in group}
-    cost = [sum(robust_cost(_left(r, v) / r.sigma) for r in kept) for v in (values, others)]
-    return cost[0] < cost[1]
+    return _cost(kept, values) < _cost(kept, others)
+
+
+def _cost(rows: Sequence[Rows], values: Mapping[str, float]) -> float:
+    return sum(robust_cost(_left(one, values) / one.sigma) for one in rows)
 
 
 def _half_widths(rows: Sequence[Rows], names: Sequence[str], residual: Floats) -> dict[str, float]:

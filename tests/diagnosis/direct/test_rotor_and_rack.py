@@ -71,6 +71,25 @@ def test_a_ratio_that_hardly_changes_is_no_finding(
     assert any(one.entry["effect"] == "rack_ratio" for one in found) == named
 
 
+def test_two_that_cancel_each_other_do_not_pass_the_hold_outs(rows: list[Rows]) -> None:
+    """Against a spring the torque is the place, and a soft belt a wrong ratio the other way."""
+    rng = np.random.default_rng(3)
+    fitted, kept = [copy(one) for one in rows], [copy(one) for one in rows]
+    for one in fitted:
+        spring = 0.02 * one.columns["ratio"]
+        one.torque = spring + 0.03 * rng.standard_normal(len(one.e))
+        one.columns = {**one.columns, "compliance": one.torque}
+        one.e = 0.5 * (one.torque - spring) + one.sigma * rng.standard_normal(len(one.e))
+    for one in kept:
+        one.e = one.sigma * rng.standard_normal(len(one.e))
+    found, _, _ = rotor_against_rack(fitted, [])
+    assert {"belt_compliance", "rack_ratio"} <= {one.entry["effect"] for one in found}
+    found, content, accepted = rotor_against_rack(fitted, kept)
+    assert found == []
+    assert accepted == []
+    assert content["holdout_left_rad"] == pytest.approx(content["holdout_rms_rad"])
+
+
 def test_a_joint_that_is_never_loaded_says_nothing(
     record: Callable[..., Any], reference_model: Model
 ) -> None:
