@@ -10,9 +10,10 @@ from eps_hil.diagnosis.accept.proof_of_fit import Holdout, rack_force_error_n
 from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Selection, timed
 from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, deviation, fit
-from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, plain, term_of
+from eps_hil.diagnosis.balance.problem import SLIDING_RAD_S, Problem, clipped, knee, plain, term_of
 from eps_hil.diagnosis.mismatch.curve import winds
 from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN, alone
+from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 
 _SPOILT = 1.5
@@ -25,6 +26,8 @@ _BEYOND_DOUBT = 10.0
 _BRISTLE_HALVES = 2.5
 """Half widths of its interval: on rigs of several forms of friction nearly all below were the
 form's own, and no other stiffness."""
+_CREEPING_RAD_S, _CREEPING_HALVES = 2.5 * SLIDING_RAD_S, 3.0
+"""Slower than this a friction's damping near standstill has a form of its own on every rig."""
 
 
 def borne_out(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Sequence[int]:
@@ -137,11 +140,18 @@ def _clear(problem: Problem, found: Fit, k: int) -> bool:
 
     Its gain counts samples, as if they were independent; the interval knows that they are not. A
     bristle's does not know that its form is another one than the model's: where full reversals do
-    not show it, it takes more.
+    not show it, it takes more. So does what fades out at speeds at which sliding only begins.
     """
-    halves = [half for (place, _), half in found.half_width.items() if place == k]
-    least = _BRISTLE_HALVES if found.entries[k]["effect"] == BRISTLE else 1.0
-    return len(halves) != 1 or deviation(found.entries[k], problem) > least * halves[0]
+    entry = found.entries[k]
+    halves = {name: half for (place, name), half in found.half_width.items() if place == k}
+    if entry.get("speed_rad_s", np.inf) < _CREEPING_RAD_S:
+        probe = catalogue()[entry["effect"]].probe
+        assert probe is not None
+        return deviation(entry, problem) > _CREEPING_HALVES * halves[probe.amplitude]
+    if len(halves) != 1:
+        return True
+    least = _BRISTLE_HALVES if entry["effect"] == BRISTLE else 1.0
+    return deviation(entry, problem) > least * next(iter(halves.values()))
 
 
 def _refitted(problem: Problem, selection: Selection, findings: Sequence[int]) -> list[int]:
