@@ -25,6 +25,17 @@ pytestmark = pytest.mark.slow
             {"level_nm": 0.2, "speed_rad_s": 20.0},
             True,  # they are hard to tell apart, not hard to see
         ),
+        # near standstill every rig has a form of its own
+        (
+            {"effect": "stribeck", "level_nm": 0.02, "speed_rad_s": 2.0},
+            {"level_nm": 0.008, "speed_rad_s": 0.3},
+            False,
+        ),
+        (
+            {"effect": "stribeck", "level_nm": 0.03, "speed_rad_s": 2.0},
+            {"level_nm": 0.008, "speed_rad_s": 0.3},
+            True,
+        ),
         # the form of presliding is nobody's: what the balance alone shows of it has to be clearer
         ({"effect": "presliding_hysteresis", "sigma0_nm_per_rad": 3.0}, {"s": 0.7}, False),
         ({"effect": "presliding_hysteresis", "sigma0_nm_per_rad": 3.0}, {"s": 0.5}, True),
