@@ -93,7 +93,8 @@ class Bristle:
         form = _MASING if self.masing else _LUGRE
         return known(
             effect.id,
-            f"{sentence.format(**values)} Seen in {self.count} full reversals of {form}.",
+            f"{sentence.format(**values)} The model says {self.modelled:.3g}. Seen in {self.count} "
+            f"full reversals of {form}.",
             {"sigma0_nm_per_rad": (value, low, high)},
             0.95,
             "reversals",
