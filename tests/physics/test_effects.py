@@ -90,6 +90,13 @@ def inputs(pauses: bool = False) -> dict[str, Series]:
     return {name: Series(t_ns, push * column) for name, column in columns.items()}
 
 
+SLOTS = {
+    Slot.LEVEL: added.level_nm,
+    Slot.LEVEL_FACTOR: added.level_nm,
+    Slot.TORQUE: added.torque_nm,
+    Slot.MOTOR: added.motor_nm,
+    Slot.SENSOR: added.sensor_nm,
+}
 RATIO = 2513.0
 """i_APA (rad/m) of the instants here."""
 SPRING = {"effect": "unmodelled_spring", "stiffness_nm_per_rad": 0.03}
@@ -195,14 +202,7 @@ def test_a_kernel_does_its_equation(reference_model: Model, name: str) -> None:
         "end_stop": lambda v: v,
         "torque_sensor_hysteresis": lambda v: v,
     }
-    slots = {
-        Slot.LEVEL: added.level_nm,
-        Slot.LEVEL_FACTOR: added.level_nm,
-        Slot.TORQUE: added.torque_nm,
-        Slot.MOTOR: added.motor_nm,
-        Slot.SENSOR: added.sensor_nm,
-    }
-    got = slots[effect.slot](table, u, 0.3)
+    got = SLOTS[effect.slot](table, u, 0.3)
     assert got == pytest.approx(written_out[name](0.3), rel=1e-12)
 
 
@@ -400,15 +400,8 @@ def test_what_goes_with_time_says_so(reference_model: Model, name: str) -> None:
     """``over_time`` is what the kernel does: all else the same, minutes later."""
     effect = catalogue()[name]
     table = added.added(model_with(reference_model, {"effect": name, **EXAMPLES[name]}))
-    slots = {
-        Slot.LEVEL: added.level_nm,
-        Slot.LEVEL_FACTOR: added.level_nm,
-        Slot.TORQUE: added.torque_nm,
-        Slot.MOTOR: added.motor_nm,
-        Slot.SENSOR: added.sensor_nm,
-    }
     then, later = (
-        slots[effect.slot](table, Instant(t, 5.0, 7.3, 0.003, 400.0, 0.4, 0.6, 0.5, RATIO), 0.3)
+        SLOTS[effect.slot](table, Instant(t, 5.0, 7.3, 0.003, 400.0, 0.4, 0.6, 0.5, RATIO), 0.3)
         for t in (1.0, 200.0)
     )
     assert (then != later) is effect.over_time
