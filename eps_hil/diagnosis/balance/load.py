@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.baseline import OFFSET, SPRING
 from eps_hil.diagnosis.balance.problem import sliding
-from eps_hil.diagnosis.data.prepare import Prepared
+from eps_hil.diagnosis.data.prepare import SLOW_HZ, TAKEN_UP, Prepared
 from eps_hil.identification.butterworth import low_pass
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
@@ -24,8 +24,6 @@ Floats = npt.NDArray[np.float64]
 
 ARBITRARY_EXCESS = 15.0
 """Typical residual in noise deviations beyond which the load is no spring and damper."""
-SLOW_HZ = 4.0
-"""Below this an arbitrary force is taken from the balance itself."""
 RIPPLES = ("screw_ripple", "cogging_torque", "torque_ripple", "cardan_joint")
 """What can be told from an arbitrary force: it repeats with an angle."""
 LIKE_LOAD = (
@@ -155,10 +153,11 @@ def with_load(one: Prepared, model: Model, load: Load) -> Prepared:
     empty = _filled(one, model, np.zeros(3))
     ratio = model.rack_to_rotor_ratio_rad_per_m
     force = np.zeros(len(one.time_s))
-    for _ in range(_ROUNDS):  # friction depends on the force that is being looked for
+    for _ in range(TAKEN_UP):  # friction depends on the force that is being looked for
         rest = _with_force(empty, force, model)
         force = force + low_pass(rest.balance(model), SLOW_HZ) * ratio
     filled = _with_force(empty, force, model)
+    filled = filled.changed(taken_from=filled.balance(model))
     left = filled.left_over(model)[sliding(filled, model)]
     size = 1.4826 * float(np.median(np.abs(left))) if len(left) else 0.0
     share = filled.floor_nm(model) / max(size, 1e-12)

@@ -31,6 +31,8 @@ THIN = 8
 """Every THIN-th sample of the filtered residual is kept: 125 Hz, above twice the cut-off."""
 SMOOTH_HZ = 100.0
 """Low-pass of the speed that friction is evaluated at."""
+SLOW_HZ, TAKEN_UP = 4.0, 6
+"""Below this an arbitrary force takes up what the balance lacks, in so many rounds."""
 REST_WINDOW_S = 0.03
 CREEP_HZ = 20.0
 """Low-pass of the angle that shows how a resting rotor creeps."""
@@ -63,6 +65,8 @@ class Prepared:
     """Between samples of the slowest signal that the balance needs: no instant is known better."""
     begins_s: float = 0.0
     """Where its own time is 0, since the start of a recording of which it is the last part."""
+    taken_from: Floats | None = None
+    """Balance (n,), Nm, from which an unmeasured force was taken that takes up whatever is slow."""
     slack_rad_s2: Floats | None = None
     """What a belt that gives adds to the acceleration of all inertia (``belt.py``), (n,)."""
     _shifted: dict[tuple[int, float], Floats] = field(default_factory=dict)
@@ -106,6 +110,7 @@ class Prepared:
             time_s=self.time_s[window],
             raw={name: values[window] for name, values in self.raw.items()},
             slack_rad_s2=None if self.slack_rad_s2 is None else self.slack_rad_s2[window],
+            taken_from=None if self.taken_from is None else self.taken_from[window],
         )
         if self.barred is None:
             return cut
@@ -139,15 +144,24 @@ class Prepared:
     def residual(self, model: Model) -> tuple[Floats, Floats]:
         """(residual, friction plus load torque), filtered and thinned, Nm at the rotor, (m,)."""
         raw, torque = residual_nm(model, self.motion(model))
-        return self.thin(raw), self.thin(torque)
+        return self.thin(self._told(raw)), self.thin(torque)
 
     def left_over(self, model: Model) -> Floats:
         """The residual alone, filtered and thinned, Nm at the rotor, (m,)."""
-        return self.thin(self.balance(model))
+        return self.thin(self._told(self.balance(model)))
 
     def balance(self, model: Model) -> Floats:
         """The residual at 1 kHz, not filtered, Nm at the rotor, (n,)."""
         return residual_nm(model, self.motion(model))[0]
+
+    def _told(self, balance: Floats) -> Floats:
+        """The balance, less what the force would have taken of it too (``taken_from``)."""
+        if self.taken_from is None:
+            return balance
+        more = balance - self.taken_from
+        for _ in range(TAKEN_UP):
+            more = more - low_pass(more, SLOW_HZ)
+        return np.asarray(self.taken_from + more)
 
     def thin(self, signal: Floats) -> Floats:
         """Low-pass without phase at CUTOFF_HZ, edges off, every THIN-th sample."""

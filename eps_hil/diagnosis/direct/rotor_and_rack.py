@@ -222,7 +222,7 @@ def rotor_against_rack(
         one = _judged(rows, kept, names, values, "rack_ratio", constant=True)
         if one is not None and all(s.entry["effect"] != "rack_ratio" for s in found):
             found.append(one)
-    if kept and _cost(kept, values) >= _cost(kept, start):
+    if accepted and kept and _cost(kept, values) >= _cost(kept, start):
         # two that cancel each other here help each beside the other, and together do not
         found, accepted, values, left = [], [], start, base
     content = {

@@ -72,20 +72,38 @@ def test_a_damper_takes_in_no_friction(reference_model: Model, other_rig: Module
         assert one.damping_n_s_per_m == pytest.approx(DAMPING, abs=200.0)
 
 
-@pytest.mark.slow
-def test_a_free_rack_is_none_where_a_load_explains_less(reference_model: Model) -> None:
-    """A drag of the second order looks like a damper, with whose force friction seems to grow."""
-    rng = np.random.default_rng(6)
-    rig = World(simple=True)
-    rig = replace(rig, hidden=rig.hidden._replace(quadratic=5e-5))
+def driven(name: str, hidden: dict[str, float], seed: int) -> list[dict[str, Series]]:
+    """Recordings of a rig of the model's form with this hidden, without a load cell."""
+    rng, rig = np.random.default_rng(seed), World(simple=True)
+    rig = replace(rig, hidden=rig.hidden._replace(**hidden))
     made = []
-    for program in programme("free_rack", rng):
+    for program in programme(name, rng):
         clean = sensors.reported(rig.run(program), rig.instruments)
         columns = sensors.measured(clean, rig.instruments, rng)
         t_ns = np.round(columns.pop("time_s") * 1e9).astype(np.int64)
         columns.pop("rack_force_n")
-        made.append({name: Series(t_ns, one) for name, one in columns.items()})
-    told = diagnose(reference_model, {"a": made[0], "b": made[1]}, {"kept": made[2]}).content
+        made.append({key: Series(t_ns, one) for key, one in columns.items()})
+    return made
+
+
+@pytest.mark.slow
+def test_a_ripple_under_any_force_has_its_own_size(reference_model: Model) -> None:
+    """What the force takes up of the balance it takes up of the ripple, too."""
+    first, second, kept = driven("training", {"screw_nm": 0.012}, 6)
+    told = diagnose(reference_model, {"a": first, "b": second}, {"kept": kept}).content
+    assert any("follows no spring and damper" in one for one in told["limits"])
+    (finding_,) = told["findings"]
+    assert finding_["effect"] == "screw_ripple"
+    amplitude = finding_["parameters"]["amplitude_nm"]
+    assert amplitude["value"] == pytest.approx(0.012, rel=0.04)
+    assert amplitude["ci95"][0] < 0.012 < amplitude["ci95"][1]
+
+
+@pytest.mark.slow
+def test_a_free_rack_is_none_where_a_load_explains_less(reference_model: Model) -> None:
+    """A drag of the second order looks like a damper, with whose force friction seems to grow."""
+    first, second, kept = driven("free_rack", {"quadratic": 5e-5}, 6)
+    told = diagnose(reference_model, {"a": first, "b": second}, {"kept": kept}).content
     (finding_,) = told["findings"]
     assert finding_["effect"] == "quadratic_drag"
     value = finding_["parameters"]["coefficient_nm_s2_per_rad2"]["value"]
