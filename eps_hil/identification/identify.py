@@ -246,6 +246,7 @@ def _model(before: Model, state: State, late: Any, offsets: Mapping[str, Offset 
     return replace(
         before,
         inertia_kg_m2=state.model.inertia_kg_m2,
+        rack_to_rotor_ratio_rad_per_m=state.model.rack_to_rotor_ratio_rad_per_m,
         delays_s=late,
         friction=friction,
         effects=tuple(effects),

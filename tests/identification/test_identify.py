@@ -1,6 +1,7 @@
 """Identification on rigs that this project's physics did not simulate."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from eps_hil.errors import InputError
 from eps_hil.identification.identify import identify
 from eps_hil.identification.result import Identification
+from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -134,6 +136,19 @@ def test_an_unmeasured_load_that_is_no_spring_is_refused(
     lost = {key: one for key, one in series.items() if key != "rack_force_n"}
     with pytest.raises(InputError, match="record the load cell"):
         identify({"sweep": lost}, reference_model)
+
+
+def test_what_a_model_says_of_its_ratio_is_not_lost(
+    programme: Recordings, reference_model: Model
+) -> None:
+    """A ratio put right by an effect is the ratio of the model that is written."""
+    true = reference_model.rack_to_rotor_ratio_rad_per_m
+    effect = {"effect": "rack_ratio", "scale": 0.25, "slope_per_m": 0.01}
+    model = replace(reference_model, rack_to_rotor_ratio_rad_per_m=true / 1.25, effects=(effect,))
+    found = identify(programme, model).model
+    worked_in = with_model_effects(found)
+    assert worked_in.rack_to_rotor_ratio_rad_per_m == pytest.approx(true)
+    assert [one["slope_per_m"] for one in worked_in.effects] == [pytest.approx(0.008)]
 
 
 def test_torsion_bar_offset_from_hands_off(
