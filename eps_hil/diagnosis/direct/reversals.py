@@ -195,7 +195,7 @@ def _power(windows: Sequence[_Window]) -> float:
         for one, by in zip(windows, level, strict=True)
     ]
     power, sigma, _ = _step(more)
-    return min(abs(power) + 2.0 * sigma, 1.0)
+    return min(abs(power) + sigma, 1.0)
 
 
 def _stiffer(model: Model, by: float) -> Model:
