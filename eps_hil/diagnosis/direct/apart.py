@@ -83,6 +83,21 @@ def apart(rows: Sequence[Rows], accepted: Sequence[str], without: Collection[str
     return replace(curve, alone=True) if curve is not None and alone else best
 
 
+def shown(one: Apart, kept: Sequence[Rows], accepted: Sequence[str]) -> bool:
+    """Whether the curve lowers what the hold-outs leave of the same fit; yes, where there is none.
+
+    Among many recordings one has such a curve by chance.
+    """
+    if not kept:
+        return True
+    names = columns_of(()) if one.alone else list(dict.fromkeys([*columns_of(accepted), *USUAL]))
+    left = solved(kept, names)[1]
+    x = np.concatenate([row.at[one.signal] for row in kept])
+    sigma = np.concatenate([np.full(len(row.e), row.sigma) for row in kept])
+    curve = np.interp(x, [point[0] for point in one.curve], [point[1] for point in one.curve])
+    return _energy(left - curve / sigma) < _energy(left)
+
+
 def _energy(left: Floats) -> float:
     return float(np.sum(np.clip(left, -_far(left), _far(left)) ** 2))
 

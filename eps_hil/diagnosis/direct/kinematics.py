@@ -17,7 +17,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis.balance.excerpt import evenly
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
-from eps_hil.diagnosis.direct.apart import Apart, apart
+from eps_hil.diagnosis.direct.apart import Apart, apart, shown
 from eps_hil.diagnosis.direct.rotor_and_rack import (
     LEAST_RATIO,
     Rows,
@@ -115,6 +115,7 @@ def examine(
     if rows:
         found, content, accepted = rotor_against_rack(rows, kept, without)
         left = apart(rows, accepted, without)
+        left = left if left is None or shown(left, kept, accepted) else None
         seen += found if left is None else _beside(left, found)
         gap = next((s.entry["gap_rad"] for s in found if s.entry["effect"] == "backlash"), 0.0)
     twist = None

@@ -9,7 +9,7 @@ import pytest
 
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.data.quality import look_at
-from eps_hil.diagnosis.direct.apart import apart
+from eps_hil.diagnosis.direct.apart import apart, shown
 from eps_hil.diagnosis.direct.kinematics import examine
 from eps_hil.diagnosis.direct.rotor_and_rack import Rows, _held_out_gain, rotor_against_rack, solved
 from eps_hil.diagnosis.direct.seen import robust_cost
@@ -88,6 +88,22 @@ def test_two_that_cancel_each_other_do_not_pass_the_hold_outs(rows: list[Rows]) 
     assert found == []
     assert accepted == []
     assert content["holdout_left_rad"] == pytest.approx(content["holdout_rms_rad"])
+
+
+@pytest.mark.parametrize(("again", "told"), [(True, True), (False, False)])
+def test_what_no_name_stands_for_shows_in_the_hold_outs_too(
+    rows: list[Rows], again: bool, told: bool
+) -> None:
+    """A wave over the place, of twice the noise, in the fitted recordings and perhaps again."""
+    rng = np.random.default_rng(2)
+    fitted, kept = [copy(one) for one in rows], [copy(one) for one in rows]
+    for one in (*fitted, *kept):
+        wave = np.sin(2500.0 * one.x) if again or one in fitted else 0.0
+        one.e = one.sigma * (2.0 * wave + rng.standard_normal(len(one.e)))
+    left = apart(fitted, [], ())
+    assert left is not None
+    assert shown(left, kept, []) is told
+    assert shown(left, [], [])
 
 
 def test_a_joint_that_is_never_loaded_says_nothing(
