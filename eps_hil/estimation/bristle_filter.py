@@ -53,7 +53,7 @@ from eps_hil.estimation.setup import OMEGA as S_OMEGA
 from eps_hil.estimation.setup import PHI as S_PHI
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects import added
-from eps_hil.physics.effects.added import Added
+from eps_hil.physics.effects.added import Added, InUse
 from eps_hil.physics.effects.effect import Instant
 from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
@@ -79,6 +79,7 @@ class PhysicsInside(NamedTuple):
 
     law: FrictionLaw
     effects: Added
+    use: InUse
     filter: FilterConstants
     belief: Belief
 
@@ -91,7 +92,9 @@ def physics_inside(
     It is used wherever :class:`Physics` is; compiled code tells by the type which step is meant.
     """
     constants = filter_constants(model, settings, STEP_S, angle_seen)
-    return cast(Physics, PhysicsInside(physics.law, physics.effects, constants, new_belief()))
+    return cast(
+        Physics, PhysicsInside(physics.law, physics.effects, physics.use, constants, new_belief())
+    )
 
 
 @njit
@@ -109,18 +112,21 @@ def filter_step(
         return reason
     f, b = x.filter, x.belief
     approach(c, s)
-    i = instant_of(c, Physics(x.law, x.effects), s, u)
+    i = instant_of(c, Physics(x.law, x.effects, x.use), s, u)
     b.extra[2] = s[LOCAL]
-    law = in_mid_travel(_law_in_use(x.law, s), s[LOCAL])
-    known = Physics(law, x.effects)
-    b.extra[1] = added.torque_nm(x.effects, i, 0.0)
+    law = _law_in_use(x.law, s)
+    if x.use.position:
+        law = in_mid_travel(law, s[LOCAL])
+    known = Physics(law, x.effects, x.use)
+    b.extra[1] = added.torque_nm(x.effects, i, 0.0) if x.use.torque else 0.0
     torque = drive_torque_nm(c, known, i, u) - b.extra[1]
     if s[RUNNING] <= 0.0:
         _start(c, f, law, b, s, u, torque)
     else:
         b.extra[0] = _extra_level_nm(known, i, b.mean)
         _predict(f, law, b, s, 0.5 * (torque + s[TORQUE]))
-    added.advance(x.effects, i, STEP_S)
+    if x.use.memory:
+        added.advance(x.effects, i, STEP_S)
     s[TORQUE] = torque
     s[CLOCK] += STEP_S
     _open(f, b)
@@ -188,6 +194,8 @@ def _law_in_use(law: FrictionLaw, s: Floats) -> FrictionLaw:
 @njit
 def _extra_level_nm(x: Physics, i: Instant, mean: Floats) -> float:
     """What added effects make of T_fs (Nm) at this state, beyond eq. 3."""
+    if not x.use.level:
+        return 0.0
     level = static_level_nm(mean[BRISTLE], mean[FORCE], x.law)
     now = moved(i, mean[OMEGA], i.position_m, i.rack_force_n)
     return added.level_nm(x.effects, now, level) - level

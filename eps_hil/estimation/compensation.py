@@ -53,30 +53,38 @@ def instant_of(c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs) 
     is the measured one, else the observer's integrated one.
     """
     angle = u.motor_angle_rad if c.angle_seen else s[PHI]
+    load = s[FORCE] + s[SLOPE] * (c.observer_lag_s + STEP_S)
+    if c.known_force:
+        load = u.rack_force_n
     i = Instant(
         s[CLOCK],
         u.motor_speed_rad_s,
         angle,
         angle / c.ratio,
-        u.rack_force_n,
+        load,
         angle * c.sensor_to_rotor,
         u.motor_torque_nm,
         u.torque_sensor_nm,
         c.ratio,
     )
-    i = moved(i, i.speed_rad_s, added.position_m(x.effects, i, i.position_m), i.rack_force_n)
+    if not x.use.position:
+        return i
+    i = moved(i, i.speed_rad_s, added.position_m(x.effects, i, i.position_m), load)
     s[LOCAL] = 1.0 / added.load_nm(x.effects, i, 1.0)
     if c.known_force:
         return i
-    load = s[LOCAL] * (s[FORCE] + s[SLOPE] * (c.observer_lag_s + STEP_S))
-    return moved(i, i.speed_rad_s, i.position_m, load)
+    return moved(i, i.speed_rad_s, i.position_m, s[LOCAL] * load)
 
 
 @njit
 def drive_torque_nm(c: Constants, x: Physics, i: Instant, u: Inputs) -> float:
     """T_1m of eq. 1a (Nm, at the rotor), with what is known to be wrong with its two sensors."""
-    motor = added.motor_nm(x.effects, i, u.motor_torque_nm)
-    return motor + c.sensor_to_rotor * added.sensor_nm(x.effects, i, u.torque_sensor_nm)
+    motor, sensor = u.motor_torque_nm, u.torque_sensor_nm
+    if x.use.motor:
+        motor = added.motor_nm(x.effects, i, motor)
+    if x.use.sensor:
+        sensor = added.sensor_nm(x.effects, i, sensor)
+    return motor + c.sensor_to_rotor * sensor
 
 
 @njit
@@ -99,8 +107,11 @@ def friction_step(
     approach(c, s)
     level = adapted_level_nm(x, s, direction, i.rack_force_n)
     now = moved(i, moving, i.position_m, i.rack_force_n)
-    level = max(added.level_nm(x.effects, now, level), SMALLEST_LEVEL_NM)
-    added.advance(x.effects, now, STEP_S)
+    if x.use.level:
+        level = added.level_nm(x.effects, now, level)
+    level = max(level, SMALLEST_LEVEL_NM)
+    if x.use.memory:
+        added.advance(x.effects, now, STEP_S)
     before = abs(s[BRISTLE])
     s[BRISTLE] = bristle_step(s[BRISTLE], travel, slip, level, x.law.sigma0_nm_per_rad)
     if resting:  # no further than it can bend; but a noisy level must not ratchet it back
@@ -109,7 +120,7 @@ def friction_step(
     friction = friction_torque_nm(s[BRISTLE], moving, level, x.law)
     if c.limit and abs(speed) < c.limiter_speed and abs(s[ACCELERATION]) < c.limiter_acceleration:
         friction = math.copysign(min(abs(friction), abs(torque)), friction)
-    return friction + added.torque_nm(x.effects, i, 0.0)
+    return friction + added.torque_nm(x.effects, i, 0.0) if x.use.torque else friction
 
 
 @njit

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from eps_hil.estimation import observer_design
 from eps_hil.estimation.bristle_setup import filter_constants
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.physics.effects.added import Added, added
+from eps_hil.physics.effects.added import Added, InUse, added, in_use
 from eps_hil.physics.friction import FrictionLaw, friction_law
 from eps_hil.physics.model import Model
 
@@ -73,11 +73,13 @@ class Physics(NamedTuple):
 
     law: FrictionLaw
     effects: Added
+    use: InUse
 
 
 def physics_of(model: Model) -> Physics:
     """Friction law and added effects of a model whose own numbers are worked in already."""
-    return Physics(friction_law(model.friction), added(model))
+    effects = added(model)
+    return Physics(friction_law(model.friction), effects, in_use(effects))
 
 
 class Inputs(NamedTuple):

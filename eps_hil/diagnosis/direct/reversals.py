@@ -238,10 +238,8 @@ def _windows(
         way, level = _way(turning, model), one.thin(_mean_level(one.motion(model), model))
         for instant_s in at:
             rows = _rows(one, instant_s)
-            alone, log_level = (
-                _less_levels(left[rows], way[rows]),
-                float(np.log(level[rows].mean())),
-            )
+            alone = _less_levels(left[rows], way[rows])
+            log_level = float(np.log(np.mean(level[rows])))
             if like is not None:
                 found.append(_Window(alone, like[len(found)].columns, log_level))
                 continue
