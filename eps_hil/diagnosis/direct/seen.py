@@ -32,8 +32,13 @@ class Seen:
 
 def robust_cost(residual: Floats) -> float:
     """Sum of squares with far ones cut, as an angle that slips a turn would be."""
+    return float(np.sum(robust_squares(residual)))
+
+
+def robust_squares(residual: Floats) -> Floats:
+    """The squares that :func:`robust_cost` adds up, (n,)."""
     at = max(5.0, 3.0 * 1.4826 * float(np.median(np.abs(residual))))
-    return float(np.sum(np.clip(residual, -at, at) ** 2))
+    return np.asarray(np.clip(residual, -at, at) ** 2)
 
 
 def finding(seen: Seen) -> dict[str, Any]:

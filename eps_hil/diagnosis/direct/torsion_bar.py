@@ -8,6 +8,7 @@ fitted with the rest.
 
 from collections.abc import Sequence
 from copy import copy
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +17,8 @@ import numpy.typing as npt
 from eps_hil.diagnosis.balance.spread import Integers, half_widths
 from eps_hil.diagnosis.data.prepare import Prepared, with_play
 from eps_hil.diagnosis.data.side_by_side import each
-from eps_hil.diagnosis.direct.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
-from eps_hil.identification.butterworth import low_pass
+from eps_hil.diagnosis.direct.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_squares
+from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -36,9 +37,10 @@ _CLEAR = 1.5
 like play of a quarter of one; what matters most is the share of the residual that it explains."""
 _LEAST_SHARE = 3 * LEAST_SHARE
 _CALM_HZ, _SEED = 6.0, 1
-_LOST = 0.25
-"""Of the gain: what the same play has to lose where there is none. A play passes no noise that is
-smaller than it is, and gains by that alone where torques are small and the angles noisy."""
+_LOST, _BEYOND = 0.25, 0.6
+"""Of the gain: what the same play has to lose where there is none, and what there has to be beyond
+the noise to gain. A play passes no noise that is smaller than it is, and gains by that alone where
+torques are small and the angles noisy."""
 _STRETCH = 1250
 """Thinned samples in 10 s."""
 _PLAYS_NM = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -104,6 +106,11 @@ class _Twisted:
         self.sigma = max(one.noise["torque_sensor_nm"], 1e-4)
         self.noise = twist_noise(one, model)
 
+    def sigma_nm(self, slope: float) -> float:
+        """Deviation (Nm) that noise alone leaves beside a law without play, of this slope."""
+        twist = slope * self.noise * np.sqrt(_passed_twice())
+        return float(np.hypot(twist, self.sigma * np.sqrt(passed(_PLAY_HZ, 0))))
+
     def without_play(self, law: Law, rng: np.random.Generator) -> "_Twisted":
         """The same twist, slowly, under a sensor of this law without play; noise as it is."""
         calm, other = low_pass(self.as_read, _CALM_HZ), copy(self)
@@ -121,6 +128,20 @@ class _Twisted:
         edge = 250
         return np.asarray((self.torque - seen)[edge:-edge:8])
 
+    def costs(self, law: Law, play: float, slope: float) -> Floats:
+        """What is left, in noise variances, by stretch of 10 s, (stretches,)."""
+        squares = robust_squares(self.left(law, play) / self.sigma_nm(slope))
+        by_stretch = np.bincount(np.arange(len(squares)) // _STRETCH, weights=squares)
+        return by_stretch.astype(np.float64)
+
+
+@cache
+def _passed_twice() -> float:
+    """What both low-passes of the twist, one after the other, leave of white noise's variance."""
+    struck = np.zeros(2000)
+    struck[1000] = 1.0
+    return float(np.sum(low_pass(low_pass(struck, _BEFORE_HZ), _PLAY_HZ) ** 2))
+
 
 def _stretches(rows: Sequence[_Twisted]) -> Integers:
     """The stretch of 10 s that each sample of all rows lies in, ascending, (n,)."""
@@ -133,13 +154,23 @@ def _stretches(rows: Sequence[_Twisted]) -> Integers:
     return np.concatenate(found)
 
 
+def _more_than_noise_held_back(gains: Floats, lost: Floats, excess: float) -> bool:
+    """Whether a play gains by what is there; by stretch of 10 s: its gain, its loss by no play.
+
+    What it gains lies beyond the noise, and it gains where a play that is none would lose.
+    """
+    gain = float(gains.sum())
+    telling = float(gains[lost > 0.0].sum())
+    return excess >= _BEYOND * gain and float(lost.sum()) >= _LOST * gain and telling > 0.0
+
+
 def sensor_play(
     fitted: Sequence[Prepared], judged: Sequence[Prepared], model: Model
 ) -> tuple[Seen, Law] | None:
     """Play in the torque sensor, with the law of twist to torque; None if none.
 
-    It must be clear of the noise, lower what is left of the ``judged`` recordings too, and raise
-    what would be left if there were none.
+    It must be clear of the noise, explain what is beyond it, lower what is left of the ``judged``
+    recordings too, and raise what would be left if there were none.
     """
     from scipy.optimize import least_squares
 
@@ -154,38 +185,35 @@ def sensor_play(
     if abs(float(np.corrcoef(twist, torque)[0, 1])) < _LEAST_TWIST:
         return None
     slope = float(np.std(torque) / np.std(twist))
-    passed = np.sqrt(2e-3 * _PLAY_HZ)
-    sigma = float(passed * np.hypot(rows[0].sigma, slope * rows[0].noise))
+    sigma = float(np.sqrt(np.mean([one.sigma_nm(slope) ** 2 for one in rows])))
 
     def law(p: Floats) -> Law:
         return Law(slope * p[0], slope * p[1], slope * p[2], p[3])
 
-    def left(p: Floats, records: Sequence[_Twisted]) -> list[Floats]:
-        return each(lambda one: one.left(law(p), float(p[4])), records)
-
     def residual(p: Floats) -> Floats:
-        return np.concatenate(left(p, rows))
+        return np.concatenate(each(lambda one: one.left(law(p), float(p[4])), rows))
 
-    def cost(p: Floats, records: Sequence[_Twisted]) -> float:
-        return sum(robust_cost(one / sigma) for one in left(p, records))
+    def cost(p: Floats, records: Sequence[_Twisted]) -> Floats:
+        return np.concatenate(each(lambda one: one.costs(law(p), float(p[4]), slope), records))
 
     plain = least_squares(lambda p: residual(np.append(p, 0.0)), [1.0, 0.0, 0.0, 0.0])
     start = np.append(plain.x, 0.0)
-    best = min((np.append(plain.x, w) for w in _PLAYS_NM), key=lambda p: cost(p, rows))
+    best = min((np.append(plain.x, w) for w in _PLAYS_NM), key=lambda p: cost(p, rows).sum())
     done = least_squares(
         residual, best, loss="soft_l1", f_scale=3 * sigma, x_scale=[0.1, 0.01, 0.001, 0.1, 0.1],
         bounds=([0.2, -1.0, -0.1, -5.0, 0.0], [5.0, 1.0, 0.1, 5.0, 2.0]), diff_step=1e-3,
     )  # fmt: skip
-    found = np.asarray(done.x)
-    gain = cost(start, rows) - cost(found, rows)
-    excess = cost(start, rows) - len(residual(start))
-    play = float(found[4])
+    found, play = np.asarray(done.x), float(done.x[4])
+    before = cost(start, rows)
+    gains = before - cost(found, rows)
+    gain, excess = float(gains.sum()), float(before.sum()) - len(done.fun)
     if play < max(LEAST_PLAY_NM, _CLEAR * sigma) or gain < max(LEAST_GAIN, _LEAST_SHARE * excess):
         return None
     rng = np.random.default_rng(_SEED)
     whole = [one.without_play(law(found), rng) for one in rows]
     lost = cost(found, whole) - cost(np.append(found[:4], 0.0), whole)
-    if lost < _LOST * gain or (kept and cost(found, kept) >= cost(start, kept)):
+    worse = kept and cost(found, kept).sum() >= cost(start, kept).sum()
+    if worse or not _more_than_noise_held_back(gains, lost, excess):
         return None
     half = half_widths(done.jac, done.fun, (_stretches(rows),))[4]
     half = float(np.hypot(half, 1.96 * 0.5 * sigma))  # noise in the play and the filter against it

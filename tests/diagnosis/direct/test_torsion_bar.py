@@ -53,6 +53,19 @@ def test_noise_that_a_play_would_hold_back_is_no_play(
         assert sensor_play(some[:2], some[2:], reference_model) is None
 
 
+def test_what_a_play_loses_where_the_bar_is_moved_counts(reference_model: Model) -> None:
+    """Hands off but for one lively recording: there it gains nothing, and no noise is left over."""
+    for seed in range(6):
+        seeds = [seed + 10 * k for k in (0, 1, 2, 10, 11)]
+        torques = [0.06 * np.sign(torque(1.0, k, 0.3)) for k in seeds]
+        torques[3] = torque(1.0, seeds[3], 8.0)
+        some = [
+            recording(reference_model, one, 0.0, 3.3e-3, k)
+            for one, k in zip(torques, seeds, strict=True)
+        ]
+        assert sensor_play(some[:4], some[4:], reference_model) is None
+
+
 @pytest.mark.parametrize("noise_rad", [1e-4, 1.5e-3])
 def test_play_is_seen_through_the_same_noise(reference_model: Model, noise_rad: float) -> None:
     some = [recording(reference_model, torque(2.0, k), 0.13, noise_rad, k) for k in (10, 20, 30)]
