@@ -30,9 +30,11 @@ from eps_hil.diagnosis.balance.load import (
     doubted,
     load_knobs,
     load_of,
+    may_be_free,
     missing,
     not_told_apart,
     with_load,
+    wrong_in_friction,
 )
 from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, term_of
 from eps_hil.diagnosis.balance.spread import left_open
@@ -113,6 +115,12 @@ def diagnose(
     first = under(load)
     if load is None or (load.form == "spring" and not first.content["findings"]):
         return first
+    if load.form == "spring":  # beside the friction that was found it is another one
+        better = load_of(every, first.model)
+        if better.form == "spring" and wrong_in_friction(load, better, every, model):
+            first = under(better)
+        if not may_be_free(better, every, model):
+            return first
     free = under(FREE)  # friction that grows with a load that is none looks like many things
     if load.form == "arbitrary":  # which explains whatever there is
         return free if free.content["verdict"] == "explained" else first
@@ -200,7 +208,8 @@ def _under(
         *left_open(content["findings"]),
         *small_ratio(content),
     ]
-    augmented = look.in_model(augmented_by(problem, selection.found, findings))
+    others = load_knobs(load)
+    augmented = look.in_model(augmented_by(problem, selection.found, findings, others))
     return Diagnosis(content, augmented, problem, selection, judged, findings)
 
 

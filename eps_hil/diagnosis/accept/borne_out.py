@@ -1,6 +1,6 @@
 """Which of the accepted effects the hold-outs bear out, and the model with those."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -206,12 +206,18 @@ def _better(
     return float(np.sum(clipped(after, at) ** 2)) < float(np.sum(clipped(before, at) ** 2))
 
 
-def augmented_by(problem: Problem, found: Fit, findings: Sequence[int]) -> Model:
-    """The model with the findings; what else was fitted (how a torque is held) goes with them."""
+def augmented_by(
+    problem: Problem, found: Fit, findings: Sequence[int], but: Collection[str] = ()
+) -> Model:
+    """The model with the findings; what else was fitted (how a torque is held) goes with them.
+
+    But for the numbers that stand for something else, as a load that nobody measured.
+    """
     if not findings:
         return problem.model
     entries = [_entry(plain(found.entries[k])) for k in findings]
-    model = problem.with_entries(entries, _entry(found.own))
+    own = {name: value for name, value in found.own.items() if name not in but}
+    model = problem.with_entries(entries, _entry(own))
     late = max(model.delays_s.motor_torque, 0.0)  # a model file holds no negative delay
     return replace(model, delays_s=replace(model.delays_s, motor_torque=late))
 

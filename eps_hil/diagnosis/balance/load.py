@@ -37,6 +37,8 @@ LIKE_LOAD = (
 )
 """What a load of unknown spring, damper and constant cannot be told from."""
 _ROUNDS = 6
+_WRONG = 0.05
+"""Of the noise: friction under another load that is worth another look."""
 _LIKE_FRICTION_OF_A_SPRING, _OF_LOAD = "position_dependent_friction", "load_dependent_friction"
 
 
@@ -141,6 +143,34 @@ def load_of(recordings: Sequence[Prepared], model: Model) -> Load:
     excess = usual / model.rack_to_rotor_ratio_rad_per_m / float(np.mean(np.concatenate(sizes)))
     k, c, f = (float(number) for number in numbers[:3])
     return Load("arbitrary" if excess > ARBITRARY_EXCESS else "spring", k, c, f)
+
+
+def may_be_free(load: Load, recordings: Iterable[Prepared], model: Model) -> bool:
+    """Whether no force at all could be what was taken for this load: its spring hardly acts."""
+    for one in recordings:
+        if "rack_force_n" not in one.raw:
+            force = load.stiffness_n_per_m * float(np.std(one.motion(model).position_m))
+            if force / model.rack_to_rotor_ratio_rad_per_m > ARBITRARY_EXCESS * one.floor_nm(model):
+                return False
+    return True
+
+
+def wrong_in_friction(
+    load: Load, other: Load, recordings: Iterable[Prepared], model: Model
+) -> bool:
+    """Whether friction under the ``other`` load differs by what noise does not hide.
+
+    Spring, damper and constant are free beside the effects; the size of the load in it is not.
+    """
+    growing = 0.5 * (model.friction.load_pos_nm_per_n + model.friction.load_neg_nm_per_n)
+    for one in recordings:
+        if "rack_force_n" in one.raw:
+            continue
+        sizes = [np.abs(with_load(one, model, of).raw["rack_force_n"]) for of in (load, other)]
+        wrong_nm = growing * float(np.sqrt(np.mean((sizes[1] - sizes[0]) ** 2)))
+        if wrong_nm > _WRONG * one.floor_nm(model):
+            return True
+    return False
 
 
 def with_load(one: Prepared, model: Model, load: Load) -> Prepared:

@@ -12,6 +12,7 @@ from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.identification.butterworth import low_pass
 from eps_hil.physics.model import Model
 from eps_hil.proof import sensors
+from eps_hil.proof.manoeuvres import column
 from eps_hil.proof.programmes import programme
 from eps_hil.proof.world import World
 from eps_hil.series import Series
@@ -72,12 +73,20 @@ def test_a_damper_takes_in_no_friction(reference_model: Model, other_rig: Module
         assert one.damping_n_s_per_m == pytest.approx(DAMPING, abs=200.0)
 
 
-def driven(name: str, hidden: dict[str, float], seed: int) -> list[dict[str, Series]]:
-    """Recordings of a rig of the model's form with this hidden, without a load cell."""
+def driven(
+    name: str, hidden: dict[str, float], seed: int, springs: bool = False
+) -> list[dict[str, Series]]:
+    """Recordings of a rig of the model's form with this hidden, without a load cell.
+
+    Against ``springs``, if any, of :data:`STIFFNESS` and :data:`DAMPING`.
+    """
     rng, rig = np.random.default_rng(seed), World(simple=True)
     rig = replace(rig, hidden=rig.hidden._replace(**hidden))
     made = []
     for program in programme(name, rng):
+        if springs:
+            program[:, column("rig_n_per_m")] = STIFFNESS
+            program[:, column("rig_n_s_per_m")] = DAMPING
         clean = sensors.reported(rig.run(program), rig.instruments)
         columns = sensors.measured(clean, rig.instruments, rng)
         t_ns = np.round(columns.pop("time_s") * 1e9).astype(np.int64)
@@ -109,3 +118,17 @@ def test_a_free_rack_is_none_where_a_load_explains_less(reference_model: Model) 
     value = finding_["parameters"]["coefficient_nm_s2_per_rad2"]["value"]
     assert value == pytest.approx(5e-5, rel=0.1)
     assert any("free rack" in one for one in told["limits"])
+
+
+@pytest.mark.slow
+def test_the_load_is_fitted_beside_the_friction_that_was_found(reference_model: Model) -> None:
+    """Friction a fifth too small is no force: neither in its size nor in the model written."""
+    hidden = {"coulomb_scale": 1.2}
+    first, second, kept = driven("free_rack", hidden, 6, springs=True)
+    told = diagnose(reference_model, {"a": first, "b": second}, {"kept": kept})
+    (finding_,) = told.content["findings"]
+    assert finding_["effect"] == "coulomb_level"
+    scale = finding_["parameters"]["scale"]
+    assert scale["ci95"][0] < 1.2 < scale["ci95"][1]
+    assert [entry["effect"] for entry in told.model.effects] == ["coulomb_level"]
+    assert told.model.friction == reference_model.friction
