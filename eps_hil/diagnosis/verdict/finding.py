@@ -26,6 +26,8 @@ SUREST = 0.95
 INSTANT = 0.1
 """Of a sampling interval: deviation of what a delay means, when nobody knows at which instant of
 its interval a value was taken, how the controller held it and how its filters shaped it."""
+_FOLLOWS = 0.25
+"""Of what is left: a curve that holds less is no description of it."""
 _INTERNAL = ("belt_ratio", "pole_pairs", "harmonic")
 
 
@@ -116,12 +118,19 @@ def unknown(left: Leftover) -> dict[str, Any]:
     signal, _, direction = left.signal.partition("|")
     moving = {"right": " while turning in positive direction", "left": " in negative direction"}
     size = max((abs(torque) for _, torque, _ in left.curve), default=0.0)
-    shape = left.words or (
-        f"a torque of up to {size:.3g} Nm at the rotor that follows {signal}"
-        f"{moving.get(direction, '')}, strongest from {left.low:.4g} to {left.high:.4g}"
-        if left.curve
-        else "a torque that follows no measured signal on its own (dynamic, or of two signals)"
-    )
+    part = left.share * (1.0 + left.excess) / left.excess
+    over = f"{signal}{moving.get(direction, '')}"
+    if left.words:
+        shape = left.words
+    elif not left.curve or part < _FOLLOWS:
+        shape = "a torque that follows no measured signal on its own (dynamic, or of two signals)"
+        if left.curve:
+            shape += f"; over {over} its mean is up to {size:.3g} Nm, {100 * part:.0f} % of it"
+    else:
+        shape = (
+            f"a torque of up to {size:.3g} Nm at the rotor that follows {over}, strongest from "
+            f"{left.low:.4g} to {left.high:.4g}"
+        )
     return unknown_entry(
         f"Something is left that no effect of the catalogue explains: {shape}; "
         f"{100 * left.excess:.0f} % more energy than sensor noise.",

@@ -49,6 +49,17 @@ def test_what_is_unknown_is_described_by_its_curve(
     assert content["effect"] == "unknown"
 
 
+def test_a_curve_that_holds_little_of_what_is_left_does_not_describe_it() -> None:
+    curve = ((0.0, -0.02, 0.01), (0.1, 0.03, 0.01))
+    little, much = (
+        unknown(Leftover("rack_position_m", curve, 0.0, 0.1, share, 4.0))["summary"]
+        for share in (0.08, 0.4)
+    )
+    assert "follows no measured signal on its own" in little
+    assert "over rack_position_m its mean is up to 0.03 Nm, 10 % of it" in little
+    assert "0.03 Nm at the rotor that follows rack_position_m" in much
+
+
 @pytest.mark.slow
 def test_no_delay_is_known_better_than_when_a_slow_signal_was_taken(problem: Problem) -> None:
     """A tenth of the interval is the deviation that nobody can know."""
