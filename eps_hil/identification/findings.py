@@ -24,6 +24,8 @@ _WHY = {
     "friction.offset": "hardly any sliding in this direction; record constant speeds both ways",
     "friction.viscous": "too few different speeds in this direction; record constant speeds",
     "friction.load": "too few different loads in this direction; record several preloads",
+    "friction.sigma1": "shows only while the rotor creeps, and not clearly here (or presliding has "
+    "another form); record creeping and slow reversals",
     "friction.sigma": "too few reversals and small motions; record slow reversals",
     "torque_sensor": "less than 6 s with hands off and the rotor turning to and fro; an offset "
     "would look like an asymmetry of the friction",

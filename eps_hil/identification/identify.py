@@ -24,9 +24,11 @@ from eps_hil.identification.stages import SETTLED_SHARE, Found, estimate
 from eps_hil.identification.state import (
     BRISTLE_UNITS,
     FRICTION_UNITS,
+    Parameter,
     Spring,
     State,
     get,
+    put,
     sliding_parameters,
 )
 from eps_hil.physics.effects.catalogue import with_model_effects
@@ -37,6 +39,7 @@ METHOD_INERTIA, METHOD_BRISTLE = 3.3e-4, 6.5e-3
 METHOD_SAMPLES = 0.03
 """Own error of the method (relative; of a 1 ms step): docs/theory-identification.md, section 5."""
 LOOSEST_BRISTLE = 0.5
+DAMPING, DAMPING_SPEED = "friction.sigma1_nm_s_per_rad", "friction.sigma1_speed_rad_s"
 LEAST_OFFSET_NM = {"torque_sensor_nm": 0.005, "motor_torque_nm": 0.001}
 
 Progress = Callable[[float], None]
@@ -78,6 +81,11 @@ def identify(
     found = estimate(rows, chosen.fit.state, chosen.fitted, lambda p: say(0.3 + 0.4 * p),
                      prior=start)  # fmt: skip
     found = corrected(found, ready, late_s, start, chosen.fitted)
+    shown = _shown_of(found.bristle)
+    if found.bristle is not None and len(shown) < len(found.bristle.parameters):
+        state = _as_in(start, found.sliding.state, found.bristle.parameters, shown)
+        found = estimate(rows, state, chosen.fitted, passes=1, prior=start, bristle_of=shown)
+        found = corrected(found, ready, late_s, start, chosen.fitted)
     say(0.9)
     sliding = widened(found.sliding, rows, chosen.kept, found.weights)
     found = replace(found, sliding=sliding)
@@ -182,17 +190,41 @@ def _sliding_estimates(fit: Fit, start: State, quantile: float) -> dict[str, Est
     return result
 
 
+def _shown(fit: Fit, name: str) -> bool:
+    """Whether a bristle parameter is known at all."""
+    return fit.sigma(name) < LOOSEST_BRISTLE * get(fit.state, name)
+
+
+def _shown_of(fit: Fit | None) -> list[Parameter]:
+    """The bristle's parameters that are known; the speed of a damping only with the damping."""
+    known = [p for p in fit.parameters if _shown(fit, p.name)] if fit else []
+    damped = any(p.name == DAMPING for p in known)
+    return [p for p in known if damped or p.name != DAMPING_SPEED]
+
+
+def _as_in(
+    start: State, state: State, fitted: Sequence[Parameter], shown: Sequence[Parameter]
+) -> State:
+    """``state`` with what the recordings do not show as it was at ``start``.
+
+    What is shown has to be found beside the numbers that will stand in the model file.
+    """
+    for parameter in fitted:
+        if parameter not in shown:
+            state = put(state, parameter.name, get(start, parameter.name))
+    return state
+
+
 def _bristle_estimates(fit: Fit | None, start: State) -> dict[str, Estimate]:
     result = {}
     for key, unit in BRISTLE_UNITS.items():
         name = f"friction.{key}"
         was = get(start, name)
         value = get(fit.state, name) if fit else was
-        sigma = fit.sigma(name) if fit else np.inf
-        if fit is None or not sigma < LOOSEST_BRISTLE * value:
+        if fit is None or not _shown(fit, name):
             result[name] = Estimate(was, unit, None, was, "kept", findings.why_not(name))
             continue
-        half = _quantile(fit.blocks) * float(np.hypot(sigma, METHOD_BRISTLE * value))
+        half = _quantile(fit.blocks) * float(np.hypot(fit.sigma(name), METHOD_BRISTLE * value))
         result[name] = Estimate(value, unit, (value - half, value + half), was, "identified")
     return result
 

@@ -46,7 +46,10 @@ def corrected(
     rng = np.random.default_rng(20150802)
     more = [noisier(one, rng) for one in recordings]
     motions = [kinematics(one, skew_s) for one in more]
-    moved = estimate(cases(more, motions), found.sliding.state, parameters, prior=prior, passes=1)
+    moved = estimate(
+        cases(more, motions), found.sliding.state, parameters, prior=prior, passes=1,
+        bristle_of=found.bristle.parameters if found.bristle else None,
+    )  # fmt: skip
     sliding = _taken_back(found.sliding, moved.sliding)
     bristle = found.bristle
     if bristle is not None and moved.bristle is not None:

@@ -81,24 +81,27 @@ def estimate(
     on_progress: Callable[[float], None] | None = None,
     passes: int = 2,
     prior: State | None = None,
+    bristle_of: Sequence[Parameter] | None = None,
 ) -> Found:
     """Alternate the stages from ``start``; at the last one the sliding stage has the last word.
 
-    Priors stand at ``prior`` (``start`` where that is None).
+    Priors stand at ``prior`` (``start`` where that is None). ``bristle_of``: the bristle's
+    parameters that are fitted; all where that is None.
     """
     prior = prior or start
+    looked_for = bristle_parameters(prior) if bristle_of is None else bristle_of
     say = on_progress or (lambda _part: None)
     weights = Sliding()
     sliding = fit(cases, start, parameters, prior, weights)
     bristle: Fit | None = None
     for k in range(passes):
         say((k + 1) / (passes + 1))
-        if _unsettled_rows(cases, sliding.state, weights) < _FEWEST:
+        if not looked_for or _unsettled_rows(cases, sliding.state, weights) < _FEWEST:
             break
         bristle = fit(
             cases,
             sliding.state,
-            bristle_parameters(prior),
+            looked_for,
             prior,
             Presliding(weights),
             rounds=10 if k == 0 else 4,

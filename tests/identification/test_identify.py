@@ -83,6 +83,23 @@ def test_levels_on_five_masses_with_maxwell_slip(
     within_the_issues_limits(found, true)
 
 
+def test_a_stiffness_is_found_beside_the_damping_that_is_written(
+    record: Callable[..., Any], reference_model: Model, true: Any
+) -> None:
+    """Maxwell slip shows no bristle damping: it stays the file's, and so does its speed."""
+    what = {"constant_speed": 30.0, "slow_reversals": 20.0}
+    found = identify(record(what, simple=False), reference_model)
+    for name in ("sigma1_nm_s_per_rad", "sigma1_speed_rad_s"):
+        one = found.parameters[f"friction.{name}"]
+        assert one.status == "kept"
+        assert one.value == getattr(reference_model.friction, name)
+        assert getattr(found.model.friction, name) == one.value
+    stiffness = found.parameters["friction.sigma0_nm_per_rad"].value
+    assert stiffness == pytest.approx(true.sigma0, rel=0.06)
+    assert found.presliding_misfit is not None
+    assert found.presliding_misfit < 0.065  # 0.069 beside a damping that nobody writes
+
+
 def test_one_preload_leaves_the_load_gains_to_the_model_file(
     record: Callable[..., Any], reference_model: Model
 ) -> None:
