@@ -7,7 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.accept.borne_out import augmented_by, beside_unknown, borne_out, unjudged
+from eps_hil.diagnosis.accept.borne_out import (
+    augmented_by,
+    beside_unknown,
+    borne_out,
+    bristle_of_unknown,
+    unjudged,
+)
 from eps_hil.diagnosis.accept.measured_ratio import settled
 from eps_hil.diagnosis.accept.placebo import placebos
 from eps_hil.diagnosis.accept.proof_of_fit import (
@@ -180,6 +186,8 @@ def _under(
     if left is not None and findings:
         findings = beside_unknown(problem, selection, findings)
         left = force or _left(problem, selection, judged)
+    if left is not None and BRISTLE not in without and bristle_of_unknown(problem, selection.found):
+        return _under(load, model, ready, spare, say, {*without, BRISTLE})
     if left is None and not hidden and HOLD in without:
         left = late_torque(problem, selection.found)
     content = look.added_to(_content(problem, selection, findings, left, judged))

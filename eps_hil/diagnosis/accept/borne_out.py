@@ -9,7 +9,7 @@ import numpy as np
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout, rack_force_error_n
 from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Selection, timed
-from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, deviation, fit
+from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, deviation, fit, matters
 from eps_hil.diagnosis.balance.problem import SLIDING_RAD_S, Problem, clipped, knee, plain, term_of
 from eps_hil.diagnosis.mismatch.curve import winds
 from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN, alone
@@ -37,8 +37,7 @@ def borne_out(problem: Problem, selection: Selection, judged: Sequence[Holdout])
         k for k in _held_out(problem, selection, judged) if not winds(entries[k], visited_m)
     ]
     findings = _refitted(problem, selection, findings)
-    clear = [k for k in findings if _clear(problem, selection.found, k)]
-    findings = _refitted(problem, selection, clear)
+    findings = _only_clear(problem, selection, findings)
     findings = _refitted(
         problem, selection, _without_spoiling_bristle(problem, selection, findings, judged)
     )
@@ -154,6 +153,21 @@ def _clear(problem: Problem, found: Fit, k: int) -> bool:
     return deviation(entry, problem) > least * next(iter(halves.values()))
 
 
+def _only_clear(problem: Problem, selection: Selection, findings: Sequence[int]) -> list[int]:
+    """The findings that are clear of nothing; again without the others, which may have made up for
+    one another.
+    """
+    left = list(findings)
+    while True:
+        found = selection.found
+        clear = [
+            k for k in left if matters(found.entries[k], problem) and _clear(problem, found, k)
+        ]
+        if len(clear) == len(left):
+            return left
+        left = _refitted(problem, selection, clear)
+
+
 def _refitted(problem: Problem, selection: Selection, findings: Sequence[int]) -> list[int]:
     """Take out what the hold-outs do not bear out, so that it bends no other finding's numbers.
 
@@ -193,6 +207,21 @@ def beside_unknown(problem: Problem, selection: Selection, findings: Sequence[in
             return list(findings)
         findings = _refitted(problem, selection, kept)
         names = {k: term_of(selection.found.entries[k]) for k in findings}
+
+
+def bristle_of_unknown(problem: Problem, found: Fit) -> bool:
+    """Whether the stiffness that full reversals gave the model explains less than what no name
+    explains: friction of another kind turns over another way, too.
+    """
+    model = problem.with_entries(found.entries, found.own)
+    others = tuple(entry for entry in model.effects if entry["effect"] != BRISTLE)
+    if len(others) == len(model.effects):
+        return False
+    at, use = knee(found.residual), problem.sliding
+    without = clipped(problem.residual(replace(model, effects=others)), at)[use]
+    with_it = clipped(found.residual, at)[use]
+    unexplained = float(np.sum(with_it**2 - 1.0))
+    return float(np.sum(without**2 - with_it**2)) < BESIDE_UNKNOWN * unexplained
 
 
 def _better(

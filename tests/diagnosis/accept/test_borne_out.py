@@ -49,6 +49,41 @@ def test_one_number_that_may_as_well_be_nothing_is_no_finding(
     assert _clear(problem, found, 0) is expected
 
 
+def test_what_only_made_up_for_another_is_no_finding_without_it(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stribeck = {"effect": "stribeck", "level_nm": 0.02, "speed_rad_s": 10.0}
+    drag = {"effect": "viscous_friction", "coefficient_nm_s_per_rad": -1e-4}
+    found = fit(problem, [stribeck, drag], 0)
+    found.__dict__["half_width"] = {(1, "coefficient_nm_s_per_rad"): 1e-3}
+    gains = {"stribeck": 1e3, "viscous_friction": 1e3}
+    selection = Selection(found, found, [], problem, found, gains=gains)
+    vanished = fit(problem, [{**stribeck, "level_nm": 0.0}], 0)
+    monkeypatch.setattr(borne_out, "fit", lambda *_args, **_named: vanished)
+    monkeypatch.setattr(borne_out, "timed", lambda _problem, found: found)
+    assert borne_out._only_clear(problem, selection, [0, 1]) == []
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_stiffness_beside_far_more_that_is_unknown_is_a_part_of_it(
+    problem: Problem, known: bool
+) -> None:
+    """One four times too small is worth a name; less so where friction lacks 0.03 Nm besides."""
+    friction = problem.model.friction
+    right = friction.sigma0_nm_per_rad
+    bristle = {"effect": "presliding_hysteresis", "sigma0_nm_per_rad": right}
+    stribeck = {"effect": "stribeck", "level_nm": 0.03, "speed_rad_s": 10.0}
+    soft = replace(
+        problem.model,
+        friction=replace(friction, sigma0_nm_per_rad=0.25 * right),
+        effects=(stribeck,) if known else (),
+    )
+    at = Problem(problem.recordings, replace(soft, effects=(*soft.effects, bristle)))
+    found = fit(at, [], 0)
+    assert not borne_out.bristle_of_unknown(Problem(problem.recordings, soft), found)
+    assert borne_out.bristle_of_unknown(at, found) is not known
+
+
 def test_the_model_with_findings_holds_no_other_entry_and_no_negative_delay(
     problem: Problem,
 ) -> None:
