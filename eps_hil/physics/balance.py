@@ -46,10 +46,13 @@ class Motion(NamedTuple):
     acceleration_rad_s2: Floats
 
 
-def residual_nm(model: Model, motion: Motion) -> tuple[Floats, Floats]:
+def residual_nm(
+    model: Model, motion: Motion, rubbing_n: Floats | None = None
+) -> tuple[Floats, Floats]:
     """(what the torques are short of the balance, friction plus added torque), both (n,), Nm.
 
     Residual = T_1m − F/i_APA − J ω̇ − T_f − added torques; zero for the right model.
+    ``rubbing_n``: the rack force (n,) that friction grows with, where |F| is known with less noise.
     """
     drive, out = drive_of(model), np.empty((len(motion.time_s), 2))
     use = drive.use
@@ -61,7 +64,10 @@ def residual_nm(model: Model, motion: Motion) -> tuple[Floats, Floats]:
     sensor = sensor.copy() if use.sensor else sensor
     more = np.zeros(len(out)) if use.torque else _NOTHING
     levels = np.zeros((2, len(out))) if use.level else _NO_LEVELS
-    _balance(drive, motion, motor, sensor, motion.rack_force_n / drive.ratio, more, levels, out)
+    load = motion.rack_force_n / drive.ratio
+    if rubbing_n is not None:
+        motion = motion._replace(rack_force_n=np.require(rubbing_n, requirements="W"))
+    _balance(drive, motion, motor, sensor, load, more, levels, out)
     return out[:, 0], out[:, 1]
 
 

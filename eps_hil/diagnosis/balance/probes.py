@@ -29,6 +29,8 @@ _APART = 0.3
 """Orders that are nearer are one."""
 _FILTER_HZ = 30.0
 _KNOTS = 24
+_SLOWEST = 4.0
+"""Times the longest recording: what fades more slowly is another level."""
 _WIDEST = 0.35
 """Of the way that was visited: a place that is wider is none."""
 
@@ -99,6 +101,7 @@ def bounds(effect: Effect, parameter: Parameter, problem: Problem) -> tuple[floa
 
     What the model already holds may be too large in it: only there the other sign means the same.
     A place must have been visited, and be narrow beside the way that was: what is not is a slope.
+    So is what takes many times longer than was recorded.
     """
     low, high, probe = parameter.lower, parameter.upper, effect.probe
     if probe is None:
@@ -106,6 +109,11 @@ def bounds(effect: Effect, parameter: Parameter, problem: Problem) -> tuple[floa
     held = any(entry["effect"] == effect.id for entry in problem.model.effects)
     if probe.one_sided and not (held or problem.either_sign) and parameter.name == probe.amplitude:
         low = max(low, neutral_value(probe, problem.model))
+    if probe.lowest is not None and parameter.name == probe.amplitude:
+        low = max(low, probe.lowest(problem.model))
+    if effect.over_time and parameter.name == "time_s" and not held:
+        longest = max(float(one.since_start_s[-1]) for one in problem.recordings)
+        high = max(low, min(high, _SLOWEST * longest))
     if probe.scan == "centre_m" and not held:
         first, last = problem.visited_m
         if parameter.name == "centre_m":

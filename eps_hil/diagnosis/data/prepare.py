@@ -38,6 +38,8 @@ CREEP_HZ = 20.0
 """Low-pass of the angle that shows how a resting rotor creeps."""
 _LOST_SIGMAS = 5.0
 """Noise that a turn of a resting rotor has to stand out of, of the low-passed angle."""
+_FORCE_HZ, _NO_FORCE = 10.0, 1.6
+"""A rack force whose mean size is below so many noise deviations (of noise alone: 0.8) is slow."""
 EDGE_S = 0.25
 """Left out at both ends of a recording, where a filter without phase has only one side."""
 
@@ -143,7 +145,7 @@ class Prepared:
 
     def residual(self, model: Model) -> tuple[Floats, Floats]:
         """(residual, friction plus load torque), filtered and thinned, Nm at the rotor, (m,)."""
-        raw, torque = residual_nm(model, self.motion(model))
+        raw, torque = residual_nm(model, self.motion(model), self._rubbing_n(model))
         return self.thin(self._told(raw)), self.thin(torque)
 
     def left_over(self, model: Model) -> Floats:
@@ -152,7 +154,7 @@ class Prepared:
 
     def balance(self, model: Model) -> Floats:
         """The residual at 1 kHz, not filtered, Nm at the rotor, (n,)."""
-        return residual_nm(model, self.motion(model))[0]
+        return residual_nm(model, self.motion(model), self._rubbing_n(model))[0]
 
     def _told(self, balance: Floats) -> Floats:
         """The balance, less what the force would have taken of it too (``taken_from``)."""
@@ -256,6 +258,29 @@ class Prepared:
             "acceleration": np.gradient(speed, STEP_S)
             + (0.0 if self.slack_rad_s2 is None else self.slack_rad_s2),
         }
+
+    def _rubbing_n(self, model: Model) -> Floats | None:
+        """The rack force that friction grows with, at physical instants."""
+        force = self._without_noise
+        delays = with_model_effects(model).delays_s
+        return None if force is None else self._at(force, delays.of("rack_force_n"))
+
+    @cached_property
+    def _without_noise(self) -> Floats | None:
+        """The rack force, low-passed where it is no more than noise; None where it is nowhere.
+
+        Noise of a free rack's load cell has a size, too: |F| of it would rub.
+        """
+        sigma = self.noise.get("rack_force_n", 0.0)
+        if sigma == 0.0 or "rack_force_n" not in self.raw:
+            return None
+        force = self.raw["rack_force_n"]
+        lost = low_pass(np.abs(force), _FORCE_HZ) < _NO_FORCE * sigma
+        if not lost.any():
+            return None
+        slow = low_pass(force, _FORCE_HZ)
+        hidden = 3.0 * sigma * float(np.sqrt(passed(_FORCE_HZ, 0)))
+        return np.where(lost, np.where(np.abs(slow) < hidden, 0.0, slow), force)
 
     def _resting(self, speed: Floats) -> npt.NDArray[np.bool_]:
         """Where the mean speed over a window is no more than its noise would make it."""

@@ -133,6 +133,8 @@ class Probe:
     one_sided: bool = False
     """Whether only values above the neutral one are this effect: what bends the other way is
     something else, and must not go under its name."""
+    lowest: "Callable[[Model], float] | None" = None
+    """The least amplitude that friction can have on a rig of this model."""
 
 
 class Joint(NamedTuple):

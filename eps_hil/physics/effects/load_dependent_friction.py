@@ -19,6 +19,11 @@ def _change(model: Model, values: Mapping[str, float]) -> Model:
     )
 
 
+def _none_at_all(model: Model) -> float:
+    """Friction does not fall with the load: a rack force that pushes rubs, or does not."""
+    return -min(model.friction.load_pos_nm_per_n, model.friction.load_neg_nm_per_n)
+
+
 EFFECT = Effect(
     id="load_dependent_friction",
     kind=Kind.STRUCTURE,
@@ -33,5 +38,5 @@ EFFECT = Effect(
         "rack_ratio": "both directions at one preload: friction changes sign, load does not",
     },
     change=_change,
-    probe=Probe("gain_nm_per_n", 0.0, 1e-6),
+    probe=Probe("gain_nm_per_n", 0.0, 1e-6, lowest=_none_at_all),
 )

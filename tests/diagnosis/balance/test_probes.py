@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.balance.probes import Candidate, _clear_orders, candidates, hats
+from eps_hil.diagnosis.balance.probes import Candidate, _clear_orders, bounds, candidates, hats
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.physics.effects.catalogue import catalogue
@@ -81,3 +81,29 @@ def test_a_curve_over_position_is_made_while_sliding_only(problem: Problem) -> N
     assert np.any(resting)
     assert not np.any(columns[resting])
     assert np.all(np.any(columns[problem.sliding], axis=0))
+
+
+@pytest.mark.slow
+def test_friction_does_not_fall_with_the_load(problem: Problem) -> None:
+    effect = catalogue()["load_dependent_friction"]
+    (gain,) = effect.parameters
+    low, high = bounds(effect, gain, problem)
+    friction = problem.model.friction
+    assert low == -min(friction.load_pos_nm_per_n, friction.load_neg_nm_per_n)
+    assert high == gain.upper
+
+
+@pytest.mark.slow
+def test_what_fades_many_times_more_slowly_than_was_recorded_is_another_level(
+    problem: Problem,
+) -> None:
+    effect = catalogue()["friction_warmup"]
+    _, time = effect.parameters
+    longest = max(float(one.time_s[-1]) for one in problem.recordings)
+    low, high = bounds(effect, time, problem)
+    assert low == time.lower
+    assert high == pytest.approx(4.0 * longest)
+    known = {"effect": effect.id, "amplitude": 0.2, "time_s": 900.0}
+    model = replace(problem.model, effects=(known,))
+    held = Problem(problem.recordings, model)
+    assert bounds(effect, time, held) == (time.lower, time.upper)

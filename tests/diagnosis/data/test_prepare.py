@@ -1,6 +1,7 @@
 """Noise, filters and rest: what the residual is made of, against closed forms."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -112,3 +113,30 @@ def test_the_bristle_moves_by_what_the_rotor_did_between_two_samples() -> None:
     assert np.max(np.abs(moved - way)) < 1e-3  # a rest of a sample or two at each reversal
     late = np.cumsum(motion.speed_rad_s[inside]) * 1e-3
     assert np.max(np.abs(late - late[0] - way)) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("form", "rubs"),
+    [
+        ("free", 0.0),  # nothing but the load cell's noise
+        ("light", 60.0),
+        ("shaken", 2 / np.pi * 200.0),  # to and fro, too fast for a slow force to show
+    ],
+)
+def test_noise_of_the_load_cell_rubs_nothing(form: str, rubs: float) -> None:
+    t = np.arange(20_000) * 1e-3
+    t_ns = np.arange(20_000) * 1_000_000
+    true = {"free": 0.0 * t, "light": 0.0 * t + 60.0, "shaken": 200.0 * np.sin(200.0 * t)}[form]
+    columns = {
+        "motor_torque_nm": 0.0 * t,
+        "motor_speed_rad_s": 0.0 * t + 10.0,
+        "motor_angle_rad": 10.0 * t,
+        "rack_force_n": true + np.random.default_rng(3).normal(0.0, 12.0, len(t)),
+    }
+    one = prepare("a", {name: Series(t_ns, values) for name, values in columns.items()})
+    model = load_model(REFERENCE)
+    free = replace(model, friction=replace(model.friction, load_pos_nm_per_n=0.0))
+    friction = (one.balance(free) - one.balance(model))[1000:-1000]
+    expected = model.friction.load_pos_nm_per_n * rubs
+    noise = model.friction.load_pos_nm_per_n * 12.0
+    assert float(np.mean(friction)) == pytest.approx(expected, abs=0.1 * noise)
