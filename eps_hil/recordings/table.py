@@ -117,6 +117,10 @@ def check_increasing(
         raise InputError(path, f"{place(row)}, {column}", problem, "sort or split the file")
 
 
+_SLOWER, _FEWEST = 1.5, 20
+"""Times the rows' step: a signal with such a step of its own, and so many samples, is slower."""
+
+
 def to_series(path: Path, table: Table, *, gaps: str) -> tuple[dict[str, Series], tuple[str, ...]]:
     """Every column as a :class:`Series` of its own samples, and notes on what was left or marked.
 
@@ -124,7 +128,7 @@ def to_series(path: Path, table: Table, *, gaps: str) -> tuple[dict[str, Series]
     keeps them as samples with the value NaN.
     """
     filled = {name: ~np.isnan(column) for name, column in table.columns.items()}
-    holes = _holes(filled, len(table.t_ns))
+    holes = _holes(filled, table.t_ns)
     excused = _said_invalid(table)
     bad: dict[str, Flags] = {}
     for name, column in table.columns.items():
@@ -172,8 +176,8 @@ def shown(text: object) -> str:
     return quoted if len(quoted) <= 40 else quoted[:36] + "...'"
 
 
-def _holes(filled: Mapping[str, Flags], rows: int) -> dict[str, Flags]:
-    holes = {name: np.zeros(rows, dtype=bool) for name in filled}
+def _holes(filled: Mapping[str, Flags], t_ns: Stamps) -> dict[str, Flags]:
+    holes = {name: np.zeros(len(t_ns), dtype=bool) for name in filled}
     sparse = [name for name, there in filled.items() if not there.all()]
     if not sparse:
         return holes
@@ -181,18 +185,23 @@ def _holes(filled: Mapping[str, Flags], rows: int) -> dict[str, Flags]:
     for name in sparse:
         there = filled[name]
         for other, company in filled.items():
-            if other != name and _belongs(there[company]):
+            if other != name and _belongs(there[company], t_ns[company]):
                 holes[name] |= company & ~there
-        if _belongs(there):
+        if _belongs(there, t_ns):
             holes[name] |= nothing
         if there.any():
             holes[name][: int(np.argmax(there))] = False  # it starts later: no hole
     return holes
 
 
-def _belongs(there: Flags) -> bool:
-    """Whether a signal is expected in rows of which it fills ``there``."""
-    twice = 2 * int(np.count_nonzero(there))
+def _belongs(there: Flags, t_ns: Stamps) -> bool:
+    """Whether a signal is expected in rows at ``t_ns`` of which it fills ``there``.
+
+    Not one of half their rate, which fills more than half of them where rows are lost.
+    """
+    twice, own = 2 * int(np.count_nonzero(there)), t_ns[there]
+    if len(own) >= _FEWEST and twice > len(there):
+        return float(np.median(np.diff(own))) < _SLOWER * float(np.median(np.diff(t_ns)))
     if twice == len(there) + 1:  # every other row, first and last included: half the rate
         return bool((there[1:] & there[:-1]).any()) or len(there) == 1
     return twice > len(there)

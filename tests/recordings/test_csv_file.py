@@ -144,6 +144,12 @@ def test_half_rate_may_start_and_end_the_file(tmp_path: Path) -> None:
     assert len(_read(tmp_path, HEADER + rows).series["motor_torque_nm"].t_ns) == 3
 
 
+def test_half_rate_fills_more_than_half_where_rows_are_lost(tmp_path: Path) -> None:
+    kept = [i for i in range(200) if i % 2 == 0 or i % 10 != 3]
+    rows = "".join(f"{i},{i if i % 2 == 0 else ''},{i}\n" for i in kept)
+    assert len(_read(tmp_path, HEADER + rows).series["motor_torque_nm"].t_ns) == 100
+
+
 def test_signal_may_start_later(tmp_path: Path) -> None:
     recording = _read(
         tmp_path, HEADER + "0,,2\n1,,2\n" + "".join(f"{i},1,2\n" for i in range(2, 9))

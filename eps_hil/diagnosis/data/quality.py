@@ -110,11 +110,10 @@ class Quality:
 
     @property
     def lost(self) -> tuple[int, float]:
-        """(lost frames of the worst channel, their share)."""
-        worst = max(self.channels, key=lambda c: c.lost_frames / max(c.frames, 1), default=None)
-        if worst is None:
-            return 0, 0.0
-        return worst.lost_frames, worst.lost_frames / max(worst.frames + worst.lost_frames, 1)
+        """(lost frames of the signal that lost most, the largest share that any of them lost)."""
+        counts = [one.lost_frames for one in self.channels]
+        shares = [one.lost_frames / max(one.frames + one.lost_frames, 1) for one in self.channels]
+        return max(counts, default=0), max(shares, default=0.0)
 
     def barred(self, one: Prepared) -> Flags:
         """Thinned samples (m,) of the prepared recording that nothing may be concluded from."""

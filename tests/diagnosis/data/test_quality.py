@@ -177,3 +177,17 @@ def test_a_gap_bars_only_where_the_balance_needs_the_signal(
     inside = (one.thin_time_s > 3.9) & (one.thin_time_s < 5.1)
     np.testing.assert_array_equal(look.barred(one), inside & counts)
     np.testing.assert_array_equal(look.bad_at(np.array([3.8, 4.5, 5.2])), [False, counts, False])
+
+
+def test_rows_lost_count_once_whatever_the_signals_rates() -> None:
+    """Of a slow signal a larger share may be lost by chance; its frames are fewer than the rows."""
+    step = 1_000_000
+    kept = np.array([k for k in range(20_000) if k % 60 != 4])
+    slow = kept[kept % 4 == 0]
+    series = {
+        "motor_torque_nm": Series(kept * step, np.sin(kept * 1e-2)),
+        "rack_force_n": Series(slow * step, np.cos(slow * 1e-2)),
+    }
+    frames, share = look_at("a", series).lost
+    assert frames == 20_000 - len(kept)
+    assert share == pytest.approx(1 / 15, rel=0.02)
