@@ -18,6 +18,7 @@ from eps_hil.diagnosis.accept.measured_ratio import settled
 from eps_hil.diagnosis.accept.placebo import placebos
 from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
+    beside_a_gap,
     measures,
     noise_floor,
     only_kept,
@@ -197,8 +198,10 @@ def _under(
     content["fit"]["placebo"] = placebos(problem, selection, findings, judged)
     if look.model is not model or look.put_right or wrong is not None:
         as_read = [
-            Holdout(one, series, data)
-            for (one, series), data in zip(spare, look.kept_quality, strict=True)
+            Holdout(one.changed(barred=put_right.barred), series, data)
+            for (one, series), put_right, data in zip(
+                spare, look.kept, look.kept_quality, strict=True
+            )
         ]
         content["fit"]["holdout"]["baseline"] = measures(as_read, model, model)
     content["limits"] = [
@@ -211,6 +214,7 @@ def _under(
             _only_kept(problem, selection, findings, judged),
             [] if left is not None or hidden else how_held(problem, selection.found),
         ),
+        *beside_a_gap(judged, problem.model),
         *unjudged(selection.found, findings, judged, problem.model),
         *worse_force(content["fit"]["holdout"]),
         *left_open(content["findings"]),

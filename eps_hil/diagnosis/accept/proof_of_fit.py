@@ -44,8 +44,10 @@ class Holdout:
     quality: Quality | None = None
 
     def judging(self, model: Model) -> Flags:
-        """Thinned samples (m,) that slide and whose data are good."""
+        """Thinned samples (m,) that slide, whose data are good, and beside no open gap."""
         mask = sliding(self.prepared, model)
+        if self.prepared.barred is not None:
+            mask = mask & ~self.prepared.barred
         return mask if self.quality is None else mask & ~self.quality.barred(self.prepared)
 
     def estimated(self, model: Model) -> Trace:
@@ -126,8 +128,25 @@ def still_left(told: Mapping[str, Mapping[str, float]]) -> list[str]:
         return []
     return [
         f"The hold-outs keep {times:.2g} times what the sensors' noise makes: for a short while, "
-        "or where nothing was concluded from them (samples barred as bad, or beside a gap if one "
-        "was found). There the model is no better than that."
+        "or in a way that no finding explains. There the model is no better than that."
+    ]
+
+
+def beside_a_gap(holdouts: Sequence[Holdout], model: Model) -> list[str]:
+    """A sentence where samples of the hold-outs are not judged because a gap was open."""
+    sliding_samples = [sliding(one.prepared, model) for one in holdouts]
+    judged = sum(int(np.sum(one.judging(model))) for one in holdouts)
+    good = [
+        mask if one.quality is None else mask & ~one.quality.barred(one.prepared)
+        for one, mask in zip(holdouts, sliding_samples, strict=True)
+    ]
+    lost = sum(int(np.sum(mask)) for mask in good) - judged
+    if lost <= 0:
+        return []
+    share = lost / (lost + judged)
+    return [
+        f"{100 * share:.0f} % of the hold-outs' sliding is beside an open gap, where the rotor's "
+        "torque says nothing of the rack: there they are judged by rotor against rack alone."
     ]
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
+    beside_a_gap,
     measures,
     noise_floor,
     still_left,
@@ -58,6 +59,28 @@ def test_bad_data_of_a_holdout_count_for_nothing(
     assert told["speed_fit_percent"] == pytest.approx(expected["speed_fit_percent"], abs=3)
     floor = noise_floor([left_out], reference_model)["torque_nrmse"]
     assert floor == pytest.approx(noise_floor([whole], reference_model)["torque_nrmse"], rel=0.2)
+
+
+def test_beside_an_open_gap_the_torque_is_not_judged_and_that_is_said(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    """Half of the recording: the balance of the rest is what it was, whatever happens there."""
+    (series,) = record({}, ("weave",), seconds=12.0).values()
+    whole = prepare("r", series)
+    half = np.arange(len(whole.thin_time_s)) > 0.5 * len(whole.thin_time_s)
+    torque = whole.raw["motor_torque_nm"].copy()
+    torque[int(0.52 * len(torque)) :] += 0.5
+    knocked = whole.changed(raw={**whole.raw, "motor_torque_nm": torque})
+    told, loose = (
+        measures([Holdout(one, series)], reference_model, reference_model)["torque_nrmse"]
+        for one in (knocked.changed(barred=half), knocked)
+    )
+    expected = measures([Holdout(whole, series)], reference_model, reference_model)
+    assert told == pytest.approx(expected["torque_nrmse"], rel=0.2)
+    assert loose > 10 * told
+    assert beside_a_gap([Holdout(whole, series)], reference_model) == []
+    (said,) = beside_a_gap([Holdout(knocked.changed(barred=half), series)], reference_model)
+    assert 40 <= float(said.split(" %")[0]) <= 60
 
 
 def test_a_worse_estimate_of_the_rack_force_is_said() -> None:
