@@ -4,49 +4,87 @@ numba's own cache looks only at the file that a function stands in: change a fun
 called from another file, and the caller goes on running the old machine code. Here the cache
 folder is named by a hash over every source file of this package that compiles anything, so a
 change anywhere, an upgrade or a ``git pull``, can never leave stale physics behind.
+
+Where no folder can be written (a rig PC with a read-only home), functions are compiled anew by
+every process: slower, and just as right.
 """
 
+import contextlib
 import hashlib
+import inspect
 import os
 import shutil
-from collections.abc import Callable
+import stat
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, TypeVar, overload
 
 import numba
 
 _KEPT_FOLDERS = 4
+_PACKAGE = Path(__file__).resolve().parent
 
 
-def _cache_folder() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "eps_hil" / "compiled"
+def _bases() -> Iterator[Path]:
+    """Folders to try: the one that numba is told, the user's cache, one of the user's in /tmp."""
+    said = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
+    if said:
+        yield Path(said)
+    else:
+        with contextlib.suppress(RuntimeError):  # a user without a home
+            yield Path.home() / ".cache"
+    if hasattr(os, "getuid"):
+        yield from _private()
+
+
+def _private() -> Iterator[Path]:
+    with contextlib.suppress(OSError):
+        private = Path(tempfile.gettempdir()) / f"eps_hil-{os.getuid()}"
+        private.mkdir(mode=0o700, exist_ok=True)
+        found = private.lstat()
+        # what lies in a cache is executed: never read one that somebody else could have made
+        if (
+            stat.S_ISDIR(found.st_mode)
+            and found.st_uid == os.getuid()
+            and not found.st_mode & 0o077
+        ):
+            yield private
 
 
 def _source_hash() -> str:
     digest = hashlib.sha256(numba.__version__.encode())
-    for source in sorted(Path(__file__).parent.rglob("*.py")):
+    for source in sorted(_PACKAGE.rglob("*.py")):
         text = source.read_bytes()
         if b"njit" in text:
-            digest.update(source.name.encode() + text)
+            digest.update(str(source.relative_to(_PACKAGE)).encode() + text)
     return digest.hexdigest()[:16]
 
 
-def _prepare() -> None:
-    folder = _cache_folder() / _source_hash()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        os.utime(folder)
-        others = sorted(folder.parent.iterdir(), key=lambda p: p.stat().st_mtime, reverse=True)
+def _folder() -> Path | None:
+    """The folder of this source's machine code, made if need be; None if none can be written."""
+    name = _source_hash()
+    for base in _bases():
+        folder = base / "eps_hil" / "compiled" / name
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+            os.utime(folder)
+            _forget_old(folder.parent)
+            return folder
+    return None
+
+
+def _forget_old(parent: Path) -> None:
+    with contextlib.suppress(OSError):  # another process may be forgetting the same
+        others = sorted(parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
         for stale in others[_KEPT_FOLDERS:]:
             shutil.rmtree(stale, ignore_errors=True)
-    except OSError:
-        return  # a read-only home: numba then compiles each time, correctly
-    if not os.environ.get("NUMBA_CACHE_DIR"):
-        numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
 
 
-_prepare()
+FOLDER = _folder()
+"""Where compiled functions are kept; None: nowhere."""
 
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -76,6 +114,82 @@ def njit(
     ``error_model``: what a division by zero does; only "numpy" (an infinity, no exception) lets
     a loop with divisions run on several numbers at once.
     """
-    decorate: Any = numba.njit(cache=True, nogil=True, inline=inline, error_model=error_model)
-    chosen: F | Callable[[F], F] = decorate if function is None else decorate(function)
-    return chosen
+    decorate: Any = numba.njit(
+        cache=FOLDER is not None, nogil=True, inline=inline, error_model=error_model
+    )
+
+    def decorated(function: F) -> F:
+        with _cached_there(function):
+            compiled: F = decorate(function)
+        return compiled
+
+    return decorated if function is None else decorated(function)
+
+
+def direct(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
+    """The machine code of a compiled ``function`` for arguments of these very types.
+
+    Calling the function itself finds out the types of all arguments first, which for records of
+    arrays takes several times as long as the step of an estimator. Compiles (or loads) where need
+    be, and calls nothing. Whoever calls the result answers for the types.
+    """
+    compile_for = getattr(function, "compile", None)
+    type_of: Any = numba.typeof
+    if compile_for is None:  # compilation is switched off
+        return function
+    entry: Callable[..., Any] = compile_for(tuple(type_of(each) for each in arguments))
+    return entry
+
+
+class Locator:
+    """Tells numba where a function of this package is kept, wherever the package is installed.
+
+    numba's own locators know a file by its path and by when it was changed, so that a checkout, a
+    wheel and every ``git switch`` compile anew what the folder's name says is the same source.
+    (numba before 0.62 does not ask; it then goes by path and date, as it does for other files.)
+    """
+
+    def __init__(self, folder: Path, line: int) -> None:
+        self._folder, self._line = folder, line
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], source: str) -> "Locator":
+        """Called by numba when it decorates."""
+        if FOLDER is None:
+            raise RuntimeError("no folder to keep compiled functions in")
+        place = Path(source).resolve().relative_to(_PACKAGE).with_suffix("")
+        return cls(FOLDER / "functions" / place, function.__code__.co_firstlineno)
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        """The function's folder."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """The name of the folder above says which source it is."""
+        return ""
+
+    def get_disambiguator(self) -> str:
+        """As numba does it: the line where the function begins."""
+        return str(self._line)
+
+
+@contextlib.contextmanager
+def _cached_there(function: Callable[..., Any]) -> Iterator[None]:
+    """numba looks for its folder when it decorates: ours is told then, and to nobody else."""
+    ours = Path(inspect.getfile(function)).resolve().is_relative_to(_PACKAGE)
+    told = {
+        "CACHE_DIR": str(FOLDER or ""),
+        "CACHE_LOCATOR_CLASSES": f"{__name__}.{Locator.__name__}" if ours and FOLDER else "",
+    }
+    before = {name: getattr(numba.config, name, "") for name in told}
+    for name, value in told.items():
+        setattr(numba.config, name, value)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(numba.config, name, value)

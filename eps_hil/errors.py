@@ -30,6 +30,10 @@ class BusError(EpsHilError):
     """The CAN bus refused what we need from it (no interface, an option refused, gone)."""
 
 
+class AbsentBusError(BusError):
+    """The interface is not there, or down: what is plugged in or set up later may mend it."""
+
+
 class SafetyStop(EpsHilError):
     """A safety limit ended the run."""
 

@@ -38,5 +38,8 @@ _ALL = (
 
 CANONICAL: dict[str, Signal] = {signal.name: signal for signal in _ALL}
 
+PUBLISHED = ("rack_force_estimate_n", "friction_torque_nm")
+"""What we put on the bus ourselves: no measurement, and there before and after the rig is."""
+
 ESTIMATOR_INPUTS = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "motor_angle_rad")
 """What the estimator reads, in the order of its input vector."""

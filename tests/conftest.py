@@ -17,6 +17,19 @@ settings.register_profile("rig", deadline=None)
 settings.load_profile("rig")
 
 
+REAL_TIME = ("service", "rig", "selftest", "bus", "monitor", "programme", "scripts", "cli", "real")
+"""Folders whose tests watch a clock, or share the machine's bus: nothing else runs beside them."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark them; under pytest-xdist the others go to the workers file by file."""
+    for item in items:
+        path = item.path.relative_to(ROOT / "tests")
+        if path.parts[0] in REAL_TIME:
+            item.add_marker(pytest.mark.real_time)
+        item.add_marker(pytest.mark.xdist_group(str(path)))
+
+
 def _module(name: str, folder: str) -> ModuleType:
     """``tests/<folder>/<name>.py``, once per process and under one name, which numba caches by."""
     if name not in sys.modules:

@@ -1,0 +1,113 @@
+"""Where compiled functions are kept: the user's cache, else a private folder, else nowhere."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SOURCES = Path(__file__).parents[1] / "eps_hil"
+NOWHERE = "/proc/eps_hil"  # not even root makes a folder there
+PROGRAM = """
+import json, numba
+import eps_hil.compiled as c
+from eps_hil.kernel import bare, dressed
+print(json.dumps({"folder": str(c.FOLDER), "sums": [bare(2.0), dressed(2.0)],
+                  "numba": numba.config.CACHE_DIR}))
+"""
+KERNEL = """
+from eps_hil.compiled import njit
+
+@njit
+def bare(x):
+    return x + 1.0
+
+@njit(error_model="numpy")
+def dressed(x):
+    return x + 2.0
+"""
+
+
+@pytest.fixture
+def read_only_install(tmp_path: Path) -> Path:
+    """The module as it is, in a package that nothing can be compiled beside, not even by root."""
+    package = tmp_path / "site" / "eps_hil"
+    package.mkdir(parents=True)
+    for name in ("__init__.py", "compiled.py"):
+        shutil.copy(SOURCES / name, package / name)
+    (package / "kernel.py").write_text(KERNEL)
+    (package / "__pycache__").write_text("a file where numba wants a folder")
+    (tmp_path / f"eps_hil-{os.getuid()}").write_text("a file where the private folder would be")
+    return package.parent
+
+
+def said_by(site: Path, **environment: str) -> dict[str, object]:
+    kept = {name: os.environ[name] for name in ("PATH", "LANG") if name in os.environ}
+    nowhere = {"HOME": NOWHERE, "TMPDIR": str(site.parent), "PYTHONPATH": str(site)}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], env=kept | nowhere | environment, cwd=site.parent,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    answer: dict[str, object] = json.loads(done.stdout)
+    assert answer["sums"] == [3.0, 4.0]
+    return answer
+
+
+def test_where_the_users_cache_can_be_written(read_only_install: Path, tmp_path: Path) -> None:
+    said = said_by(read_only_install, HOME=str(tmp_path))
+    folder = Path(str(said["folder"]))
+    assert folder.is_relative_to(tmp_path / ".cache" / "eps_hil" / "compiled")
+    assert len(list(folder.rglob("*.nbi"))) == 2
+    assert said["numba"] == ""  # other users of numba in the process keep their folder
+
+
+def test_another_install_of_the_same_source_compiles_nothing(
+    read_only_install: Path, tmp_path: Path
+) -> None:
+    said = said_by(read_only_install, HOME=str(tmp_path))
+    kept = Path(str(said["folder"]))
+    before = {path: path.stat().st_mtime_ns for path in kept.rglob("*.nb?")}
+    assert len(before) == 4  # an index and its code, of each function
+    other = tmp_path / "other" / "site"
+    shutil.copytree(read_only_install, other)
+    (other / "eps_hil" / "kernel.py").touch()  # as a checkout does
+    assert said_by(other, HOME=str(tmp_path))["folder"] == said["folder"]
+    assert {path: path.stat().st_mtime_ns for path in kept.rglob("*.nb?")} == before
+    (other / "eps_hil" / "kernel.py").write_text(KERNEL.replace("2.0", "1.0 + 1.0"))
+    changed = said_by(other, HOME=str(tmp_path))
+    assert changed["folder"] != said["folder"]
+
+
+def test_numbas_own_folder_comes_first(read_only_install: Path, tmp_path: Path) -> None:
+    said = said_by(read_only_install, NUMBA_CACHE_DIR=str(tmp_path / "n"), HOME=str(tmp_path))
+    assert Path(str(said["folder"])).is_relative_to(tmp_path / "n")
+
+
+def test_a_private_folder_where_the_home_is_read_only(
+    read_only_install: Path, tmp_path: Path
+) -> None:
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    said = said_by(read_only_install, TMPDIR=str(temporary))
+    private = temporary / f"eps_hil-{os.getuid()}"
+    assert Path(str(said["folder"])).is_relative_to(private)
+    assert private.stat().st_mode & 0o777 == 0o700
+
+
+def test_no_folder_that_others_could_have_written_to(
+    read_only_install: Path, tmp_path: Path
+) -> None:
+    private = tmp_path / f"eps_hil-{os.getuid()}"
+    private.unlink()
+    private.mkdir()
+    private.chmod(0o777)
+    assert said_by(read_only_install, TMPDIR=str(tmp_path))["folder"] == "None"
+    assert not list(private.iterdir())
+
+
+def test_it_compiles_where_nothing_can_be_written(read_only_install: Path) -> None:
+    assert said_by(read_only_install)["folder"] == "None"
