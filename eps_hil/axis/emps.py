@@ -47,13 +47,15 @@ class AxisRecord:
     """One recording at 1 kHz, all shape (n,).
 
     ``force_n`` is the motor's as the controller asked for it; ``hidden_force_n`` opposes it (as a
-    rack force does) and is for the scorer alone. Position counts from the middle of the travel.
+    rack force does) and is for the scorer alone. Position counts from the middle of the travel,
+    which is ``middle_m`` in the recording.
     """
 
     name: str
     position_m: Floats
     force_n: Floats
     hidden_force_n: Floats
+    middle_m: float = 0.0
 
     def series(self, *, free_of_load: bool = False) -> Mapping[str, Series]:
         """What a diagnosis or an estimator is shown; a load of zero where there is known none."""
@@ -93,7 +95,7 @@ def _record(path: Path, *, pulses: bool) -> AxisRecord:
     if pulses:
         hidden = -PULSE_GAIN * gain * signals["pulses_N"]
     middle = 0.5 * (float(position.min()) + float(position.max()))
-    return AxisRecord(path.stem, position - middle, force + hidden, hidden)
+    return AxisRecord(path.stem, position - middle, force + hidden, hidden, middle)
 
 
 def _check(path: Path, signals: Mapping[str, Floats]) -> None:

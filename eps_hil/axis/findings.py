@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from eps_hil.axis.augment import Augmented
 from eps_hil.axis.emps import ARM_M
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Effect
+from eps_hil.physics.model import Model
 
 _AXIS: Mapping[str, tuple[str, float]] = {
     "Nm s²/rad²": ("N s²/m²", ARM_M**-3),
@@ -19,6 +19,7 @@ _AXIS: Mapping[str, tuple[str, float]] = {
 }
 """Unit at the rotor -> unit at the axis, and the factor; the longer first, as texts are replaced.
 """
+_SAME_ORDER = 0.05
 _SUFFIX = {
     "_nm_s2_per_rad2": "_n_s2_per_m2",
     "_nm_s_per_rad": "_n_s_per_m",
@@ -28,23 +29,45 @@ _SUFFIX = {
 }
 
 
-def findings(augmented: Augmented, without: Sequence[Mapping[str, float]]) -> list[Any]:
-    """One entry an effect, strongest first; ``without``: the held-out figures if it is left out."""
+def entries_of(finding: Mapping[str, Any], model: Model) -> list[Mapping[str, Any]]:
+    """The entries of the written model that a finding of the diagnosis stands for."""
+    name = "empirical" if finding["effect"] == "unknown" else finding["effect"]
+    order = finding.get("parameters", {}).get("order", {}).get("value")
+    return [
+        entry
+        for entry in model.effects
+        if entry["effect"] == name
+        and (order is None or abs(float(entry["order"]) - order) < _SAME_ORDER)
+    ]
+
+
+def findings(
+    told: Sequence[Mapping[str, Any]],
+    model: Model,
+    without: Sequence[Mapping[str, float]],
+) -> list[dict[str, Any]]:
+    """The diagnosis' findings in units of the axis, as it ranks them.
+
+    ``without``: for each the figures on the held-out record if it is left out of ``model``. What
+    the catalogue has no name for stays in units of the notional rotor.
+    """
     found = []
-    for k, entry in enumerate(augmented.fit.entries):
-        effect = catalogue()[str(entry["effect"])]
-        found.append(
-            {
-                "effect": effect.id,
-                "kind": str(effect.kind),
-                "equation": effect.equation,
-                "summary": _summary(effect, entry),
-                "parameters": _parameters(augmented, k, effect),
-                "judging_part_energy_rise": augmented.losses[k],
-                "heldout_without_it": dict(without[k]),
-            }
-        )
-    return sorted(found, key=lambda one: -one["judging_part_energy_rise"])
+    for finding, figures in zip(told, without, strict=True):
+        one = {
+            key: finding[key]
+            for key in ("effect", "kind", "confidence", "equation", "summary", "confusable_with")
+            if key in finding
+        }
+        if finding["effect"] in catalogue():
+            (entry, *_) = entries_of(finding, model)
+            effect = catalogue()[finding["effect"]]
+            one["summary"] = _summary(effect, entry)
+            one["parameters"] = _parameters(finding["parameters"], effect)
+        else:
+            one["parameters"] = {}
+            one["model"] = finding.get("model")
+        found.append({**one, "heldout_without_it": dict(figures)})
+    return found
 
 
 def _summary(effect: Effect, entry: Mapping[str, Any]) -> str:
@@ -63,29 +86,24 @@ def _summary(effect: Effect, entry: Mapping[str, Any]) -> str:
     return text.format(**values)
 
 
-def _parameters(augmented: Augmented, k: int, effect: Effect) -> dict[str, Any]:
-    entry, fit = augmented.fit.entries[k], augmented.fit
+def _parameters(told: Mapping[str, Any], effect: Effect) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for parameter in effect.parameters:
-        if parameter.name not in entry:
+        if parameter.name not in told:
             continue
-        value = entry[parameter.name]
+        value, ends = told[parameter.name]["value"], told[parameter.name]["ci95"]
         if parameter.name == "curve":
             curve = [[x, torque / ARM_M] for x, torque in value]
             result["curve"] = {"value": curve, "unit": "m, N", "ci95": None}
-            continue
-        unit, factor = _AXIS.get(parameter.unit, (parameter.unit, 1.0))
-        if (k, parameter.name) not in fit.names:
-            continue
-        half = fit.half_width[k, parameter.name]
-        interval = [(value - half) * factor, (value + half) * factor]
-        name = _renamed(parameter.name)
-        result[name] = {"value": value * factor, "unit": unit, "ci95": interval}
-        if name == "order":
+        elif parameter.name == "order":
             turn = 2 * np.pi * ARM_M
-            ends = [turn / (value + half), turn / (value - half)]
-            result["pitch_m"] = {"value": turn / value, "unit": "m", "ci95": ends}
-            del result["order"]
+            pitch = {"value": turn / value, "unit": "m", "ci95": [turn / ends[1], turn / ends[0]]}
+            result["pitch_m"] = pitch
+        else:
+            unit, factor = _AXIS.get(parameter.unit, (parameter.unit, 1.0))
+            scaled = [end * factor for end in ends]
+            name = _renamed(parameter.name)
+            result[name] = {"value": value * factor, "unit": unit, "ci95": scaled}
     return result
 
 

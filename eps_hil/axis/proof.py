@@ -1,6 +1,6 @@
 """Before and after on the recording that was not fitted, and the hidden force opened at the end."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from eps_hil.axis.augment import Augmented, Say, augment
 from eps_hil.axis.emps import ARM_M, AxisRecord, published_model
-from eps_hil.axis.findings import findings
+from eps_hil.axis.findings import entries_of, findings
+from eps_hil.axis.free_run import FreeRun, free_run
 from eps_hil.axis.identify import axis_numbers
 from eps_hil.axis.phase import rephased
 from eps_hil.diagnosis.data.prepare import EDGE_S, SMOOTH_HZ, STEP_S, prepare
@@ -55,6 +56,8 @@ class Proof:
     heldout: AxisRecord
     before: Judged
     after: Judged
+    run: FreeRun
+    """Of the held-out recording, with the ripple's phase as the fitted one had it."""
 
 
 def prove(fitted: AxisRecord, heldout: AxisRecord, say: Say | None = None) -> Proof:
@@ -68,7 +71,13 @@ def prove(fitted: AxisRecord, heldout: AxisRecord, say: Say | None = None) -> Pr
     model = rephased(heldout, augmented.model)
     before, after = judge(heldout, published), judge(heldout, model)
     content = _content(heldout, published, augmented, model, before, after)
-    return Proof(content, heldout, before, after)
+    run = free_run(heldout, augmented.model)
+    content["free_run_position_rmse_mm"] = {
+        "before": free_run(heldout, published).rmse_mm,
+        "after": run.rmse_mm,
+        "identified_only": free_run(heldout, augmented.identified).rmse_mm,
+    }
+    return Proof(content, heldout, before, after, run)
 
 
 def judge(record: AxisRecord, model: Model) -> Judged:
@@ -147,12 +156,12 @@ def _content(
     after: Judged,
 ) -> dict[str, Any]:
     identified = judge(heldout, augmented.identified)
-    entries = model.effects
+    told = augmented.diagnosis.content["findings"]
     shares: list[Mapping[str, float]] = []
     own_phase = judge(heldout, augmented.model)
-    for k in range(len(entries)):
-        others = tuple(one for i, one in enumerate(entries) if i != k)
-        without = judge(heldout, replace(model, effects=others))
+    for one in told:
+        its = entries_of(one, model)
+        without = judge(heldout, replace(model, effects=_but(model.effects, its)))
         shares.append(
             {
                 "heldout_force_error_percent": without.heldout_force_error_percent,
@@ -180,14 +189,20 @@ def _content(
             "hidden_force_rmse_n": own_phase.hidden_force_rmse_n,
         },
         "band_hz": BAND_HZ,
-        "noise_taken_n": augmented.noise_n,
+        "verdict": augmented.diagnosis.content["verdict"],
+        "fit": augmented.diagnosis.content["fit"]["holdout"],
         "parameters": {
             "published": axis_numbers(published),
             "identified": axis_numbers(augmented.identified),
             "augmented": axis_numbers(augmented.model),
         },
-        "findings": findings(augmented, shares),
+        "findings": findings(told, augmented.model, shares),
     }
+
+
+def _but(effects: Sequence[Mapping[str, Any]], some: Sequence[Mapping[str, Any]]) -> Any:
+    """The effects without ``some`` of them."""
+    return tuple(one for one in effects if not any(one is other for other in some))
 
 
 def _rms(values: Floats) -> float:

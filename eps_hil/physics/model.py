@@ -78,21 +78,33 @@ class Model:
     delays_s: Delays = field(default_factory=Delays)
     effects: tuple[Mapping[str, Any], ...] = ()
 
+    @classmethod
+    def load(cls, path: str | Path) -> "Model":
+        """Read a model file, as :func:`load_model`."""
+        return load_model(path)
+
+    def save(self, path: str | Path) -> None:
+        """Write it as a model file."""
+        Path(path).write_text(dump_model(self), encoding="utf-8")
+
     @property
     def sensor_to_rotor(self) -> float:
         """i_pi / i_APA: rotor torque per torsion-bar torque (eq. 1a)."""
         return self.pinion_ratio_rad_per_m / self.rack_to_rotor_ratio_rad_per_m
 
 
-def load_model(path: str | Path) -> Model:
-    """Read a model file; :class:`InputError` names line and field of the first mistake."""
+def load_model(path: str | Path, *, rig: bool = False) -> Model:
+    """Read a model file; :class:`InputError` names line and field of the first mistake.
+
+    ``rig``: of a simulated rig, which may also have effects on what it reports.
+    """
     model = yaml_file.load(path, Model, section="model")
     if model.effects:
         from eps_hil.physics.effects.catalogue import values_of
 
         for k, entry in enumerate(model.effects):
             try:
-                values_of(entry, model)
+                values_of(entry, model, rig=rig)
             except ValueError as error:
                 place = f"model.effects[{k}]"
                 raise InputError(path, place, str(error), "see docs/reference-effects.md") from None

@@ -4,6 +4,7 @@ Everything here is physical: instants, not stamps; sensor delays belong to who c
 speeds are at the rotor, the rack force at the rack (signs: CONTRACT 1).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ import numpy.typing as npt
 from eps_hil.compiled import njit
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.catalogue import joint_of, with_model_effects
-from eps_hil.physics.effects.effect import Instant
+from eps_hil.physics.effects.effect import Effect, Instant, Slot
 from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
     FrictionLaw,
@@ -51,10 +52,13 @@ class Motion:
     """i_APA times the rack's position: the angle itself unless the joint gives or has play."""
 
 
-def drive_of(model: Model) -> Drive:
-    """The compiled form of a model; ``ValueError`` if one of its effects is wrong."""
+def drive_of(model: Model, only: Callable[[Effect, Slot], bool] | None = None) -> Drive:
+    """The compiled form of a model; ``ValueError`` if one of its effects is wrong.
+
+    ``only`` picks effects that act at run time (``added.added``).
+    """
     worked_in = with_model_effects(model)
-    effects = added.added(worked_in)
+    effects = added.added(worked_in, only)
     return Drive(
         worked_in.inertia_kg_m2,
         worked_in.rack_to_rotor_ratio_rad_per_m,

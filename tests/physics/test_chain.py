@@ -34,7 +34,8 @@ from eps_hil.physics.chain_parameters import (
     load_chain,
     rotor_inertia_kg_m2,
 )
-from eps_hil.physics.chain_step import advance, read_out
+from eps_hil.physics.chain_reading import read_out
+from eps_hil.physics.chain_step import advance
 from eps_hil.physics.friction import friction_law
 from eps_hil.physics.model import Friction, load_model
 

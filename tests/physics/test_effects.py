@@ -30,7 +30,7 @@ CONTRACT_8 = {
     "motor_torque_offset", "torque_sensor_offset", "torque_sensor_gain",
     "torque_sensor_hysteresis", "motor_torque_gain", "coulomb_level", "inertia", "rack_ratio",
     "backlash", "belt_compliance", "end_stop", "unmodelled_spring", "position_torque",
-    "clock_drift", "dropped_frames",
+    "clock_drift", "dropped_frames", "empirical",
 }  # fmt: skip
 
 EXAMPLES: Mapping[str, Mapping[str, Any]] = {
@@ -63,7 +63,11 @@ EXAMPLES: Mapping[str, Mapping[str, Any]] = {
     "torque_sensor_hysteresis": {"play_nm": 0.8},
     "backlash": {"gap_rad": 0.1},
     "belt_compliance": {"stiffness_nm_per_rad": 15.0, "damping_nm_s_per_rad": 0.01},
-}
+    "empirical": {
+        "form": "law", "where": "rotor", "inputs": ["motor_speed_rad_s"], "shapes": ["linear"],
+        "size": 2e-3,
+    },
+}  # fmt: skip
 JOINTS = {name for name in EXAMPLES if catalogue()[name].slot is Slot.JOINT}
 """Effects of the joint behind the rotor: tests/physics/test_two_masses.py."""
 
@@ -200,6 +204,7 @@ def test_a_kernel_does_its_equation(reference_model: Model, name: str) -> None:
         "unmodelled_spring": lambda v: v + 0.01 * phi,
         "position_torque": lambda v: v + np.interp(x, [k[0] for k in curve], [k[1] for k in curve]),
         "end_stop": lambda v: v,
+        "empirical": lambda v: v + 2e-3 * w,
         "torque_sensor_hysteresis": lambda v: v,
     }
     got = SLOTS[effect.slot](table, u, 0.3)
@@ -283,12 +288,12 @@ def test_sensor_play_is_taken_back_past_its_gap(reference_model: Model, play: fl
 @pytest.mark.parametrize(
     ("entry", "said"),
     [
-        ({"effect": "stribeck", "level_nm": 0.1, "speed_rad_s": 0.0}, "0.5 to 200 rad/s"),
+        ({"effect": "stribeck", "level_nm": 0.1, "speed_rad_s": 0.0}, "more than 0 rad/s"),
         ({"effect": "stribeck", "level_nm": "high", "speed_rad_s": 3}, "a number was expected"),
         ({"effect": "stribeck", "level_nm": math.nan, "speed_rad_s": 3}, "level_nm is nan"),
         ({"effect": "stribeck", "level": 0.1, "speed_rad_s": 3}, "no parameter 'level'"),
         ({"effect": "unknown"}, "no effect"),
-        ({"effect": "clock_drift", "ppm": 100.0}, "not yet be simulated"),
+        ({"effect": "clock_drift", "ppm": 100.0}, "acts on what a rig reports"),
         ({"effect": "position_torque", "curve": [[0, 1]]}, "2 to 32 knots"),
         ({"effect": "position_torque", "curve": [[1, 1], [0, 2]]}, "rising"),
         ({"effect": "position_torque", "curve": "steep"}, "pairs"),

@@ -41,7 +41,7 @@ def test_angle_is_as_late_as_the_speed_unless_told_otherwise() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("inertia_kg_m2: 2.0e-4", "inertia_kg_m2: -1", ("line 3", "inertia_kg_m2", "greater")),
+        ("inertia_kg_m2: 2.0e-4", "inertia_kg_m2: -1", ("line 4", "inertia_kg_m2", "greater")),
         ("inertia_kg_m2: 2.0e-4", "inertia_kg_m2: .nan", ("inertia_kg_m2", "finite")),
         ("  pinion_ratio_rad_per_m: 125.7 ", "  # ", ("pinion_ratio_rad_per_m", "missing")),
         ("sigma0_nm_per_rad", "sigma_0", ("sigma_0", "not a known field")),

@@ -7,6 +7,7 @@ another, each with its own memory.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -27,7 +28,27 @@ from eps_hil.physics.effects.effect import (
 from eps_hil.physics.model import Model
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_KERNELS = [e for e in catalogue().values() if (e.kernel or e.elsewhere) and e.simulated]
+
+
+def _rows() -> list[Effect]:
+    """The effects that act at run time, in table order; one that may act in several slots once
+    for each of them."""
+    found = []
+    for effect in catalogue().values():
+        if (effect.kernel or effect.elsewhere) and effect.simulated:
+            found.append(effect)
+        found += [
+            replace(effect, id=_row_id(effect, slot), slot=slot, kernel=kernel)
+            for slot, kernel in effect.slots.items()
+        ]
+    return found
+
+
+def _row_id(effect: Effect, slot: Slot) -> str:
+    return f"{effect.id}_{slot.value}"
+
+
+_KERNELS = _rows()
 _ROW = {effect.id: row for row, effect in enumerate(_KERNELS)}
 Acting = tuple[Effect, Kernel]
 """An effect with the kernel that it has in one slot."""
@@ -47,8 +68,11 @@ class Added(NamedTuple):
     state: Floats
 
 
-def added(model: Model) -> Added:
-    """The kernels' table for a model; ``ValueError`` for an entry that is wrong."""
+def added(model: Model, only: Callable[[Effect, Slot], bool] | None = None) -> Added:
+    """The kernels' table for a model; ``ValueError`` for an entry that is wrong.
+
+    ``only`` picks entries by their effect and the slot that they act in.
+    """
     table = Added(
         np.zeros(len(_KERNELS), np.int64),
         np.zeros((len(_KERNELS), MOST_TERMS, WIDTH)),
@@ -56,14 +80,16 @@ def added(model: Model) -> Added:
     )
     for entry in model.effects:
         effect, values = values_of(entry, model)
-        if effect.id not in _ROW:
+        slot = effect.slot if effect.slot_of is None else effect.slot_of(values)
+        name = effect.id if effect.slot_of is None else _row_id(effect, slot)
+        if name not in _ROW or (only is not None and not only(effect, slot)):
             continue
-        row = _ROW[effect.id]
+        row = _ROW[name]
         term = table.terms[row]
         if term == MOST_TERMS:
             raise ValueError(f"'{effect.id}' stands more than {MOST_TERMS} times among the effects")
         table.terms[row] = term + 1
-        numbers = _numbers(values)
+        numbers = _numbers(values) if effect.numbers is None else effect.numbers(values)
         table.parameters[row, term, : len(numbers)] = numbers
     return table
 
@@ -71,7 +97,8 @@ def added(model: Model) -> Added:
 class InUse(NamedTuple):
     """Which slots have an effect that is on, so that the others need not be called at all.
 
-    ``memory``: an effect remembers something (rest times, …) that has to be moved on.
+    ``memory``: an effect remembers something (rest times, …) that has to be moved on. ``ranged``:
+    an effect is known in a range only.
     """
 
     level: bool
@@ -81,6 +108,7 @@ class InUse(NamedTuple):
     position: bool
     load: bool
     memory: bool
+    ranged: bool
 
 
 def in_use(table: Added) -> InUse:
@@ -132,6 +160,12 @@ def _fused(slot: str, effects: list[Acting]) -> Callable[[Added, Instant, float]
     return build(len(effects) - 1)
 
 
+def _told() -> list[Acting]:
+    """Errors of the torsion bar's sensor, from the true torque to the reported one."""
+    backward = sorted(_KERNELS, key=lambda one: one.stage, reverse=True)
+    return [(effect, effect.told) for effect in backward if effect.told is not None]
+
+
 def _fused_advance(name: str, effects: list[Effect]) -> Callable[[Added, Instant, float], None]:
     def build(k: int) -> Callable[[Added, Instant, float], None]:
         if k < 0:
@@ -149,6 +183,30 @@ def _fused_advance(name: str, effects: list[Effect]) -> Callable[[Added, Instant
                 move(a.parameters[row, term], a.state[row, term], u, dt)
 
         return _compiled(through, f"{name}_through_{effects[k].id}")
+
+    return build(len(effects) - 1)
+
+
+def _fused_outside(effects: list[Effect]) -> Callable[[Added, Instant], bool]:
+    def build(k: int) -> Callable[[Added, Instant], bool]:
+        if k < 0:
+
+            def inside(_a: Added, _u: Instant) -> bool:
+                return False
+
+            return _compiled(inside, "outside_none")
+        before, outside, row = build(k - 1), effects[k].outside, _ROW[effects[k].id]
+        assert outside is not None
+
+        def through(a: Added, u: Instant) -> bool:
+            if before(a, u):
+                return True
+            for term in range(a.terms[row]):  # noqa: SIM110 (any() is not compiled)
+                if outside(a.parameters[row, term], u):
+                    return True
+            return False
+
+        return _compiled(through, f"outside_{effects[k].id}")
 
     return build(len(effects) - 1)
 
@@ -260,6 +318,10 @@ def _remembering(effects: list[Effect]) -> list[Effect]:
     return [effect for effect in effects if effect.advance is not None]
 
 
+def _ranged(effects: list[Effect]) -> list[Effect]:
+    return [effect for effect in effects if effect.outside is not None]
+
+
 _LEVELS = _of(Slot.LEVEL) + _of(Slot.LEVEL_FACTOR)
 _SLOTS = (_LEVELS, *map(_of, (Slot.TORQUE, Slot.MOTOR, Slot.SENSOR, Slot.POSITION, Slot.LOAD)))
 _ROWS_OF_SLOTS = [
@@ -267,6 +329,7 @@ _ROWS_OF_SLOTS = [
     for effects in (
         *([one for one, _ in _of_slot] for _of_slot in _SLOTS),
         _remembering(_KERNELS),
+        _ranged(_KERNELS),
     )
 ]
 """In the order of :class:`InUse`."""
@@ -279,12 +342,16 @@ motor_nm = _fused("motor", _of(Slot.MOTOR))
 """Shaft torque of the motor from the reported one."""
 sensor_nm = _fused("sensor", _of(Slot.SENSOR))
 """True torsion-bar torque from the reported one, at the column."""
+told_nm = _fused("told", _told())
+"""What the sensor reports of a true torsion-bar torque; once a sample, in order."""
 position_m = _fused("position", _of(Slot.POSITION))
 """The rack's position from φ/i_APA (m): ``position_m(added, instant, φ/i_APA)``."""
 load_nm = _fused("load", _of(Slot.LOAD))
 """What F/i_APA (Nm) is at this place of the rack: ``load_nm(added, instant, F/i_APA)``."""
 advance = _fused_advance("advance", _remembering(_KERNELS))
 """Moves what effects remember (rest times, …) on by one step."""
+out_of_range = _fused_outside(_ranged(_KERNELS))
+"""Whether an effect is asked beyond the range that it is known in."""
 load_along = _fused_along("load", _of(Slot.LOAD))
 torque_along = _fused_along("torque", _of(Slot.TORQUE))
 motor_along = _fused_along("motor", _of(Slot.MOTOR))

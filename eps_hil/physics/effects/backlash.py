@@ -12,6 +12,7 @@ def _joint(joint: Joint, values: Mapping[str, Any]) -> Joint:
 
 EFFECT = Effect(
     id="backlash",
+    title="Backlash between rotor and rack",
     kind=Kind.STRUCTURE,
     slot=Slot.JOINT,
     equation="torque passes only when |φ − i_APA·x| has closed the gap: "

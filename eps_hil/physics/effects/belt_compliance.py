@@ -15,6 +15,7 @@ def _joint(joint: Joint, values: Mapping[str, Any]) -> Joint:
 
 EFFECT = Effect(
     id="belt_compliance",
+    title="Belt compliance",
     kind=Kind.STRUCTURE,
     slot=Slot.JOINT,
     equation="two masses joined by stiffness · Δφ + damping · Δω",

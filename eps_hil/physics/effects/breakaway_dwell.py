@@ -28,6 +28,7 @@ def _advance(p: Floats, s: Floats, u: Instant, dt: float) -> None:
 
 EFFECT = Effect(
     id="breakaway_dwell",
+    title="Static friction ageing (dwell)",
     kind=Kind.STRUCTURE,
     slot=Slot.LEVEL,
     equation="T_fs += level · (1 − exp(−t_rest/time)), lost over a sliding distance",

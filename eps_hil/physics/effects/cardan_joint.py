@@ -13,6 +13,7 @@ def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
 
 EFFECT = Effect(
     id="cardan_joint",
+    title="Cardan joint error",
     kind=Kind.STRUCTURE,
     slot=Slot.SENSOR,
     stage=3,

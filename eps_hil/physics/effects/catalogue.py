@@ -28,11 +28,14 @@ def catalogue() -> Mapping[str, Effect]:
     return {effect.id: effect for effect in found}
 
 
-def values_of(entry: Mapping[str, Any], model: Model) -> tuple[Effect, dict[str, Any]]:
+def values_of(
+    entry: Mapping[str, Any], model: Model, *, rig: bool = False
+) -> tuple[Effect, dict[str, Any]]:
     """The effect and its checked numbers for one entry of a model file's ``effects``.
 
-    ``ValueError`` says what is wrong: an unknown effect or parameter, a value that is missing, no
-    number, or outside the bounds in which it makes physical sense.
+    ``rig``: also effects that only a simulated rig can have (``Effect.on_bus``). ``ValueError``
+    says what is wrong: an unknown effect or parameter, a value that is missing, no number, or
+    outside the bounds in which it makes physical sense.
     """
     name = entry.get("effect")
     known = catalogue()
@@ -41,8 +44,14 @@ def values_of(entry: Mapping[str, Any], model: Model) -> tuple[Effect, dict[str,
         hint = f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(known)}"
         raise ValueError(f"'{name}' is no effect{hint}")
     effect = known[name]
-    if not effect.simulated:
-        raise ValueError(f"'{name}' can be named in a diagnosis, but not yet be simulated")
+    if not effect.simulated and not (rig and effect.on_bus):
+        raise ValueError(
+            f"'{name}' acts on what a rig reports: only the model of 'eps-hil rig' may hold it"
+            if effect.on_bus
+            else f"'{name}' can be named in a diagnosis, but not be simulated"
+        )
+    if effect.read is not None:
+        return effect, effect.read(entry)
     names = [parameter.name for parameter in effect.parameters]
     for key in entry:
         if key not in (*names, "effect"):
@@ -60,11 +69,9 @@ def _value(name: str, parameter: Any, entry: Mapping[str, Any], model: Model) ->
         return _curve(name, value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name}.{parameter.name} is {value!r}, a number was expected")
-    if not (math.isfinite(value) and parameter.lower <= value <= parameter.upper):
-        raise ValueError(
-            f"{name}.{parameter.name} is {value}, expected {parameter.lower:g} to "
-            f"{parameter.upper:g} {parameter.unit}"
-        )
+    low, high = parameter.domain
+    if not (math.isfinite(value) and low <= value <= high):
+        raise ValueError(f"{name}.{parameter.name} is {value}, expected {parameter.allowed}")
     return float(value)
 
 
@@ -100,11 +107,14 @@ def with_model_effects(model: Model) -> Model:
     return replace(model, effects=tuple(left)) if worked_in else model
 
 
-def joint_of(model: Model) -> Joint | None:
-    """The joint between rotor and rack with the model's effects in it; None if it is rigid."""
+def joint_of(model: Model, bare: Joint = RIGID) -> Joint | None:
+    """The joint between rotor and rack with the model's effects in it; None if it is rigid.
+
+    ``bare``: what the effects change, a joint that is as stiff as it should be.
+    """
     joint: Joint | None = None
     for entry in model.effects:
         effect, values = values_of(entry, model)
         if effect.joint is not None:
-            joint = effect.joint(joint or RIGID, values)
+            joint = effect.joint(joint or bare, values)
     return joint

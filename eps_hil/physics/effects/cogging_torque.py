@@ -23,12 +23,13 @@ def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
 
 EFFECT = Effect(
     id="cogging_torque",
+    title="Cogging torque",
     kind=Kind.STRUCTURE,
     slot=Slot.TORQUE,
     equation="amplitude · sin(order·φ + phase)",
     parameters=(
         Parameter("amplitude_nm", "Nm", 0.0, 0.5, "amplitude"),
-        Parameter("order", "1", 0.5, 200.0, "periods per turn of the rotor"),
+        Parameter("order", "1", 0.5, 200.0, "periods per turn of the rotor", per_turn=True),
         Parameter("phase_rad", "rad", -math.pi, math.pi, "phase at rotor angle zero"),
     ),
     sentence="A torque of {amplitude_nm:.3g} Nm repeats {order:.4g} times a rotor turn, whatever "

@@ -21,6 +21,7 @@ def _change(model: Model, values: Mapping[str, float]) -> Model:
 
 EFFECT = Effect(
     id="coulomb_level",
+    title="Coulomb friction level",
     kind=Kind.PARAMETER,
     slot=Slot.MODEL,
     equation="k0± · scale",

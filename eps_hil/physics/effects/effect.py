@@ -14,11 +14,27 @@ from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
 
-WIDTH = 66
-"""Parameters that one effect may have (a curve takes one plus two a knot)."""
-STATES = 4
+WIDTH = 160
+"""Parameters that one effect may have (a curve takes one plus two a knot, a map its table)."""
+STATES = 6
 """Numbers that one effect may remember between steps."""
 
+
+_SMALLEST, _LARGEST = 1e-12, 1e12
+_DIMENSIONS: Mapping[str, Mapping[str, int]] = {
+    "Nm": {"Nm": 1},
+    "Nm/N": {"Nm": 1, "N": -1},
+    "Nm/rad": {"Nm": 1, "rad": -1},
+    "Nm s/rad": {"Nm": 1, "rad": -1},
+    "Nm s²/rad²": {"Nm": 1, "rad": -2},
+    "1/Nm²": {"Nm": -2},
+    "rad": {"rad": 1},
+    "rad/s": {"rad": 1},
+    "m": {"m": 1},
+    "1/m": {"m": -1},
+    "1/m²": {"m": -2},
+    "N/m": {"N": 1, "m": -1},
+}
 
 OF_MODEL = float("nan")
 """As a probe's neutral value: the model file's own value of that parameter."""
@@ -86,6 +102,14 @@ class Slot(StrEnum):
     """In the recording only: nothing in the simulator changes."""
 
 
+class Mass(StrEnum):
+    """Where in a steering chain a torque of ``Slot.TORQUE`` acts; one mass has it all in one."""
+
+    ROTOR = "rotor"
+    NUT = "nut"
+    RACK = "rack"
+
+
 class Kind(StrEnum):
     """CONTRACT 7."""
 
@@ -96,7 +120,12 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One number of an effect: name with unit, bounds inside which it makes physical sense."""
+    """One number of an effect: name with unit, bounds inside which it makes physical sense.
+
+    Bounds with a unit of torque, angle, force or place are those of a steering drive of ordinary
+    size: a diagnosis looks between them in proportion to the machine. What a model file may say
+    is ``domain``.
+    """
 
     name: str
     unit: str
@@ -107,6 +136,36 @@ class Parameter:
     """Used where the model file leaves the parameter out; None if it has to be given."""
     closed: bool = False
     """Whether its bounds are values like any other (a share: none, all) and not only limits."""
+    per_turn: bool = False
+    """Whether it counts per turn of the rotor: fewer, the farther that turns."""
+
+    @property
+    def dimensions(self) -> Mapping[str, int]:
+        """Powers of Nm, N, rad and m in its unit; none of a phase, which is as wide on any rig."""
+        if (self.lower, self.upper) == (-math.pi, math.pi):
+            return {}
+        if self.per_turn:
+            return {"rad": -1}
+        return _DIMENSIONS.get(self.unit, {})
+
+    @property
+    def domain(self) -> tuple[float, float]:
+        """Between which values it makes sense on a machine of any size."""
+        if not self.dimensions:
+            return self.lower, self.upper
+        if self.lower > 0.0:
+            return _SMALLEST, _LARGEST
+        return 0.0 if self.lower == 0.0 else -_LARGEST, _LARGEST
+
+    @property
+    def allowed(self) -> str:
+        """The same in words: ``0.3 to 3``, ``more than 0 rad/s``."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        if not self.dimensions:
+            return f"{self.lower:g} to {self.upper:g}{unit}"
+        if self.lower > 0.0:
+            return f"more than 0{unit}"
+        return f"0{unit} or more" if self.lower == 0.0 else f"a number of{unit or ' 1'}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,11 +236,25 @@ class Effect:
     advance: Advance | None = None
     elsewhere: Mapping[Slot, Kernel] = field(default_factory=dict)
     """Kernels of other slots in which it acts too; what remembers acts in one slot."""
+    slots: Mapping[Slot, Kernel] = field(default_factory=dict)
+    """Kernels of an effect whose entry says where it acts (``slot_of``): in one of these."""
+    slot_of: Callable[[Mapping[str, Any]], Slot] | None = None
+    read: Callable[[Mapping[str, Any]], dict[str, Any]] | None = None
+    """Checks an entry that holds more than numbers; ``ValueError`` says what is wrong."""
+    numbers: Callable[[Mapping[str, Any]], list[float]] | None = None
+    """Beside ``read``: its values as the kernel takes them."""
+    outside: Callable[[Floats, Instant], bool] | None = None
+    """Whether an instant is beyond the range that the effect is known in (compiled)."""
     change: Callable[[Model, Mapping[str, Any]], Model] | None = None
     """For ``Slot.MODEL``: the model with the effect's numbers worked in."""
     left: Callable[[Mapping[str, Any]], Mapping[str, float] | None] | None = None
     """Beside ``change``: the numbers of what still acts at run time; worked in, they change
     nothing more. None, or an answer of None: nothing."""
+    mass: Mass = Mass.ROTOR
+    """Which mass of a chain a torque of it acts on."""
+    told: Kernel | None = None
+    """For a sensor's error: the reported value from the true one, as a simulated rig's sensor has
+    it. Called once a sample in order, so it may keep its memory up itself."""
     joint: Callable[[Joint, Mapping[str, Any]], Joint] | None = None
     """For ``Slot.JOINT``: the joint with the effect in it."""
     probe: Probe | None = None
@@ -193,8 +266,18 @@ class Effect:
     with that is open, so a reversal tells nothing of its stiffness then."""
     over_time: bool = False
     """Whether it depends on how long the recording has run: only then its place is a time."""
+    title: str = ""
+    """Its name in the field; empty: the id in words."""
     simulated: bool = True
     """Whether simulator and estimator can use it (a model file may then hold it)."""
+    on_bus: bool = False
+    """Beside not ``simulated``: a simulated rig's model file may hold it all the same, since it
+    acts on what the rig reports."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the field, as a page or a terminal shows it."""
+        return self.title or self.id.replace("_", " ").capitalize()
 
     def wording(self, values: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
         """The sentence for these values, and the values to fill it with."""

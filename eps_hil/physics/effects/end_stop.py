@@ -3,7 +3,16 @@
 import math
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
+from eps_hil.physics.effects.effect import (
+    Effect,
+    Floats,
+    Instant,
+    Kind,
+    Mass,
+    Parameter,
+    Probe,
+    Slot,
+)
 
 
 @njit
@@ -16,6 +25,7 @@ def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
 
 EFFECT = Effect(
     id="end_stop",
+    title="End stop",
     kind=Kind.STRUCTURE,
     slot=Slot.TORQUE,
     equation="F += stiffness · (|x| − position) · sign(x) beyond the position",
@@ -25,6 +35,7 @@ EFFECT = Effect(
     ),
     sentence="Beyond ±{position_m:.4g} m the rack meets a stop of {stiffness_n_per_m:.3g} N/m.",
     twins={"position_torque": "drive into the stop slowly, twice"},
+    mass=Mass.RACK,
     kernel=_torque_nm,
     probe=Probe("stiffness_n_per_m", 0.0, 1e4, scan="position_m"),
 )

@@ -21,6 +21,7 @@ def _change(model: Model, values: Mapping[str, float]) -> Model:
 
 EFFECT = Effect(
     id="friction_asymmetry",
+    title="Friction asymmetry",
     kind=Kind.STRUCTURE,
     slot=Slot.MODEL,
     equation="T_fs += sign(ω) · half_difference",

@@ -13,6 +13,7 @@ def _level_nm(p: Floats, _s: Floats, u: Instant, level: float) -> float:
 
 EFFECT = Effect(
     id="friction_warmup",
+    title="Friction warm-up",
     kind=Kind.STRUCTURE,
     slot=Slot.LEVEL_FACTOR,
     equation="T_fs · (1 + amplitude · exp(−t/time))",

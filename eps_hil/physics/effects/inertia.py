@@ -13,6 +13,7 @@ def _change(model: Model, values: Mapping[str, float]) -> Model:
 
 EFFECT = Effect(
     id="inertia",
+    title="Inertia error",
     kind=Kind.PARAMETER,
     slot=Slot.MODEL,
     equation="J · scale",

@@ -26,6 +26,7 @@ def _none_at_all(model: Model) -> float:
 
 EFFECT = Effect(
     id="load_dependent_friction",
+    title="Load-dependent friction",
     kind=Kind.STRUCTURE,
     slot=Slot.MODEL,
     equation="T_fs += gain · |F|",

@@ -56,6 +56,7 @@ _LAG = (
 
 EFFECT = Effect(
     id="motor_torque_delay",
+    title="Motor torque delay",
     kind=Kind.INSTRUMENT,
     slot=Slot.MODEL,
     equation="T_em(t) on the shaft = reported for t − delay; lag_share of it is a first-order lag",

@@ -11,6 +11,7 @@ def _torque_nm(p: Floats, _s: Floats, _u: Instant, torque: float) -> float:
 
 EFFECT = Effect(
     id="motor_torque_gain",
+    title="Torque constant error",
     kind=Kind.PARAMETER,
     slot=Slot.MOTOR,
     equation="true = gain · reported",

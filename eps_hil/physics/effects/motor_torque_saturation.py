@@ -11,6 +11,7 @@ def _torque_nm(p: Floats, _s: Floats, _u: Instant, torque: float) -> float:
 
 EFFECT = Effect(
     id="motor_torque_saturation",
+    title="Motor torque saturation",
     kind=Kind.STRUCTURE,
     slot=Slot.MOTOR,
     stage=2,

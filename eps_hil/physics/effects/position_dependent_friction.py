@@ -14,13 +14,14 @@ def _level_nm(p: Floats, _s: Floats, u: Instant, level: float) -> float:
 
 EFFECT = Effect(
     id="position_dependent_friction",
+    title="Position-dependent friction",
     kind=Kind.STRUCTURE,
     slot=Slot.LEVEL,
     equation="T_fs += level · exp(−((x − centre)/width)²)",
     parameters=(
         Parameter("level_nm", "Nm", -0.5, 0.5, "extra friction at the centre of the region"),
-        Parameter("centre_m", "m", -0.15, 0.15, "rack position of the region", 0.0),
-        Parameter("width_m", "m", 5e-4, 0.1, "half width where 1/e is left"),
+        Parameter("centre_m", "m", -100.0, 100.0, "rack position of the region", 0.0),
+        Parameter("width_m", "m", 1e-6, 100.0, "half width where 1/e is left"),
     ),
     sentence="Around rack position {centre_m:.4g} m, over ±{width_m:.3g} m, friction is "
     "{level_nm:.3g} Nm higher.",

@@ -1,7 +1,16 @@
 """A static torque over rack position that is no spring, stop or ripple: gravity, imbalance."""
 
 from eps_hil.compiled import njit
-from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
+from eps_hil.physics.effects.effect import (
+    Effect,
+    Floats,
+    Instant,
+    Kind,
+    Mass,
+    Parameter,
+    Probe,
+    Slot,
+)
 
 
 @njit
@@ -21,6 +30,7 @@ def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
 
 EFFECT = Effect(
     id="position_torque",
+    title="Position-dependent torque",
     kind=Kind.STRUCTURE,
     slot=Slot.TORQUE,
     equation="+ curve(x), straight between its knots",
@@ -29,6 +39,7 @@ EFFECT = Effect(
     ),
     sentence="A static torque over rack position is missing.",
     twins={"unmodelled_spring": "slow passes over the whole travel"},
+    mass=Mass.RACK,
     kernel=_torque_nm,
     probe=Probe("curve", 0.0, 5e-3, scan="curve"),
 )

@@ -14,6 +14,7 @@ def _change(model: Model, values: Mapping[str, float]) -> Model:
 
 EFFECT = Effect(
     id="presliding_hysteresis",
+    title="Presliding hysteresis",
     kind=Kind.STRUCTURE,
     slot=Slot.MODEL,
     equation="ż = ω − |ω| σ0 z / T_fs with σ0 = sigma0",

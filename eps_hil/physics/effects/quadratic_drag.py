@@ -11,6 +11,7 @@ def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
 
 EFFECT = Effect(
     id="quadratic_drag",
+    title="Quadratic drag",
     kind=Kind.STRUCTURE,
     slot=Slot.TORQUE,
     equation="+ coefficient · ω·|ω|",

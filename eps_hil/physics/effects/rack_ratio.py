@@ -69,6 +69,7 @@ def _load_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
 
 EFFECT = Effect(
     id="rack_ratio",
+    title="Gear ratio error",
     kind=Kind.PARAMETER,
     slot=Slot.MODEL,
     equation="i_APA · (1 + scale); φ = i_APA·x · (1 + scale + slope·x + bend·x²) where it varies",

@@ -18,6 +18,7 @@ def _change(model: Model, values: Mapping[str, float]) -> Model:
 
 EFFECT = Effect(
     id="speed_sensor_delay",
+    title="Speed sensor delay",
     kind=Kind.INSTRUMENT,
     slot=Slot.MODEL,
     equation="ω(t), φ(t) reported at t + delay beyond the model file's",

@@ -14,6 +14,7 @@ def _level_nm(p: Floats, _s: Floats, u: Instant, level: float) -> float:
 
 EFFECT = Effect(
     id="stribeck",
+    title="Stribeck friction",
     kind=Kind.STRUCTURE,
     slot=Slot.LEVEL,
     equation="T_fs += level · exp(−(ω/speed)²)",

@@ -23,6 +23,7 @@ def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
 
 EFFECT = Effect(
     id="torque_ripple",
+    title="Motor torque ripple",
     kind=Kind.STRUCTURE,
     slot=Slot.MOTOR,
     stage=3,

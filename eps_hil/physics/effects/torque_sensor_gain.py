@@ -9,8 +9,14 @@ def _torque_nm(p: Floats, _s: Floats, _u: Instant, torque: float) -> float:
     return torque / p[0]
 
 
+@njit
+def _told_nm(p: Floats, _s: Floats, _u: Instant, true: float) -> float:
+    return true * p[0]
+
+
 EFFECT = Effect(
     id="torque_sensor_gain",
+    title="Torque sensor gain error",
     kind=Kind.INSTRUMENT,
     slot=Slot.SENSOR,
     stage=1,
@@ -19,5 +25,6 @@ EFFECT = Effect(
     sentence="The torque sensor reads {gain:.3g} times the true torque.",
     twins={"cardan_joint": "a turn of the pinion or more under a constant hand torque"},
     kernel=_torque_nm,
+    told=_told_nm,
     probe=Probe("gain", 1.0, 5e-3, least=0.01),
 )

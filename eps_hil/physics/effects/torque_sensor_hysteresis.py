@@ -27,8 +27,16 @@ def _advance(p: Floats, s: Floats, u: Instant, dt: float) -> None:
     s[0] = min(max(s[0] + _LEAD * (s[1] - before), -p[0]), p[0])
 
 
+@njit
+def _told_nm(p: Floats, s: Floats, _u: Instant, true: float) -> float:
+    """Play: the reading is dragged along by the true torque; s[3] is where it stands."""
+    s[3] = min(max(s[3], true - p[0]), true + p[0])
+    return s[3]
+
+
 EFFECT = Effect(
     id="torque_sensor_hysteresis",
+    title="Torque sensor hysteresis",
     kind=Kind.INSTRUMENT,
     slot=Slot.SENSOR,
     stage=2,
@@ -37,5 +45,6 @@ EFFECT = Effect(
     sentence="The torque sensor has play of ±{play_nm:.3g} Nm.",
     twins={"backlash": "twist of the torsion bar (wheel angle less pinion angle) over its torque"},
     kernel=_torque_nm,
+    told=_told_nm,
     advance=_advance,
 )

@@ -9,8 +9,14 @@ def _torque_nm(p: Floats, _s: Floats, _u: Instant, torque: float) -> float:
     return torque - p[0]
 
 
+@njit
+def _told_nm(p: Floats, _s: Floats, _u: Instant, true: float) -> float:
+    return true + p[0]
+
+
 EFFECT = Effect(
     id="torque_sensor_offset",
+    title="Torque sensor offset",
     kind=Kind.INSTRUMENT,
     slot=Slot.SENSOR,
     equation="T_sen = reported − offset",
@@ -24,5 +30,6 @@ EFFECT = Effect(
         "friction_asymmetry": "hands off while the rotor moves: an offset is still read",
     },
     kernel=_torque_nm,
+    told=_told_nm,
     probe=Probe("offset_nm", 0.0, 0.02),
 )

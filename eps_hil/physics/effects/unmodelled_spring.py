@@ -11,6 +11,7 @@ def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
 
 EFFECT = Effect(
     id="unmodelled_spring",
+    title="Unmodelled spring",
     kind=Kind.STRUCTURE,
     slot=Slot.TORQUE,
     equation="stiffness · φ",
