@@ -11,11 +11,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from eps_hil.bus.bit_packing import Packing, packing_of
 from eps_hil.bus.database import find_message, nearest
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.mapping import MessageRules, SignalMapping
 from eps_hil.bus.message_decoder import STAMP_RESOLUTION_NS, MessageDecoder, Sample
-from eps_hil.bus.protection import E2E_P01, CounterCheck, CrcRule, crc_byte
+from eps_hil.bus.protection import E2E_P01, CounterCheck, CrcRule, Seen, crc_byte
 from eps_hil.bus.sample_clock import SampleClock
 from eps_hil.bus.signal_codec import ReadSignal, WriteSignal
 from eps_hil.bus.supply_power import SupplyPowerTorque
@@ -25,9 +26,11 @@ __all__ = ["FAULTS", "STAMP_RESOLUTION_NS", "FrameDecoder", "FrameEncoder", "Sam
 
 FAULTS = (
     "crc", "counter", "length", "lost_frames", "not_decodable",
-    "not_available", "out_of_range", "clock_restarts",
+    "not_available", "out_of_range", "clock_restarts", "second_sender", "not_trusted",
 )  # fmt: skip
-"""Keys of :attr:`FrameDecoder.faults`. ``counter``: repeated frames (they yield no sample)."""
+"""Keys of :attr:`FrameDecoder.faults`. ``counter``: repeated frames (they yield no sample);
+``second_sender``: other data under a counter that was there already; ``not_trusted``: frames of
+which nobody can say when they were sampled, or whose they are (both yield NaN)."""
 
 
 class FrameDecoder:
@@ -71,6 +74,11 @@ class FrameDecoder:
         """Id of the sync message; None if the mapping has neither speed nor angle."""
         return None if self._sync is None else self._sync[0]
 
+    def message_of(self, frame: Frame) -> str:
+        """Name of the mapped message that the frame carries; "" if none."""
+        plan = self._plans.get((frame.can_id, frame.extended))
+        return "" if plan is None else plan.name
+
     def sync(self, frame: Frame) -> bool:
         """Whether the estimator steps on this frame."""
         return not frame.error and (frame.can_id, frame.extended) == self._sync
@@ -102,8 +110,9 @@ class FrameDecoder:
             )  # fmt: skip
         self._plans[key] = MessageDecoder(message, signals, self.faults)
         self._protect(self._plans[key], message, rules)
-        if message.cycle_time:
-            self.period_s |= dict.fromkeys(names, message.cycle_time / 1e3)
+        cycle_s = rules.cycle_s(message)
+        if cycle_s is not None:
+            self.period_s |= dict.fromkeys(names, cycle_s)
 
     def _protect(self, plan: "MessageDecoder", message: Any, rules: MessageRules) -> None:
         place = f"messages.{message.name}"
@@ -121,16 +130,20 @@ class FrameDecoder:
             )  # fmt: skip
         plan.counter = counter.name
         plan.check = CounterCheck(modulo)
+        cycle_s = rules.cycle_s(message)
+        if cycle_s is not None:
+            plan.seen = Seen(modulo, round(cycle_s * 1e9))
         if rules.clock == "counter":
-            plan.clock = self._clock(message, modulo, place)
+            plan.clock = self._clock(message, cycle_s, modulo, place)
 
-    def _clock(self, message: Any, modulo: int, place: str) -> SampleClock:
-        if not message.cycle_time:
+    def _clock(self, message: Any, cycle_s: float | None, modulo: int, place: str) -> SampleClock:
+        if cycle_s is None:
             raise InputError(
                 self._files[1], message.name, "has no cycle time (GenMsgCycleTime)",
-                f"add it, or set 'clock: stamp' under {place} in {self._files[0]}",
+                f"add it, or set 'cycle_time_s' (or 'clock: stamp') under {place} in "
+                f"{self._files[0]}",
             )  # fmt: skip
-        period_ns = round(message.cycle_time * 1_000_000)
+        period_ns = round(cycle_s * 1e9)
         sender = message.senders[0] if message.senders else f"message {message.name}"
         key = (sender, period_ns, modulo)
         return self._clocks.setdefault(key, SampleClock(period_ns, modulo))
@@ -223,9 +236,33 @@ class FrameEncoder:
         own = {rules.counter, rules.crc}
         self._signals = tuple(WriteSignal(s) for s in message.signals if s.name not in own)
         self._raw: dict[str, int | float] = {s.name: 0 for s in message.signals}
+        self._packing = packing_of(message)
+        places = {} if self._packing is None else self._packing.places
+        self._fields = tuple((s, s.name, *places[s.name][:2]) for s in self._signals if places)
 
     def encode(self, values: Mapping[str, float]) -> bytes:
         """Payload for values by DBC signal name; a signal not given is sent as not available."""
+        packing, crc = self._packing, self._crc
+        data = self._by_cantools(values) if packing is None else self._packed(packing, values)
+        if crc is None:
+            return data
+        return data[: crc.byte] + bytes((crc.expected(data),)) + data[crc.byte + 1 :]
+
+    def _packed(self, packing: Packing, values: Mapping[str, float]) -> bytes:
+        number = 0
+        for signal, name, shift, mask in self._fields:
+            raw, fate = signal.write(values.get(name, math.nan))
+            if fate:
+                self.clipped += fate > 0
+                self.not_available += fate < 0
+            number |= (int(raw) & mask) << shift
+        if self._counter is not None:
+            shift, mask, _ = packing.places[self._counter]
+            number |= (self._next & mask) << shift
+            self._next = (self._next + 1) % self._modulo
+        return number.to_bytes(packing.length, packing.order)
+
+    def _by_cantools(self, values: Mapping[str, float]) -> bytes:
         raw = self._raw
         for signal in self._signals:
             value = values.get(signal.name, math.nan)
@@ -237,10 +274,7 @@ class FrameEncoder:
             raw[self._counter] = self._next
             self._next = (self._next + 1) % self._modulo
         data: bytes = self._message.encode(raw, scaling=False, strict=False)
-        crc = self._crc
-        if crc is None:
-            return data
-        return data[: crc.byte] + bytes((crc.expected(data),)) + data[crc.byte + 1 :]
+        return data
 
     def frame(self, values: Mapping[str, float], t_ns: int = 0) -> Frame:
         """The payload of :meth:`encode` as a frame with the message's id and format."""

@@ -23,7 +23,11 @@ def _as_list(value: object) -> object:
     return [value] if isinstance(value, str) else value
 
 
-PathList = Annotated[tuple[Path, ...], BeforeValidator(_as_list), Field(min_length=1)]
+PathList = Annotated[
+    tuple[Path, ...],
+    BeforeValidator(_as_list, json_schema_input_type=tuple[Path, ...] | Path),
+    Field(min_length=1),
+]
 
 
 @with_config(ConfigDict(extra="forbid", coerce_numbers_to_str=True))
@@ -34,14 +38,14 @@ class BusConfig:
     ``interface``: ``socketcan`` or any python-can interface; ``channel``: its channel (``vcan0``,
     a multicast address, a number); ``fd``: CAN FD frames allowed; ``options``: passed to the
     interface as they are; ``reconnect``: wait and open the channel again when the bus is lost
-    (a rig gets power-cycled) instead of ending.
+    (a rig gets power-cycled); ``false`` ends instead.
     """
 
     interface: NAME
     channel: NAME
     fd: bool = False
     options: Mapping[str, Any] = field(default_factory=dict)
-    reconnect: bool = False
+    reconnect: bool = True
 
     def __str__(self) -> str:
         return f"{self.interface} {self.channel}{' (CAN FD)' if self.fd else ''}"

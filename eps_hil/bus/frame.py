@@ -4,7 +4,7 @@ Times are integer nanoseconds, because a float of seconds since the epoch resolv
 200 ns and two runs of one log would no longer agree bit for bit (DESIGN.md, decision 2).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 STANDARD_ID_MAX = 0x7FF
 EXTENDED_ID_MAX = 0x1FFF_FFFF
@@ -30,3 +30,34 @@ class Frame:
     own: bool = False
     remote: bool = False
     brs: bool = False
+
+
+_new = object.__new__
+(_t_ns, _can_id, _data, _extended, _fd, _error, _own, _remote, _brs) = (
+    getattr(Frame, each.name).__set__ for each in fields(Frame)
+)
+
+
+def frame_of(
+    t_ns: int,
+    can_id: int,
+    data: bytes,
+    extended: bool,
+    fd: bool,
+    error: bool,
+    own: bool,
+    remote: bool,
+    brs: bool,
+) -> Frame:
+    """A frame in half the time that ``Frame(...)`` takes: for ports, which make every one."""
+    made = _new(Frame)
+    _t_ns(made, t_ns)
+    _can_id(made, can_id)
+    _data(made, data)
+    _extended(made, extended)
+    _fd(made, fd)
+    _error(made, error)
+    _own(made, own)
+    _remote(made, remote)
+    _brs(made, brs)
+    return made

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, with_config
 from pydantic_core import PydanticCustomError
@@ -111,7 +111,8 @@ class MessageRules:
     ``crc_data_id``: default for profile 1 is the CAN id, for a plain CRC none;
     ``counter_modulo``: where the counter does not use its full width (profile 1 proper: 15);
     ``clock``: ``counter`` takes sample instants from the counter, ``stamp`` from the receive
-    stamp; ``extended``: 29-bit (true) or 11-bit id where a log disagrees with the DBC.
+    stamp; ``extended``: 29-bit (true) or 11-bit id where a log disagrees with the DBC;
+    ``cycle_time_s``: in place of the DBC's GenMsgCycleTime, which counts whole milliseconds.
     """
 
     counter: str | None = None
@@ -121,10 +122,17 @@ class MessageRules:
     crc_data_id: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None
     clock: Literal["counter", "stamp"] = "stamp"
     extended: bool | None = None
+    cycle_time_s: Annotated[float, Field(ge=5e-5, le=60, allow_inf_nan=False)] | None = None
 
     def __post_init__(self) -> None:
         if self.clock == "counter" and self.counter is None:
             raise _wrong("'clock: counter' needs the name of the counter signal")
+
+    def cycle_s(self, message: Any) -> float | None:
+        """Cycle time of a message (of cantools) in seconds; None where nobody says one."""
+        if self.cycle_time_s is not None:
+            return self.cycle_time_s
+        return message.cycle_time / 1e3 if message.cycle_time else None
 
 
 @with_config(_STRICT)
@@ -133,13 +141,16 @@ class SignalMapping:
     """A whole mapping file.
 
     ``sync``: the message on which the estimator steps (default: the one that carries the motor
-    speed, else the motor angle, else None); ``strict``: how the DBC is read.
+    speed, else the motor angle, else None); ``strict``: how the DBC is read;
+    ``commands``: messages of the DBC that command something, beside those that are known to
+    (``bus/commands.py``): no replay sends them.
     """
 
     signals: Annotated[Mapping[CanonicalName, SignalSource], Field(min_length=1)]
     sync: str | None = None
     messages: Mapping[str, MessageRules] = field(default_factory=dict)
     strict: bool = True
+    commands: tuple[str, ...] = ()
 
     def _check_supply_power(self, name: str) -> None:
         if name != _TORQUE:

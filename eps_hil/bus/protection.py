@@ -35,10 +35,11 @@ class CrcRule:
         """Rule of a ``profile`` of :data:`PROFILES`; profile 1 needs a ``data_id``."""
         prefix = b"" if data_id is None else bytes((data_id & 0xFF, data_id >> 8 & 0xFF))
         if profile == E2E_P01:
-            start = int(crc8.sae_j1850(prefix, _INVERT))
+            compute: Callable[[bytes, int], int] = crc8.sae_j1850
+            start = compute(prefix, _INVERT)
 
             def e2e_p01(payload: bytes) -> int:
-                return int(crc8.sae_j1850(payload, start)) ^ _INVERT
+                return compute(payload, start) ^ _INVERT
 
             return cls(byte, e2e_p01)
         algorithm: Callable[[bytes], int] = getattr(crc8, profile)
@@ -46,6 +47,8 @@ class CrcRule:
 
     def expected(self, data: bytes) -> int:
         """The CRC that ``data`` should carry: over everything but the CRC byte itself."""
+        if self.byte == 0:
+            return self.compute(data[1:])
         return self.compute(data[: self.byte] + data[self.byte + 1 :])
 
     def good(self, data: bytes) -> bool:
@@ -77,3 +80,31 @@ class CounterCheck:
         """
         last, self._last = self._last, counter
         return 1 if last is None else (counter - last) % self.modulo
+
+
+class Seen:
+    """The last few frames of a message by their counter: what comes again, and from whom.
+
+    ``period_ns``: the message's cycle; ``modulo``: where its counter wraps.
+    """
+
+    __slots__ = ("_recent_ns", "_ring", "_size")
+
+    def __init__(self, modulo: int, period_ns: int) -> None:
+        self._size = max(1, min(16, modulo // 2))
+        self._recent_ns = self._size * period_ns
+        self._ring: list[tuple[int, int, bytes]] = [(-1, 0, b"")] * self._size
+
+    def again(self, t_ns: int, counter: int, data: bytes) -> bool | None:
+        """None: a new counter; True: the same frame again, bit for bit; False: other data.
+
+        Other data under a counter that was there a moment ago are another sender's, or the
+        sender's counter stands still; either way nobody knows which frame is true.
+        """
+        place = counter % self._size
+        before, stamp, payload = self._ring[place]
+        if before == counter and abs(t_ns - stamp) < self._recent_ns:
+            self._ring[place] = (counter, t_ns, payload)
+            return payload == data
+        self._ring[place] = (counter, t_ns, data)
+        return None

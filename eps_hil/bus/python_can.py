@@ -2,8 +2,8 @@
 
 Where the driver gives a file descriptor the loop watches it; otherwise a reader thread hands
 whole batches over. What python-can cannot tell stays unknown: ``lost_in_kernel`` is 0, and
-stamps are float seconds (some 200 ns of resolution) by the driver's clock, moved onto the epoch
-when that clock counts from somewhere else.
+stamps are float seconds (some 200 ns of resolution) by the driver's clock, which is followed onto
+the epoch (:mod:`eps_hil.bus.stamp_offset`).
 """
 
 import asyncio
@@ -13,19 +13,21 @@ import errno
 import logging
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import can
 
+from eps_hil.bus.commands import OWN
 from eps_hil.bus.frame import Frame
-from eps_hil.bus.port import BusState, Deliver, OnLost, PortCounts
+from eps_hil.bus.port import BusState, Deliver, OnLost, PortCounts, SendRule
+from eps_hil.bus.stamp_offset import StampOffset
 from eps_hil.errors import BusError
 
 _BATCH_MAX = 1024
 _WAKE_S = 0.1  # how long the reader thread sleeps at most before it looks whether to stop
 _JOIN_S = 2.0
-_SAME_CLOCK_NS = 86_400_000_000_000
+_APART_NS = 100_000
 
 
 class PythonCanPort:
@@ -39,13 +41,14 @@ class PythonCanPort:
         fd: bool = False,
         receive_ids: Sequence[int] | None = None,
         send_ids: Sequence[int] | None = None,
+        never_send_ids: Collection[int] = tuple(OWN),
         options: Mapping[str, Any] | None = None,
     ) -> None:
         """Open the bus; :class:`BusError` in one line, with the remedy, when it cannot be."""
         self.name = f"{interface}:{channel}"
         self._channel = channel
         self._receive_ids = None if receive_ids is None else frozenset(receive_ids)
-        self._send_ids = None if send_ids is None else frozenset(send_ids)
+        self._rule = SendRule(self.name, send_ids, never_send_ids)
         self._bus = _open(interface, channel, fd, receive_ids, dict(options or {}))
         self._loop: asyncio.AbstractEventLoop | None = None
         self._deliver: Deliver | None = None
@@ -54,7 +57,7 @@ class PythonCanPort:
         self._watched = -1
         self._closing = False
         self._lost_reason = ""
-        self._epoch_offset_ns: int | None = None
+        self._offset = StampOffset()
         self._received = self._sent = self._dropped = self._errors = 0
 
     @property
@@ -94,11 +97,7 @@ class PythonCanPort:
 
     def send(self, frame: Frame) -> bool:
         """See :meth:`eps_hil.bus.port.Port.send`."""
-        if self._send_ids is not None and frame.can_id not in self._send_ids:
-            raise BusError(
-                f"{self.name}: not configured to send id 0x{frame.can_id:X}; "
-                "add it to the ids that this program may send"
-            )
+        self._rule.check(frame)
         if self._closing or self._lost_reason:
             raise BusError(f"{self.name}: {self._lost_reason or 'the port is closed'}")
         try:
@@ -107,7 +106,9 @@ class PythonCanPort:
             # A driver's full queue and its failure look alike here; what is gone for good
             # shows on the receiving side as well.
             if _is_gone(error):
-                raise BusError(f"{self.name}: {_one_line(error)}") from None
+                self._lost_reason = _one_line(error)
+                self._tell_lost()
+                raise BusError(f"{self.name}: {self._lost_reason}") from None
             self._dropped += 1
             return False
         except (can.CanError, OSError, ValueError) as error:
@@ -189,14 +190,10 @@ class PythonCanPort:
         return from_message(message, self._epoch_ns(message.timestamp))
 
     def _epoch_ns(self, timestamp_s: float) -> int:
-        now_ns = time.time_ns()
+        wall_ns, steady_ns = _clocks()
         if not timestamp_s:
-            return now_ns
-        stamp_ns = round(timestamp_s * 1e9)
-        if self._epoch_offset_ns is None:
-            off = now_ns - stamp_ns
-            self._epoch_offset_ns = off if abs(off) > _SAME_CLOCK_NS else 0
-        return stamp_ns + self._epoch_offset_ns
+            return wall_ns
+        return self._offset.on_epoch(round(timestamp_s * 1e9), wall_ns, steady_ns)
 
     def _tell_lost(self) -> None:
         self._stop_watching()
@@ -210,7 +207,16 @@ class PythonCanPort:
         self._watched = -1
 
 
-def to_message(frame: Frame, channel: str | None = None) -> can.Message:
+def _clocks() -> tuple[int, int]:
+    """CLOCK_REALTIME and CLOCK_MONOTONIC of one moment, in ns."""
+    for _ in range(10):
+        steady_ns, wall_ns = time.monotonic_ns(), time.time_ns()
+        if time.monotonic_ns() - steady_ns < _APART_NS:  # else somebody else ran in between
+            break
+    return wall_ns, steady_ns
+
+
+def to_message(frame: Frame, channel: str | int | None = None) -> can.Message:
     """The frame as python-can knows it; its stamp as float seconds since the epoch."""
     return can.Message(
         timestamp=frame.t_ns / 1e9,

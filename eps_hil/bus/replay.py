@@ -7,15 +7,19 @@ each frame went out is measured and said, because a replay that quietly lags pro
 
 import contextlib
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from eps_hil.bus.frame import EXTENDED_ID_MAX, STANDARD_ID_MAX, Frame
 from eps_hil.bus.port import Port
+from eps_hil.bus.replay_choice import Choice, LiveSenders
+from eps_hil.bus.replay_controls import ReplayControls
 from eps_hil.errors import InputError
 
 _NAP_S = 0.1  # longest sleep in one piece: a stop request is seen within this time
+_PAUSE_NAP_S = 0.02
+_KEY_NS = 20_000_000
 _BIN_NS = 1_000
 _BINS = 1_000_000  # up to one second in steps of 1 µs
 _REORDERED_NS = 1_000_000_000  # logs of several channels interleave; more is a clock set back
@@ -49,11 +53,13 @@ class Lateness:
 @dataclass(frozen=True, slots=True)
 class ReplayReport:
     """What a replay did: frames ``sent``, ``dropped`` by a full bus, ``skipped`` (error frames
-    and ids not asked for), its time span in the log and on the clock, and its lateness."""
+    and ids not asked for), ``commands`` left out by id, its time span in the log and on the
+    clock, and its lateness."""
 
     sent: int
     dropped: int
     skipped: int
+    commands: Mapping[int, int]
     log_s: float
     wall_s: float
     late_p50_ns: int
@@ -62,11 +68,12 @@ class ReplayReport:
     stopped: bool
 
 
-def read_log(path: str | Path) -> Iterator[Frame]:
+def read_log(path: str | Path, channel: str | None = None) -> Iterator[Frame]:
     """Frames of any log that python-can reads (by suffix: .log .blf .asc .trc .mf4 .csv .db).
 
     :class:`InputError` names the file and the position of whatever cannot be read; a log
-    without a single frame is refused too.
+    without a single frame is refused too. ``channel``: only this one of a log of several buses,
+    by the name or number that the log gives it.
     """
     import can
 
@@ -81,13 +88,21 @@ def read_log(path: str | Path) -> Iterator[Frame]:
         try:
             reader = stack.enter_context(can.LogReader(file))
             for message in reader:
+                if channel is not None and _channel(message.channel) != channel:
+                    continue
                 frame = _checked(from_message(message, round(message.timestamp * 1e9)))
                 count += 1
                 yield frame
         except Exception as error:  # every format of python-can fails in its own way
             raise _unreadable(file, count, error) from None
     if not count:
-        raise InputError(path, "", "holds no CAN frames", "is it the right file?")
+        what = "CAN frames" if channel is None else f"frame of the channel {channel}"
+        raise InputError(path, "", f"holds no {what}", "is it the right file?")
+
+
+def _channel(channel: object) -> str:
+    """As the log's own tools call it: python-can counts from 0 what they count from 1."""
+    return str(channel + 1) if isinstance(channel, int) else str(channel)
 
 
 def _checked(frame: Frame) -> Frame:
@@ -120,59 +135,113 @@ def replay(
     port: Port,
     *,
     speed: float | None = 1.0,
-    ids: Collection[int] | None = None,
+    choice: Choice | None = None,
     stop: Callable[[], bool] = lambda: False,
     progress: Callable[[int], None] | None = None,
+    live: LiveSenders | None = None,
+    controls: ReplayControls | None = None,
+    on_step: Callable[[int, Frame], None] = lambda offset_ns, frame: None,
 ) -> ReplayReport:
     """Send ``frames`` with the spacing of their stamps divided by ``speed`` (None: no waiting).
 
     Error frames are reports of a controller, not traffic, and are skipped, as are ids outside
-    ``ids``. ``stop()`` is asked before each frame and at least every 0.1 s; ``progress(sent)``
-    is called now and then. :class:`~eps_hil.errors.BusError` when the bus is gone.
+    ``choice``, which by default has no commands. ``stop()`` is asked before each frame and at
+    least every 0.1 s; ``progress(sent)`` is called now and then; ``on_step`` after a frame that
+    was sent while paused. :class:`~eps_hil.errors.BusError` when the bus is gone, or somebody
+    else began to send what is played.
     """
     late = Lateness()
-    wanted = _Wanted(ids)
+    wanted = choice or Choice()
     sent = dropped = log_ns = 0
-    started_ns = time.monotonic_ns()
-    stopped = False
+    pace = _Pace(speed, stop, live, controls or ReplayControls())
     for offset_ns, frame in offsets(filter(wanted, frames)):
-        if not sent + dropped:
-            started_ns = time.monotonic_ns()
-        due_ns = time.monotonic_ns() if speed is None else started_ns + round(offset_ns / speed)
-        stopped = not _sleep_until(due_ns, stop)
-        if stopped:
+        due_ns = pace.wait(offset_ns)
+        if due_ns is None:
             break
+        if live is not None:
+            live.sending(frame)
         accepted = port.send(frame)
         late.add(time.monotonic_ns() - due_ns)
         sent += accepted
         dropped += not accepted
         log_ns = max(log_ns, offset_ns)
+        if pace.stepped:
+            on_step(offset_ns, frame)
         if progress is not None and not (sent + dropped) % 256:
             progress(sent)
     return ReplayReport(
         sent=sent,
         dropped=dropped,
-        skipped=wanted.refused,
+        skipped=wanted.skipped,
+        commands=dict(wanted.commands),
         log_s=log_ns / 1e9,
-        wall_s=(time.monotonic_ns() - started_ns) / 1e9,
+        wall_s=pace.elapsed_s,
         late_p50_ns=late.quantile_ns(0.5),
         late_p99_ns=late.quantile_ns(0.99),
         late_max_ns=late.max_ns,
-        stopped=stopped,
+        stopped=pace.stopped,
     )
 
 
-class _Wanted:
-    """Filter for traffic of the chosen ids; counts what it refused."""
+class _Pace:
+    """When each frame is due: by its place in the log, the speed, and the time spent paused."""
 
-    def __init__(self, ids: Collection[int] | None) -> None:
-        self._ids = ids
-        self.refused = 0
+    def __init__(
+        self,
+        speed: float | None,
+        stop: Callable[[], bool],
+        live: LiveSenders | None,
+        controls: ReplayControls,
+    ) -> None:
+        self._speed, self._stop, self._live, self._desk = speed, stop, live, controls
+        self._begun_ns = self._started_ns = 0  # the second moves on with every pause
+        self._next_key_ns = 0
+        self.stopped = self.stepped = False
 
-    def __call__(self, frame: Frame) -> bool:
-        wanted = not frame.error and (self._ids is None or frame.can_id in self._ids)
-        self.refused += not wanted
-        return wanted
+    @property
+    def elapsed_s(self) -> float:
+        """Since the first frame."""
+        return (time.monotonic_ns() - self._begun_ns) / 1e9 if self._begun_ns else 0.0
+
+    def wait(self, offset_ns: int) -> int | None:
+        """Sleep until the frame at ``offset_ns`` is due; that instant, or None: stopped."""
+        place_ns = 0 if self._speed is None else round(offset_ns / self._speed)
+        if not self._begun_ns:
+            self._begun_ns = self._started_ns = time.monotonic_ns()
+        self.stepped = False
+        while not self._ended():
+            now_ns = time.monotonic_ns()
+            if self._desk.paused:
+                self._hold(now_ns - self._started_ns)
+                if self.stepped:
+                    self._started_ns = time.monotonic_ns() - place_ns
+                    return time.monotonic_ns()
+                continue
+            due_ns = now_ns if self._speed is None else self._started_ns + place_ns
+            if now_ns >= due_ns:
+                return due_ns
+            time.sleep(min((due_ns - now_ns) / 1e9, _NAP_S))
+        self.stopped = True
+        return None
+
+    def _hold(self, place_ns: int) -> None:
+        """Stand still at ``place_ns`` until told to go on, to take one step, or to end."""
+        while self._desk.paused and not self._ended():
+            self.stepped = self._desk.take_step()
+            if self.stepped:
+                return
+            time.sleep(_PAUSE_NAP_S)
+        self._started_ns = time.monotonic_ns() - place_ns
+
+    def _ended(self) -> bool:
+        """Look at the bus and at the controls, and say whether to stop."""
+        if self._live is not None:
+            self._live.look()
+        now_ns = time.monotonic_ns()
+        if now_ns >= self._next_key_ns:
+            self._next_key_ns = now_ns + _KEY_NS
+            self._desk.look()
+        return self._desk.quit or self._stop()
 
 
 def offsets(frames: Iterable[Frame]) -> Iterator[tuple[int, Frame]]:
@@ -190,16 +259,6 @@ def offsets(frames: Iterable[Frame]) -> Iterator[tuple[int, Frame]]:
         yield offset_ns, frame
 
 
-def _sleep_until(due_ns: int, stop: Callable[[], bool]) -> bool:
-    """Sleep to a monotonic instant; False as soon as ``stop()`` says so."""
-    while not stop():
-        left_s = (due_ns - time.monotonic_ns()) / 1e9
-        if left_s <= 0.0:
-            return True
-        time.sleep(min(left_s, _NAP_S))
-    return False
-
-
 def again(make: Callable[[], Iterable[Frame]], rest_ns: int = 1_000_000) -> Iterator[Frame]:
     """The log over and over, each pass ``rest_ns`` after the last, as one stream of time."""
     end_ns: int | None = None
@@ -213,7 +272,7 @@ def again(make: Callable[[], Iterable[Frame]], rest_ns: int = 1_000_000) -> Iter
             yield moved
 
 
-def parse_ids(words: Collection[str]) -> frozenset[int]:
+def parse_ids(words: Collection[str], option: str = "--ids") -> frozenset[int]:
     """``0x76,118`` and the like -> ids; :class:`InputError` naming the word that is no id."""
     ids = set()
     for word in ",".join(words).replace(",", " ").split():
@@ -222,7 +281,7 @@ def parse_ids(words: Collection[str]) -> frozenset[int]:
         except ValueError:
             can_id = -1
         if not 0 <= can_id <= 0x1FFF_FFFF:
-            raise InputError("--ids", word, "is not a CAN id", "write 118 or 0x76")
+            raise InputError(option, word, "is not a CAN id", "write 118 or 0x76")
         ids.add(can_id)
     return frozenset(ids)
 

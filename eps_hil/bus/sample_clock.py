@@ -19,9 +19,15 @@ What can go wrong, and what happens:
   modulus is seen because the largest skip that is not early is taken;
 * drift: the slope of the envelope is tracked between the older and newer half of some 4 s,
   bounded to 300 ppm, and the envelope is taken over 0.5 s (at a period of 1 ms);
-* a frame that would be early by more than half a period, a counter that cannot be, a silence
-  that ended late, frames that stay late without catching up (the sender slipped its schedule):
-  the clock restarts on that frame at once. It never slews.
+* a frame that would be early by more than half a period, a silence that ended late, frames that
+  stay late without catching up (the sender slipped its schedule): the clock restarts on that
+  frame at once. It never slews. (Frames of *all* messages that wait equally long, all the time,
+  look like those of a sender that paused: no counter tells a gateway's constant delay);
+* a lane that is late while another is in time: the lanes' counters stay in one relation unless a
+  message was interrupted, so it is this lane's frames that wait. They keep the instants that their
+  counter says, and are not *trusted* from four periods on. A relation that stays changed for 1.2 s
+  is taken for a message that was interrupted;
+* a counter that cannot be: not trusted, until eight frames in a row follow each other.
 
 An instant is at most the stamp plus 1 us per frame of a burst, and is strictly increasing per
 message unless the stamps themselves go back by more than a period. It depends on nothing but the
@@ -29,10 +35,14 @@ sequence of (stamp, counter, lane): live and replayed frames give the same insta
 """
 
 from collections import deque
-from typing import NamedTuple
+from functools import partial
+
+from eps_hil.bus.lane import Instant, Lane
+
+__all__ = ["MIN_STEP_NS", "Instant", "SampleClock"]
 
 MIN_STEP_NS = 1_000
-_BLOCK = 64  # cycles whose lowest stamp stands for them
+_BLOCK = 64  # cycles (milliseconds, where those are longer) whose lowest stamp stands for them
 _ENVELOPE_BLOCKS = 8
 _SLOPE_BLOCKS = 64
 _SLOPE_MIN_BLOCKS = 16
@@ -41,32 +51,12 @@ _LATE = 0.75  # of a period: further than a message of the same cycle can lie
 _LATE_RUN = 16
 _LATE_TOTAL = 128  # not one frame in time, though some caught up
 _SILENCE_PERIODS = 20
-
-
-class Instant(NamedTuple):
-    """``t_ns``: when it was sampled; ``lost``: frames missing before it; ``restarted``."""
-
-    t_ns: int
-    lost: int = 0
-    restarted: bool = False
-
-
-class _Lane:
-    """One message on the clock: its last counter, cycle, stamp and instant."""
-
-    __slots__ = (
-        "counter", "cycle", "joined", "late_first", "late_last", "late_run", "late_total",
-        "repeated", "stamp", "t",
-    )  # fmt: skip
-
-    def __init__(self) -> None:
-        self.joined = False
-        self.counter = -1  # none seen yet
-        self.cycle = self.stamp = 0
-        self.t: int | None = None
-        self.repeated = False
-        self.late_total = self.late_run = 0
-        self.late_first = self.late_last = 0
+_DOUBT_NS = 1_200_000_000  # how long a lane that alone is late is taken to wait
+_WAITED = 3.5  # periods of lateness from which that matters
+_RELATED = 64  # frames in time after which a lane's counter belongs to the line
+_IN_A_ROW = 8
+_MS = 1_000_000
+_instant = partial(tuple.__new__, Instant)
 
 
 class SampleClock:
@@ -82,10 +72,16 @@ class SampleClock:
     ) -> None:
         self.period_ns = period_ns
         self.counter_modulo = counter_modulo
-        self.silence_ns = _SILENCE_PERIODS * period_ns if silence_ns is None else silence_ns
+        # What is in periods below is in milliseconds for a sender that is faster than that: how
+        # late a frame can be is a matter of schedulers and drivers, not of its rate.
+        self._scale = max(1, round(_MS / period_ns))
+        self._unit_ns = self._scale * period_ns
+        usual = _SILENCE_PERIODS * self._unit_ns
+        self.silence_ns = usual if silence_ns is None else silence_ns
         self.restarts = 0
-        self._lanes: dict[str, _Lane] = {}
-        self._last: _Lane | None = None
+        self._lanes: dict[str, Lane] = {}
+        self._last: Lane | None = None
+        self._paused = False  # whether the sender was silent before the line began
         self._origin = 0
         self._slope = 0.0  # ns per cycle against the nominal period
         self._anchor, self._level = 0, 0
@@ -99,27 +95,37 @@ class SampleClock:
 
     def instant(self, t_ns: int, counter: int, lane: str = "") -> Instant | None:
         """The sample instant of a frame stamped ``t_ns``; None for a repeated frame."""
-        at = self._lanes.setdefault(lane, _Lane())
-        skip = (counter - at.counter) % self.counter_modulo
+        at = self._lanes.get(lane)
+        if at is None:
+            at = self._lanes.setdefault(lane, Lane())
+        modulo, period = self.counter_modulo, self.period_ns
+        skip = (counter - at.counter) % modulo
         if not at.joined:
             return self._join(at, t_ns, counter, skip)
-        elapsed = (t_ns + self.period_ns // 2 - self._due(at.cycle)) // self.period_ns
-        if skip == 0 and (at.repeated or elapsed < self.counter_modulo):
+        early = t_ns + period // 2 - self._due(at.cycle)
+        elapsed = early // period
+        if skip == 0 and (at.repeated or elapsed < modulo):
             at.repeated = True
             return None
         at.repeated = False
-        silence = t_ns - at.stamp
         if skip > elapsed:  # would be early
-            return self._restart(at, t_ns, counter, skip, silence)
-        cycles = skip + (elapsed - skip) // self.counter_modulo * self.counter_modulo
-        late = t_ns - self._due(at.cycle + cycles)
-        if self._slipped(at, late, silence):
-            return self._restart(at, t_ns, counter, skip, silence)
-        return Instant(self._place(at, t_ns, counter, at.cycle + cycles), cycles - 1)
+            return self._early(at, t_ns, counter, skip)
+        at.in_a_row = 0
+        cycles = skip + (elapsed - skip) // modulo * modulo
+        late = early - period // 2 - cycles * period
+        if late <= _LATE * self._unit_ns:
+            at.late_total = at.late_run = 0
+            at.late_last = 0
+            at.behind_since = None
+            at.in_time += 1
+        elif self._slipped(at, late, t_ns - at.stamp):
+            return self._late(at, t_ns, counter, skip, cycles, late)
+        due = self._place(at, t_ns, counter, at.cycle + cycles)
+        return _instant((due, cycles - 1, False, True))  # as almost always
 
     def expected(self, t_ns: int, lane: str = "") -> int:
         """The likely instant of a frame whose counter cannot be trusted (its CRC failed)."""
-        at = self._lanes.setdefault(lane, _Lane())
+        at = self._lanes.setdefault(lane, Lane())
         due = self._due(at.cycle + 1) if at.joined else t_ns
         return self._forward(at, t_ns, min(due, t_ns))
 
@@ -127,8 +133,8 @@ class SampleClock:
         line = self._level + self._slope * (cycle - self._anchor)
         return self._origin + cycle * self.period_ns + round(line)
 
-    def _join(self, at: _Lane, t_ns: int, counter: int, skip: int) -> Instant | None:
-        """Enter beside the other lanes: at the cycle nearest to the frame received last."""
+    def _join(self, at: Lane, t_ns: int, counter: int, skip: int) -> Instant | None:
+        """Enter beside the other lanes: by the counter, else at the cycle nearest in time."""
         first = at.counter < 0
         if skip == 0 and not first:
             return None
@@ -138,15 +144,81 @@ class SampleClock:
         if last is None or not 0 <= since <= self.silence_ns:
             return self._restart(at, t_ns, counter, 1 if first else skip, silence)
         cycle = last.cycle + (since + self.period_ns // 2) // self.period_ns
+        if at.phase is not None:
+            half = self.counter_modulo // 2
+            ahead = (counter - at.phase - cycle + half) % self.counter_modulo - half
+            if ahead > 1:  # by its counter the line is that of frames that waited
+                return self._restart(at, t_ns, counter, skip, silence)
+            at.phase = None
+            waits = ahead < -_WAITED * self._scale
+            if waits:
+                at.behind_since, at.late_last = t_ns, -ahead * self.period_ns
+            cycle += 0 if self._paused and ahead >= -1 else ahead
+        else:
+            waits = False
         lost = 0 if first else self._held(skip, silence)
-        return Instant(self._place(at, t_ns, counter, cycle), lost)
+        return Instant(self._place(at, t_ns, counter, cycle), lost, trusted=not waits)
 
-    def _restart(self, at: _Lane, t_ns: int, counter: int, skip: int, silence: int) -> Instant:
+    def _early(self, at: Lane, t_ns: int, counter: int, skip: int) -> Instant:
+        """A frame before its time: the stamps' clock was set, or the counter cannot be."""
+        silence = t_ns - at.stamp
+        if skip == 1 or not 0 <= silence <= self.silence_ns:
+            return self._restart(at, t_ns, counter, skip, silence)
+        follows = counter == (at.stray + 1) % self.counter_modulo
+        at.in_a_row = at.in_a_row + 1 if follows and at.in_a_row else 1
+        at.stray = counter
+        if at.in_a_row < _IN_A_ROW:
+            at.stamp = t_ns
+            return Instant(self._forward(at, t_ns, t_ns), trusted=False)
+        at.in_a_row = 0
+        if not self._others_in_time(at, t_ns):
+            return self._restart(at, t_ns, counter, skip, silence)
+        at.joined, at.phase = False, None
+        return self._join(at, t_ns, counter, skip) or Instant(t_ns, trusted=False)
+
+    def _late(
+        self, at: Lane, t_ns: int, counter: int, skip: int, cycles: int, late: int
+    ) -> Instant:
+        """Late without catching up: the sender's schedule slipped, or this lane's frames wait."""
+        if self._others_in_time(at, t_ns):
+            if at.behind_since is None or not t_ns - at.behind_since > _DOUBT_NS:
+                since = t_ns if at.behind_since is None else at.behind_since
+                at.behind_since = since
+                t = self._place(at, t_ns, counter, at.cycle + cycles)
+                return Instant(t, cycles - 1, trusted=late < _WAITED * self._unit_ns)
+            at.joined, at.phase, at.behind_since = False, None, None
+            return self._join(at, t_ns, counter, skip) or Instant(t_ns, trusted=False)
+        return self._restart(at, t_ns, counter, skip, t_ns - at.stamp)
+
+    def _others_in_time(self, at: Lane, t_ns: int) -> bool:
+        """Whether another lane's newest frame was in time, and is new."""
+        return any(
+            lane is not at
+            and lane.joined
+            and lane.in_time >= _RELATED
+            and lane.late_last <= _LATE * self._unit_ns
+            and 0 <= t_ns - lane.stamp <= self.silence_ns
+            for lane in self._lanes.values()
+        )
+
+    def _restart(self, at: Lane, t_ns: int, counter: int, skip: int, silence: int) -> Instant:
         """A new line through this frame; the drift is the quartz's and stays."""
-        again = self._last is not None
+        last = self._last
+        again = last is not None
+        self._paused = last is None or t_ns - last.stamp > self.silence_ns
+        phase = at.counter - at.cycle if at.joined else at.phase
+        known = phase is not None and at.in_time >= _RELATED
+        moved = counter - (phase or 0)
         for lane in self._lanes.values():
+            if lane is at or not known:
+                lane.phase = None
+            elif lane.joined and lane.in_time >= _RELATED:
+                lane.phase = lane.counter - lane.cycle + moved
+            elif lane.phase is not None:
+                lane.phase += moved
             lane.joined = False
-            lane.late_total = lane.late_run = 0
+            lane.late_total = lane.late_run = lane.late_last = 0
+            lane.behind_since = None
         self._origin, self._anchor, self._level = t_ns, 0, 0
         self._block_start, self._low_cycle, self._low = 0, 0, 0
         self._lows.clear()
@@ -158,7 +230,7 @@ class SampleClock:
         held = skip > 0 and (skip - 1) * self.period_ns <= silence + self.silence_ns
         return skip - 1 if held else 0
 
-    def _place(self, at: _Lane, t_ns: int, counter: int, cycle: int) -> int:
+    def _place(self, at: Lane, t_ns: int, counter: int, cycle: int) -> int:
         at.joined, at.counter, at.cycle, at.stamp = True, counter, cycle, t_ns
         self._last = at
         residual = t_ns - self._origin - cycle * self.period_ns
@@ -167,35 +239,35 @@ class SampleClock:
             self._anchor, self._level = cycle, residual
         return self._forward(at, t_ns, self._due(cycle))
 
-    def _forward(self, at: _Lane, t_ns: int, due: int) -> int:
+    def _forward(self, at: Lane, t_ns: int, due: int) -> int:
         """Strictly after the lane's last instant, unless the stamps themselves went back."""
         if at.t is not None and due <= at.t and at.t + MIN_STEP_NS <= t_ns + self.period_ns:
             due = at.t + MIN_STEP_NS
         at.t = due
         return due
 
-    def _slipped(self, at: _Lane, late: int, silence: int) -> bool:
+    def _slipped(self, at: Lane, late: int, silence: int) -> bool:
         """Whether lateness is no hiccup any more: after a silence, or without catching up."""
-        if late <= _LATE * self.period_ns:
-            at.late_total = at.late_run = 0
-            return False
+        if at.behind_since is not None:
+            at.late_last = late
+            return True
         if silence > self.silence_ns:
             return True
-        fell = at.late_last - late > self.period_ns // 2  # a burst: it is catching up
+        fell = at.late_last - late > self._unit_ns // 2  # a burst: it is catching up
         if at.late_run == 0 or fell:
             at.late_run, at.late_first = 0, late
         at.late_run += 1
         at.late_total += 1
         at.late_last = late
-        if at.late_total >= _LATE_TOTAL:
+        if at.late_total >= _LATE_TOTAL * self._scale:
             return True
-        if at.late_run < _LATE_RUN:
+        if at.late_run < _LATE_RUN * self._scale:
             return False
         at.late_run = 0
-        return late > at.late_first - self.period_ns
+        return late > at.late_first - self._unit_ns
 
     def _remember(self, cycle: int, residual: int) -> None:
-        if cycle - self._block_start >= _BLOCK:
+        if cycle - self._block_start >= _BLOCK * self._scale:
             self._lows.append((self._low_cycle, self._low))
             self._refit()
             self._block_start, self._low_cycle, self._low = cycle, cycle, residual

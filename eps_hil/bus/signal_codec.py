@@ -20,14 +20,17 @@ def no_value_raws(signal: Any) -> frozenset[int]:
 class ReadSignal:
     """Raw number -> canonical value; NaN where the sender says so or the DBC's range is left."""
 
-    __slots__ = ("_convert", "_factor", "_high", "_low", "_none", "_offset", "canonical", "name")
+    __slots__ = (
+        "_factor", "_high", "_linear", "_low", "_none", "_offset", "_shift",
+        "canonical", "name",
+    )  # fmt: skip
 
     def __init__(self, signal: Any, canonical: str, factor: float, offset: float) -> None:
         self.name: str = signal.name
         self.canonical = canonical
         self._factor, self._offset = factor, offset
         self._none = no_value_raws(signal)
-        self._convert = signal.conversion.raw_to_scaled
+        self._linear, self._shift = signal.scale, signal.offset
         slack = 0.0 if signal.is_float else _HALF_QUANTUM * abs(float(signal.scale))
         self._low = -math.inf if signal.minimum is None else float(signal.minimum) - slack
         self._high = math.inf if signal.maximum is None else float(signal.maximum) + slack
@@ -36,7 +39,7 @@ class ReadSignal:
         """Canonical value of a raw number, or NaN."""
         if raw in self._none:
             return math.nan
-        value = float(self._convert(raw, decode_choices=False))
+        value = float(raw * self._linear + self._shift)
         if not self._low <= value <= self._high:
             return math.nan
         return value * self._factor + self._offset
@@ -78,11 +81,11 @@ class WriteSignal:
 
     def write(self, value: float) -> tuple[int | float, int]:
         """Raw number, and its fate: 0 as it was, 1 clipped, -1 there was no value."""
+        raw: float = (value - self._offset) / self._scale
+        if self._low < raw < self._high:  # as almost always
+            return (raw if self._float else round(raw)), 0
         if math.isnan(value):
             return (self._missing if self._none is None else self._none), -1
-        raw: float = (value - self._offset) / self._scale
         if raw <= self._low:
             return self._low, int(raw < self._low - _HALF_QUANTUM)
-        if raw >= self._high:
-            return self._high, int(raw > self._high + _HALF_QUANTUM)
-        return (raw if self._float else round(raw)), 0
+        return self._high, int(raw > self._high + _HALF_QUANTUM)

@@ -17,8 +17,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from eps_hil.bus.eager_loop import EagerLoop
 from eps_hil.bus.frame import Frame
-from eps_hil.bus.port import BusState, Deliver, OnLost, PortCounts
+from eps_hil.bus.port import BusState, Deliver, OnLost, PortCounts, SendRule
 from eps_hil.errors import BusError
 
 RECEIVE_BUFFER_BYTES = 4 << 20  # 2,000 unread frames overran the kernel's 208 KiB default
@@ -35,7 +36,13 @@ _TIMESPEC = struct.Struct("@qq")
 _TIMESTAMPING = struct.Struct("@6q")
 _MEMINFO = struct.Struct("@9I")
 _U32 = struct.Struct("@I")
+_MOST_BYTES = 960
+"""Of one datagram: some four times what a frame of CAN FD takes."""
 _ANCILLARY_BYTES = socket.CMSG_SPACE(16) + socket.CMSG_SPACE(48) + socket.CMSG_SPACE(4)
+
+_FRESH_NS = 300_000  # nothing that matters has queued up behind a frame of this age
+_LOOK_NS = 1_000_000_000
+"""How often a silent bus is looked after."""
 
 # So many frames per wake-up at most: other callbacks of the loop get their turn, and the
 # level-triggered selector calls again at once.
@@ -60,11 +67,11 @@ def options_refused(
 class SocketPort(ABC):
     """The part of a :class:`~eps_hil.bus.port.Port` that any datagram socket shares."""
 
-    def __init__(self, name: str, sock: socket.socket, send_ids: Sequence[int] | None) -> None:
+    def __init__(self, name: str, sock: socket.socket, rule: SendRule) -> None:
         sock.setblocking(False)
         self.name = name
         self._sock = sock
-        self._send_ids = None if send_ids is None else frozenset(send_ids)
+        self._rule = rule
         self._poll = select.poll()
         self._poll.register(sock.fileno(), select.POLLIN)
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -73,6 +80,11 @@ class SocketPort(ABC):
         self._state = BusState.UNKNOWN
         self._lost_reason = ""
         self._closed = False
+        self._timer: asyncio.TimerHandle | None = None
+        self._looked_ns, self._looked_at = time.monotonic_ns(), 0
+        self.urgent_id: int | None = None
+        """Frames of this id are handed over at once when they are fresh, without a look whether
+        more wait: that look costs as much as reading a frame."""
         self._received = self._sent = self._dropped = self._errors = self._kernel_drops = 0
 
     @abstractmethod
@@ -84,6 +96,10 @@ class SocketPort(ABC):
     @abstractmethod
     def _transmit(self, frame: Frame) -> None:
         """Write one frame to the socket; OSError as the kernel says it."""
+
+    @abstractmethod
+    def _when_silent(self) -> None:
+        """Once a second while nothing comes; OSError where the bus is gone."""
 
     @property
     def counts(self) -> PortCounts:
@@ -103,20 +119,28 @@ class SocketPort(ABC):
         """File descriptor that is readable when frames are pending."""
         return self._sock.fileno()
 
+    def widen(self, size_bytes: int) -> int:
+        """Have the kernel keep so much for us at least, where it may; what it keeps now, bytes."""
+        now = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
+        if size_bytes > now:
+            with contextlib.suppress(OSError):  # SO_RCVBUF would give less than there is
+                self._sock.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, size_bytes)
+        return self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
+
     def start(
         self, loop: asyncio.AbstractEventLoop, deliver: Deliver, on_lost: OnLost | None = None
     ) -> None:
         """See :meth:`eps_hil.bus.port.Port.start`."""
         self._loop, self._deliver, self._on_lost = loop, deliver, on_lost
-        loop.add_reader(self._sock.fileno(), self._on_readable)
+        if isinstance(loop, EagerLoop):
+            loop.add_eager_reader(self._sock.fileno(), self._on_readable)
+        else:
+            loop.add_reader(self._sock.fileno(), self._on_readable)
+        self._timer = loop.call_later(_LOOK_NS * 1e-9, self._look_again)
 
     def send(self, frame: Frame) -> bool:
         """See :meth:`eps_hil.bus.port.Port.send`."""
-        if self._send_ids is not None and frame.can_id not in self._send_ids:
-            raise BusError(
-                f"{self.name}: not configured to send id 0x{frame.can_id:X}; "
-                "add it to the ids that this program may send"
-            )
+        self._rule.check(frame)
         if self._closed or self._lost_reason:
             raise BusError(f"{self.name}: {self._lost_reason or 'the port is closed'}")
         try:
@@ -142,6 +166,7 @@ class SocketPort(ABC):
                 raise BusError(f"{self.name}: {self._lost_reason}")
             left_s = deadline - time.monotonic()
             if left_s <= 0.0:
+                self._look_after()
                 break
             # poll counts whole milliseconds, and a rounded-down wait would spin
             self._poll.poll(max(1, round(left_s * 1e3)))
@@ -164,12 +189,35 @@ class SocketPort(ABC):
         if self._lost_reason:
             self._tell_lost()
 
+    def _look_again(self) -> None:
+        """The loop's timer."""
+        if self._loop is None:
+            return
+        self._timer = self._loop.call_later(_LOOK_NS * 1e-9, self._look_again)
+        self._look_after()
+        if self._lost_reason:
+            self._tell_lost()
+
+    def _look_after(self) -> None:
+        """Where nothing came for a second, see whether anything still can."""
+        now_ns = time.monotonic_ns()
+        if now_ns - self._looked_ns < _LOOK_NS // 2:
+            return
+        silent, self._looked_at = self._received == self._looked_at, self._received
+        self._looked_ns = now_ns
+        if not silent or self._lost_reason:
+            return
+        try:
+            self._when_silent()
+        except OSError as error:
+            self._lose(error)
+
     def _drain(self) -> list[Frame]:
         frames: list[Frame] = []
-        receive, parse = self._sock.recvmsg, self._parse
+        receive, parse, unpack = self._sock.recvmsg, self._parse, _TIMESPEC.unpack
         for _ in range(_BATCH_MAX):
             try:
-                data, ancillary, flags, address = receive(2048, _ANCILLARY_BYTES)
+                data, ancillary, flags, address = receive(_MOST_BYTES, _ANCILLARY_BYTES)
             except BlockingIOError:
                 break
             except OSError as error:
@@ -177,10 +225,16 @@ class SocketPort(ABC):
                     break
                 self._lose(error)  # said once, ahead of the frames that wait in the queue
                 continue
-            t_ns, hardware_ns = self._stamps(ancillary)
+            if len(ancillary) == 1 and ancillary[0][1] == SO_TIMESTAMPNS:  # as almost always
+                seconds, nanoseconds = unpack(ancillary[0][2])
+                t_ns, hardware_ns = seconds * 1_000_000_000 + nanoseconds, 0
+            else:
+                t_ns, hardware_ns = self._stamps(ancillary)
             frame = parse(data, t_ns, hardware_ns, flags, address)
             if frame is not None:
                 frames.append(frame)
+                if frame.can_id == self.urgent_id and 0 <= time.time_ns() - t_ns < _FRESH_NS:
+                    break
         self._received += len(frames)
         return frames
 
@@ -222,8 +276,14 @@ class SocketPort(ABC):
             told(self._lost_reason)
 
     def _stop_reading(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
         if self._loop is not None and not self._loop.is_closed():
-            self._loop.remove_reader(self._sock.fileno())
+            if isinstance(self._loop, EagerLoop):
+                self._loop.remove_eager_reader(self._sock.fileno())
+            else:
+                self._loop.remove_reader(self._sock.fileno())
         self._loop = self._deliver = None
 
 

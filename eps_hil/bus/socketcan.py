@@ -9,11 +9,13 @@ import errno
 import fcntl
 import socket
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from eps_hil.bus.frame import EXTENDED_ID_MAX, STANDARD_ID_MAX, Frame
-from eps_hil.bus.port import BusState, Port
+from eps_hil.bus.can_link import can_link, restart
+from eps_hil.bus.commands import OWN
+from eps_hil.bus.frame import EXTENDED_ID_MAX, STANDARD_ID_MAX, Frame, frame_of
+from eps_hil.bus.port import BusState, Port, SendRule
 from eps_hil.bus.socket_port import (
     RECEIVE_BUFFER_BYTES,
     SO_TIMESTAMPING,
@@ -23,7 +25,7 @@ from eps_hil.bus.socket_port import (
     set_receive_buffer,
     stamp_and_count,
 )
-from eps_hil.errors import BusError
+from eps_hil.errors import AbsentBusError, BusError
 
 # linux/can.h, linux/can/raw.h: numbers, for a Python that was built without CAN can still import
 _AF_CAN, _CAN_RAW, _SOL_CAN_RAW = 29, 1, 101
@@ -86,6 +88,7 @@ class SocketCanPort(SocketPort):
         fd: bool = False,
         receive_ids: Sequence[int] | None = None,
         send_ids: Sequence[int] | None = None,
+        never_send_ids: Collection[int] = tuple(OWN),
         receive_buffer_bytes: int = RECEIVE_BUFFER_BYTES,
         receive_own: bool = False,
         hardware_stamps: bool = False,
@@ -95,6 +98,7 @@ class SocketCanPort(SocketPort):
         ``hardware_stamps``: take the controller's stamp (moved onto the epoch) where a frame
         has one, else the kernel's. ``receive_own``: also deliver what this port sends.
         """
+        rule = SendRule(f"socketcan:{channel}", send_ids, never_send_ids)
         self._fd = fd
         self._hardware = HardwareClock() if hardware_stamps else None
         sock = _raw_socket()
@@ -109,7 +113,10 @@ class SocketCanPort(SocketPort):
         except BusError:
             sock.close()
             raise
-        super().__init__(f"socketcan:{channel}", sock, send_ids)
+        super().__init__(f"socketcan:{channel}", sock, rule)
+        self._channel = channel
+        link = can_link(channel)
+        self._state = BusState.UNKNOWN if link is None else link.state
 
     def _parse(
         self, data: bytes, t_ns: int, hardware_ns: int, flags: int, address: Any
@@ -128,18 +135,20 @@ class SocketCanPort(SocketPort):
         if error:
             self._errors += 1
             self._note(raw_id & _ERR_MASK, payload)
+        elif self._state is BusState.BUS_OFF:
+            self._state = BusState.ERROR_ACTIVE  # nothing comes from a controller that is off
         extended = bool(raw_id & _EFF_FLAG)
         remote = bool(raw_id & _RTR_FLAG)
-        return Frame(
-            t_ns=t_ns,
-            can_id=raw_id & (EXTENDED_ID_MAX if extended or error else STANDARD_ID_MAX),
-            data=b"" if remote else payload[:length],
-            extended=extended,
-            fd=fd,
-            error=error,
-            own=bool(flags & socket.MSG_CONFIRM),
-            remote=remote,
-            brs=bool(fd_flags & _FDF_BRS),
+        return frame_of(
+            t_ns,
+            raw_id & (EXTENDED_ID_MAX if extended or error else STANDARD_ID_MAX),
+            b"" if remote else payload[:length],
+            extended,
+            fd,
+            error,
+            bool(flags & socket.MSG_CONFIRM),
+            remote,
+            bool(fd_flags & _FDF_BRS),
         )
 
     def _note(self, classes: int, data: bytes) -> None:
@@ -150,6 +159,15 @@ class SocketCanPort(SocketPort):
         elif classes & _ERR_CONTROLLER:
             found = [state for bits, state in _CONTROLLER_STATES if data[1] & bits]
             self._state = found[0] if found else self._state
+
+    def _when_silent(self) -> None:
+        """The frame that tells of bus-off comes once and may be lost: ask, and restart it."""
+        link = can_link(self._channel)
+        if link is None or link.virtual:  # no controller: what error frames said stands
+            return
+        self._state = link.state
+        if link.state is BusState.BUS_OFF and not link.restarts_itself:
+            restart(self._channel)
 
     def _transmit(self, frame: Frame) -> None:
         self._sock.send(encode(frame, fd=self._fd))
@@ -180,13 +198,21 @@ def open_socketcan(
     fd: bool,
     receive_ids: Sequence[int] | None,
     send_ids: Sequence[int] | None,
+    never_send_ids: Collection[int] = tuple(OWN),
     options: Mapping[str, Any],
 ) -> Port:
     """:class:`SocketCanPort` with options from a configuration file."""
     known = ("hardware_stamps", "receive_buffer_bytes", "receive_own")
     note = " (the bit rate is set with ip link, not here)"
     with options_refused("socketcan", channel, options, known, note):
-        return SocketCanPort(channel, fd=fd, receive_ids=receive_ids, send_ids=send_ids, **options)
+        return SocketCanPort(
+            channel,
+            fd=fd,
+            receive_ids=receive_ids,
+            send_ids=send_ids,
+            never_send_ids=never_send_ids,
+            **options,
+        )
 
 
 def _raw_socket() -> socket.socket:
@@ -208,12 +234,12 @@ def _check_interface(sock: socket.socket, channel: str, fd: bool) -> None:
     except OSError:
         known = [name for _, name in socket.if_nameindex() if "can" in name]
         have = f"there is {', '.join(known)}" if known else f"make one, e.g. {make}"
-        raise BusError(f"{channel}: no such interface; {have}") from None
+        raise AbsentBusError(f"{channel}: no such interface; {have}") from None
     if hardware != _ARPHRD_CAN:
         raise BusError(f"{channel}: is not a CAN interface; name one such as can0 or vcan0")
     (flags,) = struct.unpack_from("=H", _ask(sock, _SIOCGIFFLAGS, channel), 16)
     if not flags & _IFF_UP:
-        raise BusError(f"{channel}: the interface is down; sudo ip link set {channel} up")
+        raise AbsentBusError(f"{channel}: the interface is down; sudo ip link set {channel} up")
     (mtu,) = struct.unpack_from("=i", _ask(sock, _SIOCGIFMTU, channel), 16)
     if fd and mtu < _FD_MTU:
         raise BusError(

@@ -7,17 +7,20 @@ say what the kernel dropped. Here a second socket sends, so that our frames are 
 source port; and where there is no route for multicast (no network at all), loopback is used.
 """
 
+import contextlib
 import ipaddress
 import socket
 import struct
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 import msgpack
 
-from eps_hil.bus.frame import Frame
-from eps_hil.bus.port import Port
+from eps_hil.bus.commands import OWN
+from eps_hil.bus.envelopes import Envelopes
+from eps_hil.bus.frame import Frame, frame_of
+from eps_hil.bus.port import BusState, Port, SendRule
 from eps_hil.bus.socket_port import (
     RECEIVE_BUFFER_BYTES,
     SocketPort,
@@ -29,6 +32,9 @@ from eps_hil.errors import BusError
 
 DEFAULT_PORT = 43113  # python-can's
 _LOOPBACK = "127.0.0.1"
+_DOUBLE = struct.Struct(">d")
+_ENVELOPES: dict[tuple[object, int], tuple[bytes, bytes, bytes]] = {}
+_ENVELOPES_MAX = 1_000
 _LOOPBACK_INDEX = 1
 
 
@@ -42,6 +48,7 @@ class UdpMulticastPort(SocketPort):
         fd: bool = True,
         receive_ids: Sequence[int] | None = None,
         send_ids: Sequence[int] | None = None,
+        never_send_ids: Collection[int] = tuple(OWN),
         port: int = DEFAULT_PORT,
         hop_limit: int = 1,
         receive_buffer_bytes: int = RECEIVE_BUFFER_BYTES,
@@ -52,6 +59,8 @@ class UdpMulticastPort(SocketPort):
         receive buffer than asked for is taken as it is: loss is counted, and a machine without
         CAN serves for trying things out. :class:`BusError` if the group cannot be joined.
         """
+        name = f"udp_multicast:{channel}:{port}"
+        rule = SendRule(name, send_ids, never_send_ids)
         family = _family(channel)
         self._fd = fd
         self._receive_ids = None if receive_ids is None else frozenset(receive_ids)
@@ -64,31 +73,58 @@ class UdpMulticastPort(SocketPort):
             raise
         self._sender = sender
         self._own_address = sender.getsockname()[:2]
-        super().__init__(f"udp_multicast:{channel}:{port}", receiver, send_ids)
+        self._envelopes = Envelopes()
+        self._group = family, channel
+        super().__init__(name, receiver, rule)
+        self._state = BusState.ERROR_ACTIVE  # no controller, so no errors: up until it is lost
 
     def close(self) -> None:
         """Leave the group and close both sockets."""
         super().close()
         self._sender.close()
 
+    def _when_silent(self) -> None:
+        """A network interface that was made anew has forgotten the group: join it again."""
+        _join(self._sock, *self._group, again=True)
+
     def _parse(
         self, data: bytes, t_ns: int, hardware_ns: int, flags: int, address: Any
     ) -> Frame | None:
-        if address[:2] == self._own_address:
+        if address[1] == self._own_address[1] and address[:2] == self._own_address:
             return None
+        found = self._envelopes.look(data)
+        if found is not None:
+            kind, payload = found
+            if not kind.wanted:
+                return None
+            return frame_of(
+                t_ns, kind.can_id, payload, kind.extended, kind.fd, False, False, False, kind.brs
+            )
+        frame = self._unpack(data, t_ns)
+        if frame is None:
+            return None
+        if frame.error:
+            self._errors += 1
+            return frame
+        unwanted = self._receive_ids is not None and frame.can_id not in self._receive_ids
+        unwanted |= frame.fd and not self._fd
+        self._envelopes.learn(data, frame, not unwanted)
+        return None if unwanted else frame
+
+    def _unpack(self, data: bytes, t_ns: int) -> Frame | None:
         try:
             fields = msgpack.unpackb(data)
-            can_id = fields["arbitration_id"]
             payload = fields["data"]
-            frame = Frame(
-                t_ns=t_ns,
-                can_id=int(can_id),
-                data=bytes(payload) if payload else b"",
-                extended=bool(fields["is_extended_id"]),
-                fd=bool(fields["is_fd"]),
-                error=bool(fields["is_error_frame"]),
-                remote=bool(fields["is_remote_frame"]),
-                brs=bool(fields["bitrate_switch"]),
+            return frame_of(
+                t_ns,
+                int(fields["arbitration_id"]),
+                bytes(payload) if payload else b"",
+                bool(fields["is_extended_id"]),
+                bool(fields["is_fd"]),
+                bool(fields["is_error_frame"]),
+                False,
+                bool(fields["is_remote_frame"]),
+                bool(fields["bitrate_switch"]),
             )
         except (
             ValueError,
@@ -99,11 +135,6 @@ class UdpMulticastPort(SocketPort):
         ):
             self.malformed += 1
             return None
-        if frame.error:
-            self._errors += 1
-        elif self._receive_ids is not None and frame.can_id not in self._receive_ids:
-            return None
-        return None if frame.fd and not self._fd else frame
 
     def _transmit(self, frame: Frame) -> None:
         if frame.fd and not self._fd:
@@ -113,8 +144,21 @@ class UdpMulticastPort(SocketPort):
 
 def encode(frame: Frame) -> bytes:
     """One frame as python-can's ``udp_multicast`` writes it (a msgpack map of ``can.Message``)."""
-    message = {
-        "timestamp": time.time(),
+    kind = frame.can_id, frame.extended, frame.remote, frame.error, frame.fd, frame.brs
+    size = len(frame.data)
+    found = _ENVELOPES.get((kind, size))
+    if found is None:
+        if len(_ENVELOPES) > _ENVELOPES_MAX:
+            _ENVELOPES.clear()
+        found = _ENVELOPES[kind, size] = _envelope(frame)
+    before, between, after = found
+    return b"".join((before, _DOUBLE.pack(time.time()), between, frame.data, after))
+
+
+def _envelope(frame: Frame) -> tuple[bytes, bytes, bytes]:
+    """What is the same in all frames of one id and length: around the time, and around the data."""
+    first = {"timestamp": 0.0}
+    middle = {
         "arbitration_id": frame.can_id,
         "is_extended_id": frame.extended,
         "is_remote_frame": frame.remote,
@@ -122,11 +166,16 @@ def encode(frame: Frame) -> bytes:
         "channel": None,
         "dlc": len(frame.data),
         "data": frame.data,
+    }
+    last = {
         "is_fd": frame.fd,
         "bitrate_switch": frame.brs,
         "error_state_indicator": False,
     }
-    return cast(bytes, msgpack.packb(message))
+    fields = len(first) + len(middle) + len(last)
+    head = msgpack.Packer().pack_map_header(fields) + msgpack.packb(first)[1:-8]
+    body, tail = msgpack.packb(middle)[1:], msgpack.packb(last)[1:]  # their own headers left out
+    return head, body[: len(body) - len(frame.data)], tail
 
 
 def open_udp_multicast(
@@ -135,13 +184,19 @@ def open_udp_multicast(
     fd: bool,
     receive_ids: Sequence[int] | None,
     send_ids: Sequence[int] | None,
+    never_send_ids: Collection[int] = tuple(OWN),
     options: Mapping[str, Any],
 ) -> Port:
     """:class:`UdpMulticastPort` with options from a configuration file."""
     known = ("hop_limit", "port", "receive_buffer_bytes")
     with options_refused("udp_multicast", channel, options, known):
         return UdpMulticastPort(
-            channel, fd=fd, receive_ids=receive_ids, send_ids=send_ids, **options
+            channel,
+            fd=fd,
+            receive_ids=receive_ids,
+            send_ids=send_ids,
+            never_send_ids=never_send_ids,
+            **options,
         )
 
 
@@ -211,19 +266,29 @@ def _receiver(
     return sock
 
 
-def _join(sock: socket.socket, family: socket.AddressFamily, channel: str) -> None:
-    """Join on the interface of the route and on loopback: peers with and without a network."""
+def _join(
+    sock: socket.socket, family: socket.AddressFamily, channel: str, *, again: bool = False
+) -> None:
+    """Join on the interface of the route and on loopback: peers with and without a network.
+
+    ``again``: leave first, for the kernel may take us for a member where its interface does not.
+    """
     group = socket.inet_pton(family, channel)
     if family == socket.AF_INET:
         places = [group + socket.inet_aton(address) for address in ("0.0.0.0", _LOOPBACK)]
-        level, option = socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP
+        level, leave, enter = (
+            socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, socket.IP_ADD_MEMBERSHIP,
+        )  # fmt: skip
     else:
         places = [group + struct.pack("@I", index) for index in (0, _LOOPBACK_INDEX)]
-        level, option = socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP
+        level, leave, enter = socket.IPPROTO_IPV6, socket.IPV6_LEAVE_GROUP, socket.IPV6_JOIN_GROUP
     refused: list[OSError] = []
     for place in places:
+        if again:
+            with contextlib.suppress(OSError):
+                sock.setsockopt(level, leave, place)
         try:
-            sock.setsockopt(level, option, place)
+            sock.setsockopt(level, enter, place)
         except OSError as error:
             refused.append(error)
     if len(refused) == len(places):

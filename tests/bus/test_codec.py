@@ -165,9 +165,11 @@ def test_lost_frames_are_counted_exactly(lost: set[int]) -> None:
 def test_lost_frames_are_counted_without_a_clock_too(kept: list[int]) -> None:
     encoder = FrameEncoder(DATABASE, "VEH_Motion")
     found = decoder()
-    found.decode(encoder.frame({}, T0))
+    t_ns = T0
+    found.decode(encoder.frame({}, t_ns))
     for step in kept:
-        frames = [encoder.frame({}, T0) for _ in range(step)]
+        t_ns += 20 * MS * step
+        frames = [encoder.frame({}, t_ns) for _ in range(step)]
         found.decode(frames[-1])
     assert found.faults["lost_frames"] == sum(kept) - len(kept)
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import can
 import pytest
 
+from eps_hil.bus import python_can
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import BusState, Port, PortCounts, open_port
 from eps_hil.bus.python_can import PythonCanPort
@@ -96,7 +97,7 @@ def test_a_reader_thread_hands_batches_to_the_loop_in_order(channel: str) -> Non
         ours, other = open_port("virtual", channel), open_port("virtual", channel)
         ours.start(asyncio.get_running_loop(), batches.append)
         for k in range(500):
-            other.send(Frame(0, k, b""))
+            other.send(Frame(0, 0x100 + k, b""))
         for _ in range(200):
             await asyncio.sleep(0.01)
             if sum(map(len, batches)) == 500:
@@ -107,7 +108,7 @@ def test_a_reader_thread_hands_batches_to_the_loop_in_order(channel: str) -> Non
         other.close()
 
     asyncio.run(run())
-    assert [f.can_id for batch in batches for f in batch] == list(range(500))
+    assert [f.can_id for batch in batches for f in batch] == list(range(0x100, 0x100 + 500))
 
 
 def test_one_wake_up_of_a_descriptor_drains_all_that_waits(
@@ -155,6 +156,19 @@ def test_a_full_transmit_queue_drops_and_counts(
     assert not port.send(Frame(0, 1, b""))
     assert port.counts == PortCounts(send_dropped=1)
     port.close()
+
+
+def test_the_port_follows_a_crystal_that_drifts(
+    pipe: Callable[..., tuple[PythonCanPort, PipeBus]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port, _ = pipe(12.5)
+    port.recv(0.0)
+    start_ns = time.time_ns()
+    for k in range(1, 60_000):
+        now_ns = start_ns + k * 1_000_000
+        monkeypatch.setattr(python_can, "_clocks", lambda now_ns=now_ns: (now_ns, now_ns - 10**18))
+        told_ns = port._epoch_ns(12.5 + k * 1e-3 * (1.0 - 100e-6))
+    assert abs(told_ns - now_ns) < 500_000, "6 ms by one offset taken at the start"
 
 
 @pytest.mark.parametrize("stamp_s", [12.5, 0.0])

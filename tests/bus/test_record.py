@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from eps_hil.bus import record, replay
+from eps_hil.bus import record, record_parts, recorder, replay
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import BusState, Deliver, OnLost, Port, PortCounts, open_port
 from eps_hil.cli.main import main
@@ -51,7 +51,16 @@ class Source:
         raise NotImplementedError
 
     def close(self) -> None:
-        raise NotImplementedError
+        """Nothing to close."""
+
+
+def recorded(
+    out: Path, source: "Source", stop: Callable[[], bool] | None = None
+) -> recorder.RecordReport:
+    """A recording of one channel that ends when nothing waits any more."""
+    channel = recorder.Channel("239.74.163.2", lambda: source, reconnect=False)
+    made = recorder.Recorder([channel], record_parts.Target(out))
+    return made.run(stop=stop or (lambda: source.empty))
 
 
 EPOCH_NS = 1_757_617_431_000_000_000
@@ -67,8 +76,7 @@ FRAMES = [
 def test_what_is_received_is_read_back(tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"x{suffix}"
     source = Source([FRAMES[:2], [], FRAMES[2:]])
-    log = record.open_log(out, "239.74.163.2")
-    report = record.record(source, log, out, stop=lambda: source.empty)
+    report = recorded(out, source)
     assert (report.frames, report.lost, report.error_frames) == (4, 3, 1)
     assert report.file_bytes == out.stat().st_size
     back = list(replay.read_log(out))
@@ -88,7 +96,7 @@ def test_blf_keeps_what_an_error_frame_says(tmp_path: Path) -> None:
     out = tmp_path / "x.blf"
     error = Frame(EPOCH_NS, 0x004, bytes([0, 8, 0, 0, 0, 0, 96, 0]), error=True)
     source = Source([[error]])
-    record.record(source, record.open_log(out, "can0"), out, stop=lambda: source.empty)
+    recorded(out, source)
     (got,) = replay.read_log(out)
     assert (got.error, got.can_id, got.data) == (True, error.can_id, error.data)
 
@@ -97,8 +105,8 @@ def test_blf_keeps_what_an_error_frame_says(tmp_path: Path) -> None:
 def test_a_bus_that_ends_leaves_a_whole_file(tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"x{suffix}"
     source = Source([FRAMES], end="vcan0: the interface went down")
-    with pytest.raises(record.RecordError, match=r"went down; .* holds the 4 frames") as caught:
-        record.record(source, record.open_log(out, "can0"), out)
+    with pytest.raises(recorder.RecordError, match=r"went down; .* holds the 4 frames") as caught:
+        recorded(out, source, stop=lambda: False)
     assert caught.value.exit_status == 1
     assert len(list(replay.read_log(out))) == 4
 
@@ -109,41 +117,8 @@ def test_what_waits_at_the_stop_is_written_and_the_bus_may_go_then(
 ) -> None:
     out = tmp_path / f"x{suffix}"
     source = Source([FRAMES[:2], FRAMES[2:]], end="vcan0: the interface went down")
-    report = record.record(source, record.open_log(out, "can0"), out, stop=lambda: True)
+    report = recorded(out, source, stop=lambda: True)
     assert report.frames == len(list(replay.read_log(out))) == 4
-
-
-@SUFFIXES
-def test_a_full_disk_ends_in_one_line_and_a_readable_file(tmp_path: Path, suffix: str) -> None:
-    """A limit on the file's size stands in for the disk: the same refusal, from the kernel."""
-    out = tmp_path / f"x{suffix}"
-    script = (
-        "import resource, signal, sys\n"
-        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
-        "from eps_hil.bus import record\n"
-        "from eps_hil.bus.port import PortCounts\n"
-        "from eps_hil.bus.frame import Frame\n"
-        "import os\n"
-        "record.FLUSH_S = 0.0\n"
-        "class Source:\n"
-        "    counts = PortCounts()\n"
-        "    k = 0\n"
-        "    def recv(self, timeout_s):\n"
-        "        self.k += 100\n"
-        "        return [Frame((self.k + j) * 1000, j, os.urandom(8)) for j in range(100)]\n"
-        "log = record.open_log(sys.argv[1], 'can0')\n"
-        "try: record.record(Source(), log, sys.argv[1], duration_s=30.0)\n"
-        "except record.RecordError as error: print(error)\n"
-    )
-    words = [sys.executable, "-c", script, str(out)]
-    run = subprocess.run(words, check=False, capture_output=True, text=True, timeout=60)
-    assert run.stderr == ""
-    assert "cannot write on: File too large; the file holds the first" in run.stdout
-    assert run.stdout.count("\n") == 1
-    kept = int(run.stdout.split("the first ")[1].split()[0])
-    assert kept > 1_000
-    assert len(list(replay.read_log(out))) == kept
 
 
 @SUFFIXES

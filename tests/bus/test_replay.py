@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from eps_hil.bus import replay
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import BusState, Deliver, OnLost, PortCounts, open_port
+from eps_hil.bus.replay_choice import Choice
 from eps_hil.cli.main import main
 from eps_hil.errors import InputError
 
@@ -50,7 +51,7 @@ class Sink:
 
 
 def test_frames_leave_at_their_own_pace_and_lateness_does_not_add_up() -> None:
-    frames = [Frame(10**18 + k * 2_000_000, k, b"") for k in range(150)]
+    frames = [Frame(10**18 + k * 2_000_000, 0x100 + k, b"") for k in range(150)]
     sink = Sink()
     report = replay.replay(frames, sink, speed=1.0)
     times = [t for t, _ in sink.sent]
@@ -71,7 +72,7 @@ def test_speed_scales_the_pace_and_max_does_not_wait() -> None:
 def test_error_frames_and_other_ids_are_not_played() -> None:
     frames = [Frame(0, 1, b""), Frame(0, 2, b""), Frame(0, 1, b"", error=True)]
     sink = Sink(accept=False)
-    report = replay.replay(frames, sink, ids={1})
+    report = replay.replay(frames, sink, choice=Choice(ids={1}))
     assert [f.can_id for _, f in sink.sent] == [1]
     assert (report.sent, report.dropped, report.skipped) == (0, 1, 2)
 

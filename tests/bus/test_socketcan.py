@@ -11,11 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from eps_hil.bus import record, replay
+from eps_hil.bus import replay
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import BusState, Port, open_port
+from eps_hil.bus.record_parts import Target
+from eps_hil.bus.recorder import Channel, Recorder
 from eps_hil.bus.socketcan import SocketCanPort
-from eps_hil.errors import BusError
+from eps_hil.errors import AbsentBusError, BusError
 
 Collect = Callable[[Port, int], list[Frame]]
 pytestmark = pytest.mark.socketcan
@@ -197,13 +199,13 @@ def test_a_synchronous_user_hears_of_it_too(brief_vcan: str) -> None:
 
 def test_what_cannot_be_opened_names_the_remedy(vcan: str, brief_vcan: str) -> None:
     subprocess.run(["ip", "link", "set", brief_vcan, "down"], check=True)
-    with pytest.raises(BusError, match="ip link set vcan7 up"):
+    with pytest.raises(AbsentBusError, match="ip link set vcan7 up"):
         open_port("socketcan", brief_vcan)
     subprocess.run(["ip", "link", "set", brief_vcan, "mtu", "16"], check=True)
     subprocess.run(["ip", "link", "set", brief_vcan, "up"], check=True)
     with pytest.raises(BusError, match="mtu 72"):
         open_port("socketcan", brief_vcan, fd=True)
-    with pytest.raises(BusError, match="no such interface; there is vcan"):
+    with pytest.raises(AbsentBusError, match="no such interface; there is vcan"):
         open_port("socketcan", "can9")
     with pytest.raises(BusError, match="not a CAN interface"):
         open_port("socketcan", "lo")
@@ -298,10 +300,9 @@ def test_a_log_is_played_onto_the_bus_and_recorded_from_it(
     listener = SocketCanPort(vcan)
     player = SocketCanPort(vcan, receive_ids=[])
     played = replay.replay(sent, player, speed=None)
-    log = record.open_log(out, vcan)
-    report = record.record(listener, log, out, duration_s=0.5)
+    channel = Channel(vcan, lambda: listener)
+    report = Recorder([channel], Target(out)).run(duration_s=0.5)
     assert played.sent == report.frames == 500
     assert report.lost == 0
     assert [(f.can_id, f.data) for f in replay.read_log(out)] == [(f.can_id, f.data) for f in sent]
-    listener.close()
     player.close()

@@ -9,11 +9,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
+import msgpack
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from eps_hil.bus.envelopes import Envelopes, Kind
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import BusState, Port, PortCounts, open_port
+from eps_hil.bus.udp_multicast import encode
 from eps_hil.errors import BusError
 
 GROUP = "239.74.163.2"
@@ -94,7 +100,7 @@ def test_the_loop_gets_batches_only_of_the_ids_asked_for(udp_port: int, send_all
             await asyncio.sleep(0.02)
             if batches and batches[-1][-1].data == b"end":
                 break
-        assert ours.state is BusState.UNKNOWN
+        assert ours.state is BusState.ERROR_ACTIVE
         ours.close()
         ours.close()
         other.close()
@@ -125,6 +131,51 @@ def test_datagrams_that_are_no_can_frames_are_left_aside(
         stranger.sendto(junk, (GROUP, udp_port))
     other.send(Frame(0, 5, b"fine"))
     assert [f.data for f in collect(ours, 1)] == [b"fine"]
+    ours.close()
+    other.close()
+
+
+@given(
+    st.integers(0, 0x1FFF_FFFF),
+    st.binary(max_size=64),
+    st.tuples(*[st.booleans()] * 5),
+    st.floats(0, 2e9),
+)
+def test_bytes_are_those_of_msgpack_for_the_whole_message(
+    can_id: int, data: bytes, flags: tuple[bool, bool, bool, bool, bool], now_s: float
+) -> None:
+    extended, remote, error, fd, brs = flags
+    frame = Frame(0, can_id, data, extended, fd, error, False, remote, brs)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("time.time", lambda: now_s)
+        sent = encode(frame)
+    assert sent == msgpack.packb(
+        {
+            "timestamp": now_s,
+            "arbitration_id": can_id,
+            "is_extended_id": extended,
+            "is_remote_frame": remote,
+            "is_error_frame": error,
+            "channel": None,
+            "dlc": len(data),
+            "data": data,
+            "is_fd": fd,
+            "bitrate_switch": brs,
+            "error_state_indicator": False,
+        }
+    )
+
+
+def test_an_urgent_frame_is_handed_over_at_once_and_an_old_one_with_its_queue(
+    udp_port: int, send_all: SendAll
+) -> None:
+    ours, other = opened(udp_port), opened(udp_port)
+    ours.urgent_id = 7  # type: ignore[attr-defined]
+    send_all(other, (Frame(0, can_id, b"") for can_id in (1, 7, 2, 7, 3)))
+    time.sleep(0.01)  # they have waited: all that is there, at once
+    assert [f.can_id for f in ours.recv(1.0)] == [1, 7, 2, 7, 3]
+    fresh = [other.send(Frame(0, 7, b"")) and [f.can_id for f in ours.recv(1.0)] for _ in range(50)]
+    assert fresh == [[7]] * 50
     ours.close()
     other.close()
 
@@ -170,12 +221,58 @@ print([f.data for f in b.recv(2.0)], a.recv(0.1))
 """
 
 
-def test_loopback_serves_where_there_is_no_network() -> None:
+def in_a_network_of_its_own(script: str) -> subprocess.CompletedProcess[str]:
+    """Run Python where there is nothing but loopback, and root; skips where that is refused."""
     cage = ["unshare", "--net", "--map-root-user"]
     if shutil.which("unshare") is None or subprocess.run([*cage, "true"], check=False).returncode:
         pytest.skip("no rights to make a network namespace (unshare --net); run as root")
-    script = f"ip link set lo up && exec {sys.executable} -c '{NO_NETWORK}'"
-    run = subprocess.run(
-        [*cage, "sh", "-c", script], check=False, capture_output=True, text=True, timeout=60
-    )
+    inside = 'ip link set lo up && exec "$0" -c "$1"'
+    words = [*cage, "sh", "-c", inside, sys.executable, script]
+    return subprocess.run(words, check=False, capture_output=True, text=True, timeout=60)
+
+
+def test_loopback_serves_where_there_is_no_network() -> None:
+    run = in_a_network_of_its_own(NO_NETWORK)
     assert run.stdout == "[b'x'] []\n", run.stderr
+
+
+def test_a_known_envelope_says_what_unpacking_says(udp_port: int, collect: Collect) -> None:
+    """The short way of a datagram seen before, against what was sent, payloads of every kind."""
+    import can
+
+    frames = [
+        Frame(
+            0, 0x100 + k % 3, bytes(((k * 7 + j) % 256) for j in range(k % 9)), extended=k % 2 > 0
+        )
+        for k in range(90)
+    ] + [Frame(0, 0x155, b"\xa4data\xc4\x08", fd=True, brs=True)] * 3
+    ours = opened(udp_port)
+    with can.Bus(interface="udp_multicast", channel=GROUP, port=udp_port, hop_limit=0) as peer:
+        for frame in frames:
+            peer.send(
+                can.Message(
+                    arbitration_id=frame.can_id,
+                    data=frame.data,
+                    is_extended_id=frame.extended,
+                    is_fd=frame.fd,
+                    bitrate_switch=frame.brs,
+                )
+            )
+        got = collect(ours, len(frames))
+    ours.close()
+    assert [replace(frame, t_ns=0) for frame in got] == frames
+
+
+def test_envelopes_are_few_and_never_of_errors_or_requests() -> None:
+    seen = Envelopes()
+    for can_id in range(3_000):
+        frame = Frame(0, can_id, bytes(8), extended=True)
+        data = encode(frame)
+        seen.learn(data, frame, True)
+        found = seen.look(encode(replace(frame, data=b"12345678")))
+        assert found is None or found == (Kind(can_id, True, False, False, True), b"12345678")
+        assert (found is not None) == (can_id < 1_000)
+    fresh = Envelopes()
+    for frame in (Frame(0, 1, b"", remote=True), Frame(0, 1, bytes(8), error=True)):
+        fresh.learn(encode(frame), frame, True)
+        assert fresh.look(encode(frame)) is None

@@ -1,0 +1,38 @@
+"""What a :class:`~eps_hil.bus.sample_clock.SampleClock` says of a frame, and keeps of a message."""
+
+from typing import NamedTuple
+
+
+class Instant(NamedTuple):
+    """``t_ns``: when it was sampled; ``lost``: frames missing before it; ``restarted``.
+
+    ``trusted``: False where that instant is a guess, and the frame perhaps another sender's.
+    """
+
+    t_ns: int
+    lost: int = 0
+    restarted: bool = False
+    trusted: bool = True
+
+
+class Lane:
+    """One message on the clock: its last counter, cycle, stamp and instant."""
+
+    __slots__ = (
+        "behind_since", "counter", "cycle", "in_a_row", "in_time", "joined", "late_first",
+        "late_last", "late_run", "late_total", "phase", "repeated", "stamp", "stray", "t",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.joined = False
+        self.counter = -1  # none seen yet
+        self.cycle = self.stamp = 0
+        self.t: int | None = None
+        self.repeated = False
+        self.late_total = self.late_run = 0
+        self.late_first = self.late_last = 0
+        self.in_time = 0  # frames in time since it joined
+        self.phase: int | None = None  # counter less cycle, where the line was left with it known
+        self.behind_since: int | None = None  # stamp since when it alone is late
+        self.stray = -1  # the last counter that could not be
+        self.in_a_row = 0
