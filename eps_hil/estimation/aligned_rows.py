@@ -6,6 +6,7 @@ read depends on nothing but samples and stamps, live as in a replay.
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,11 +14,11 @@ import numpy.typing as npt
 from eps_hil.compiled import njit
 from eps_hil.estimation import alignment
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.setup import STEP_NS
-from eps_hil.estimation.stream import SIGNALS, Memory, Timing, new_memory, push, timing_of
+from eps_hil.estimation.setup import STEP_NS, STEP_S
+from eps_hil.estimation.stream_steps import Memory, new_memory, push, time_jumped
+from eps_hil.estimation.stream_timing import SIGNALS, Timing, timing_of
 from eps_hil.physics.model import Model
 
-_JUMP_NS = 1_000_000_000
 _MOST = 1_100
 
 Float64 = npt.NDArray[np.float64]
@@ -29,9 +30,10 @@ def _advance(m: Memory, timing: Timing, t: int, at: Int64, rows: Float64) -> int
     """Read what is due by sync stamp ``t`` into ``at`` and ``rows``; how many."""
     if m.grid[1] == 0:
         m.grid[0], m.grid[1] = t, 1
-    elif t - m.grid[0] > _JUMP_NS or m.grid[0] - t > _JUMP_NS:
+    elif time_jumped(m.grid, STEP_NS, t):
         m.grid[0] = t
         m.filled[:] = 0
+    m.grid[2] = t
     n = 0
     while m.grid[0] <= t + STEP_NS // 2 and n < _MOST:
         at[n] = m.grid[0] - timing.lookback
@@ -55,7 +57,8 @@ class AlignedRows:
         self, model: Model, settings: EstimatorSettings, periods_s: Mapping[str, float]
     ) -> None:
         """``ValueError`` where motor torque, or both speed and angle, are missing."""
-        self._timing = timing_of(model, settings, periods_s, SIGNALS)
+        slow = replace(settings, step_s=STEP_S)  # whatever the estimator's own step
+        self._timing = timing_of(model, slow, periods_s, SIGNALS)
         self._memory = new_memory()
         self._places = {name: i for i, name in enumerate(SIGNALS) if name in periods_s}
         self._at, self._rows = np.zeros(_MOST, np.int64), np.zeros((_MOST, len(SIGNALS)))

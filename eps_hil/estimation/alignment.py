@@ -14,6 +14,8 @@ from eps_hil.estimation.validity import Reason
 RING = 512
 """Samples kept of each signal: half a second at 1 kHz."""
 
+_CLIP = 9.0
+"""So many variances count at most: a jump is no noise."""
 _BAD, _GAP = int(Reason.BAD_SAMPLE), int(Reason.GAP)
 
 Stamps = npt.NDArray[np.int64]
@@ -41,27 +43,61 @@ def read_at(
     Beyond the newest sample the value is held until it is ``stale`` ns old; two neighbours
     further apart than ``stale`` are a gap.
     """
+    value, why, _ = read_between(stamps, values, count, i, t, stale, lost)
+    return value, why
+
+
+@njit
+def read_between(
+    stamps: Stamps, values: Values, count: Stamps, i: int, t: int, stale: int, lost: int
+) -> tuple[float, int, int]:
+    """As :func:`read_at`, and how far apart (ns) the neighbours are; 0 without any."""
     n = count[i]
     if n == 0:
-        return 0.0, lost
+        return 0.0, lost, 0
     newest = stamps[i, (n - 1) % RING]
     if t >= newest:
         value = values[i, (n - 1) % RING]
         if t - newest > stale:
-            return value, lost
-        return value, (0 if np.isfinite(value) else _BAD)
+            return value, lost, 0
+        return value, (0 if np.isfinite(value) else _BAD), 0
     oldest = max(0, n - RING)
     k = n - 2
     while k >= oldest and stamps[i, k % RING] > t:
         k -= 1
     if k < oldest:
-        return values[i, oldest % RING], lost
+        return values[i, oldest % RING], lost, 0
     t0, t1 = stamps[i, k % RING], stamps[i, (k + 1) % RING]
     v0, v1 = values[i, k % RING], values[i, (k + 1) % RING]
     value = v0 if t == t0 else v0 + (v1 - v0) * ((t - t0) / (t1 - t0))
     if not np.isfinite(value):
-        return value, _BAD
-    return value, (_GAP if t1 - t0 > stale else 0)
+        return value, _BAD, t1 - t0
+    return value, (_GAP if t1 - t0 > stale else 0), t1 - t0
+
+
+@njit
+def learn_noise(
+    stamps: Stamps, values: Values, n: int, i: int, known: Values, memory_ns: float
+) -> None:
+    """Follow the noise of ring ``i`` from the last four of its first ``n`` samples: ``known[i]``.
+
+    ``known[i, 0]`` is its variance, ``known[i, 1]`` of how many samples it was learnt. Third
+    differences see noise and hardly any motion; of samples as they came, because interpolated ones
+    have lost noise to their neighbours that is still there once it is averaged.
+    """
+    if n < 4:
+        return
+    a, b, c, d = (n - 1) % RING, (n - 2) % RING, (n - 3) % RING, (n - 4) % RING
+    period = stamps[i, a] - stamps[i, b]
+    uneven = max(
+        abs(stamps[i, b] - stamps[i, c] - period), abs(stamps[i, c] - stamps[i, d] - period)
+    )
+    bend = values[i, a] - values[i, d] + 3.0 * (values[i, c] - values[i, b])
+    if not np.isfinite(bend) or 4 * uneven > period:
+        return
+    known[i, 1] = min(known[i, 1] + 1.0, memory_ns / period)
+    power = min(bend * bend / 20.0, _CLIP * known[i, 0])
+    known[i, 0] += (power - known[i, 0]) / known[i, 1]
 
 
 @njit

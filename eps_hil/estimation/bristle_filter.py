@@ -28,29 +28,12 @@ from eps_hil.estimation.bristle_setup import (
     new_belief,
 )
 from eps_hil.estimation.compensation import drive_torque_nm, instant_of, moved
-from eps_hil.estimation.levels import approach, forget
-from eps_hil.estimation.rack_force import publish
+from eps_hil.estimation.gap import bridge, still_unknown
+from eps_hil.estimation.levels import approach
+from eps_hil.estimation.rack_force import publish, verdict
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.setup import (
-    ADDED_NEG,
-    ADDED_POS,
-    CLOCK,
-    HELD,
-    LOCAL,
-    LP2,
-    RUNNING,
-    SETTLE,
-    SLOPE,
-    STEP_S,
-    TORQUE,
-    Constants,
-    Inputs,
-    Physics,
-)
-from eps_hil.estimation.setup import BRISTLE as S_BRISTLE
-from eps_hil.estimation.setup import FORCE as S_FORCE
-from eps_hil.estimation.setup import OMEGA as S_OMEGA
-from eps_hil.estimation.setup import PHI as S_PHI
+from eps_hil.estimation.setup import Constants, Inputs, Physics
+from eps_hil.estimation.state import HELD, RUNS, Carried, Moment, Rig, begin_anew
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.added import Added, InUse
@@ -67,9 +50,12 @@ Floats = npt.NDArray[np.float64]
 
 _SETTLING = int(Reason.SETTLING)
 _DIVERGED = int(Reason.DIVERGED)
+_OUT_OF_RANGE = int(Reason.OUT_OF_RANGE)
 _IMPOSSIBLE_N = 1e6
 _RELAXED = 0.33
 """Standard deviation of an unknown bristle, in parts of the deflection at which it gives way."""
+_KEPT = 0.5
+"""Unknown friction, in parts of T_fs, up to which a deflection is taken over a gap."""
 _SLIDING = 0.1
 """The same where the rotor is seen to move."""
 
@@ -91,61 +77,80 @@ def physics_inside(
 
     It is used wherever :class:`Physics` is; compiled code tells by the type which step is meant.
     """
-    constants = filter_constants(model, settings, STEP_S, angle_seen)
+    constants = filter_constants(model, settings, settings.step_s, angle_seen)
     return cast(
         Physics, PhysicsInside(physics.law, physics.effects, physics.use, constants, new_belief())
     )
 
 
 @njit
-def filter_step(
-    c: Constants, x: PhysicsInside, s: npt.NDArray[np.float64], u: Inputs, reason: int
-) -> int:
-    """One millisecond: updates belief and state vector ``s``; returns the reason bits.
+def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: int) -> int:
+    """One millisecond: updates belief and what is carried; returns the reason bits.
 
-    ``s`` is the state vector of the paper's estimator; the places that outputs and added effects
-    read are kept up. ``reason`` other than 0 holds the last estimate.
+    The records are those of the paper's estimator; what outputs and added effects read of them
+    is kept up. ``reason`` other than 0 holds the last estimate.
     """
+    s, r = e.moment[0], e.rig[0]
     if reason != 0:
-        s[CLOCK] += STEP_S if s[CLOCK] > 0.0 else 0.0
-        s[RUNNING] = min(s[RUNNING], 0.0)
+        r.clock_s += c.step_s if r.clock_s > 0.0 else 0.0
+        s.running = min(s.running, HELD)
+        s.held_steps += 1
         return reason
     f, b = x.filter, x.belief
-    approach(c, s)
-    i = instant_of(c, Physics(x.law, x.effects, x.use), s, u)
-    b.extra[2] = s[LOCAL]
-    law = _law_in_use(x.law, s)
+    approach(c, r)
+    i = instant_of(c, Physics(x.law, x.effects, x.use), s, r, u)
+    b.extra[2] = s.local
+    law = _law_in_use(x.law, r)
     if x.use.position:
-        law = in_mid_travel(law, s[LOCAL])
+        law = in_mid_travel(law, s.local)
     known = Physics(law, x.effects, x.use)
     b.extra[1] = added.torque_nm(x.effects, i, 0.0) if x.use.torque else 0.0
     torque = drive_torque_nm(c, known, i, u) - b.extra[1]
-    if s[RUNNING] <= 0.0:
+    if s.running != RUNS:
         _start(c, f, law, b, s, u, torque)
     else:
         b.extra[0] = _extra_level_nm(known, i, b.mean)
-        _predict(f, law, b, s, 0.5 * (torque + s[TORQUE]))
+        _predict(f, law, b, s, 0.5 * (torque + s.torque))
     if x.use.memory:
-        added.advance(x.effects, i, STEP_S)
-    s[TORQUE] = torque
-    s[CLOCK] += STEP_S
+        added.advance(x.effects, i, c.step_s)
+    s.torque = torque
+    r.clock_s += c.step_s
     _open(f, b)
     _correct(f, b, 0, OMEGA, u.motor_speed_rad_s, f.speed_variance)
     if f.angle:
         _correct(f, b, 1, PHI, u.motor_angle_rad, f.angle_variance)
     b.place[0] += 1
     if not _possible(b):
-        forget(s)
+        begin_anew(e, x.effects)
         return _DIVERGED
-    s[S_PHI], s[S_OMEGA], s[S_BRISTLE] = b.mean[PHI], b.mean[OMEGA], b.mean[BRISTLE]
-    s[S_FORCE], s[SLOPE] = b.mean[FORCE], 0.0
+    s.phi, s.omega, s.bristle = b.mean[PHI], b.mean[OMEGA], b.mean[BRISTLE]
+    s.force, s.slope = b.mean[FORCE], 0.0
+    _follow_unknown(f, law, b, s, u)
     size = f.lag + 1
-    s[LP2] = b.ring[b.place[0] % size] if b.place[0] >= size else b.ring[0]
+    s.filtered = b.ring[b.place[0] % size] if b.place[0] >= size else b.ring[0]
     publish(c, s, friction_nm(law, b.extra, b.mean))
-    if s[SETTLE] > 0.0:
-        s[SETTLE] -= 1.0
-        return _SETTLING
-    return 0
+    beyond = _OUT_OF_RANGE if x.use.ranged and added.out_of_range(x.effects, i) else 0
+    return verdict(c, s) | beyond
+
+
+@njit
+def _follow_unknown(f: FilterConstants, law: FrictionLaw, b: Belief, s: Moment, u: Inputs) -> None:
+    """The unknown part of the friction: what sliding, or what was learned, left of it."""
+    sigma0 = law.sigma0_nm_per_rad
+    speed = b.mean[OMEGA]
+    level = static_level_nm(speed if speed != 0.0 else b.mean[BRISTLE], b.mean[FORCE], law)
+    slides = abs(speed) > _slip_from(f, b)
+    slip = abs(speed) * f.drive.step_s if slides else 0.0
+    learned = sigma0 / _RELAXED * math.sqrt(b.cov[BRISTLE, BRISTLE])
+    s.unknown_nm = min(still_unknown(s.unknown_nm, slip, level, sigma0), learned)
+    s.unknown_n = s.unknown_nm * f.drive.ratio * s.local
+    s.speed, s.last_angle = u.motor_speed_rad_s, u.motor_angle_rad
+
+
+@njit
+def _slip_from(f: FilterConstants, b: Belief) -> float:
+    """Speed (rad/s) from which the rotor is taken to slide."""
+    return max(f.slip_least_rad_s, f.slip_sigma * math.sqrt(b.cov[OMEGA, OMEGA]))
 
 
 @njit
@@ -176,11 +181,11 @@ def in_mid_travel(law: FrictionLaw, local: float) -> FrictionLaw:
 
 
 @njit
-def _law_in_use(law: FrictionLaw, s: Floats) -> FrictionLaw:
+def _law_in_use(law: FrictionLaw, r: Rig) -> FrictionLaw:
     """The friction law with what adaptation has added to k0± so far."""
     return FrictionLaw(
-        max(law.offset_pos_nm + s[ADDED_POS], 0.0),
-        max(law.offset_neg_nm + s[ADDED_NEG], 0.0),
+        max(law.offset_pos_nm + r.added_pos, 0.0),
+        max(law.offset_neg_nm + r.added_neg, 0.0),
         law.viscous_pos_nm_s_per_rad,
         law.viscous_neg_nm_s_per_rad,
         law.load_pos_nm_per_n,
@@ -207,7 +212,7 @@ def _start(
     f: FilterConstants,
     law: FrictionLaw,
     b: Belief,
-    s: Floats,
+    s: Moment,
     u: Inputs,
     torque: float,
 ) -> None:
@@ -216,7 +221,16 @@ def _start(
     mean, cov = b.mean, b.cov
     speed = u.motor_speed_rad_s
     level = static_level_nm(speed if speed != 0.0 else -1.0, ratio * torque, law)
-    bend, unsure = 0.0, _RELAXED * level / stiffness
+    unsure = _RELAXED * level / stiffness
+    if s.running == HELD:
+        unsure = min(unsure, math.sqrt(cov[BRISTLE, BRISTLE]))
+    most = max(
+        static_level_nm(1.0, ratio * torque, law), static_level_nm(-1.0, ratio * torque, law)
+    )
+    bridge(c, s, u, level, most, stiffness)
+    bend = s.bristle
+    if s.unknown_nm > _KEPT * level:
+        bend, unsure = 0.0, _RELAXED * level / stiffness
     if abs(speed) > c.limiter_speed:
         bend, unsure = math.copysign(level / stiffness, speed), _SLIDING * level / stiffness
     mean[PHI], mean[OMEGA], mean[BRISTLE] = u.motor_angle_rad, speed, bend
@@ -230,16 +244,15 @@ def _start(
     cov[RATE, RATE] = f.rate_start
     b.place[0], b.place[1] = 0, 1
     b.extra[0] = 0.0
-    s[HELD] = u.motor_angle_rad
-    s[RUNNING], s[SETTLE] = 1.0, max(c.settle_steps, float(f.lag))
+    s.held = u.motor_angle_rad
+    s.running, s.settle_steps, s.held_steps = RUNS, max(c.settle_steps, f.lag), 0
 
 
 @njit
-def _predict(f: FilterConstants, law: FrictionLaw, b: Belief, s: Floats, torque: float) -> None:
+def _predict(f: FilterConstants, law: FrictionLaw, b: Belief, s: Moment, torque: float) -> None:
     cov, a, t = b.cov, b.jacobian, b.scratch
-    gate = max(f.slip_least_rad_s, f.slip_sigma * math.sqrt(cov[OMEGA, OMEGA]))
-    step = Step(torque, b.extra[0], gate, s[HELD], f.gap_rad)
-    _, s[HELD] = transition(f.drive, law, step, b.mean, a)
+    step = Step(torque, b.extra[0], _slip_from(f, b), s.held, f.gap_rad)
+    _, s.held = transition(f.drive, law, step, b.mean, a)
     for i in range(SIZE):
         for j in range(SIZE):
             t[i, j] = 0.0

@@ -12,7 +12,7 @@ from eps_hil.physics.model import Model
 PHI, OMEGA, BRISTLE, FORCE, RATE = range(5)
 """The filter's states: φ (rad), ω (rad/s), z (rad), F_r (N at the rack), Ḟ_r (N/s)."""
 SIZE = 5
-LAG_STEPS = 60
+LAG_STEPS = 600
 """Longest fixed lag, in steps."""
 
 Floats = npt.NDArray[np.float64]

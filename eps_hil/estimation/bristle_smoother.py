@@ -6,6 +6,7 @@ needs no inverse of a covariance that sliding makes singular. A stretch that beg
 end, so memory does not grow with the recording.
 """
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -14,11 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
-from eps_hil.estimation import stream as streams
+from eps_hil.estimation import stream_steps as steps
 from eps_hil.estimation.bristle_filter import PhysicsInside, filter_step, friction_nm, in_mid_travel
 from eps_hil.estimation.bristle_setup import FORCE, OMEGA, PHI, SIZE
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.setup import STEP_NS, Constants, Inputs, new_state
+from eps_hil.estimation.setup import Constants, Inputs
+from eps_hil.estimation.state import Carried, begin_anew, new_carried
+from eps_hil.estimation.stream import StreamEstimator
+from eps_hil.estimation.stream_timing import Timing
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.friction import FrictionLaw
 from eps_hil.physics.model import Model
@@ -31,6 +35,7 @@ Int64 = npt.NDArray[np.int64]
 
 _NOT_STARTED, _TIME = int(Reason.NOT_STARTED), int(Reason.TIME)
 _SETTLING, _DIVERGED = int(Reason.SETTLING), int(Reason.DIVERGED)
+_UNKNOWN = int(Reason.FRICTION_UNKNOWN)
 _JUMP_NS = 1_000_000_000
 _START, _HELD, _STEP = 0, 1, 2
 
@@ -65,8 +70,8 @@ def _room(steps: int) -> Forward:
 
 @njit
 def _gather(
-    m: streams.Memory,
-    timing: streams.Timing,
+    m: steps.Memory,
+    timing: Timing,
     signal: npt.NDArray[np.int8],
     t_ns: Int64,
     value: Floats,
@@ -74,11 +79,11 @@ def _gather(
     out: Floats,
     out_reason: Int64,
 ) -> int:
-    """All inputs on the grid of the stream, as :func:`streams.advance` reads them; rows written."""
+    """All inputs on the grid of the stream, as :func:`steps.advance` reads them; rows written."""
     rows, grid, first = 0, 0, True
     for k in range(len(signal)):
         if signal[k] >= 0:
-            streams.push(m, timing, signal[k], t_ns[k], value[k])
+            steps.push(m, timing, signal[k], t_ns[k], value[k])
             continue
         t, extra = t_ns[k], 0
         if first:
@@ -86,13 +91,13 @@ def _gather(
         elif abs(t - grid) > _JUMP_NS:
             grid, extra = t, _TIME
             m.filled[:] = 0
-        while grid <= t + STEP_NS // 2 and rows < len(out_t):
+        while grid <= t + timing.step_ns // 2 and rows < len(out_t):
             at = grid - timing.lookback
-            inputs, reason = streams.gather(m, timing, at)
+            inputs, reason, _ = steps.gather(m, timing, at)
             out_t[rows], out_reason[rows] = at, reason | extra
             out[rows, 0], out[rows, 1], out[rows, 2] = inputs[0], inputs[1], inputs[2]
             out[rows, 3] = inputs[3]
-            grid += STEP_NS
+            grid += timing.step_ns
             rows += 1
     return rows
 
@@ -101,7 +106,7 @@ def _gather(
 def _forward(
     c: Constants,
     x: PhysicsInside,
-    s: Floats,
+    e: Carried,
     inputs: Floats,
     wrong: Int64,
     to: Forward,
@@ -110,8 +115,10 @@ def _forward(
 ) -> None:
     b = x.belief
     for k in range(since, until):
+        if wrong[k] & _TIME:
+            begin_anew(e, x.effects)
         u = Inputs(inputs[k, 0], inputs[k, 1], inputs[k, 2], inputs[k, 3], 0.0)
-        why = filter_step(c, x, s, u, wrong[k])
+        why = filter_step(c, x, e, u, wrong[k])
         to.kind[k] = _HELD
         if wrong[k] == 0 and why & _DIVERGED == 0:
             to.kind[k] = _START if b.place[1] == 1 else _STEP
@@ -179,29 +186,42 @@ def smooth(
 
     ``ValueError`` for settings or signals that will not do.
     """
-    like = streams.StreamEstimator(model, replace(settings, kind="bristle_filter"), periods_s)
-    c, x, s = like.constants, like.physics, new_state()
+    like = StreamEstimator(model, replace(settings, kind="bristle_filter"), periods_s)
+    c, x, e = like.constants, like.physics, new_carried()
     assert isinstance(x, PhysicsInside)
     b = x.belief
     kind, t_ns, _ = events
-    rows = int((t_ns[-1] - t_ns[0]) // STEP_NS) + 2 * int(np.count_nonzero(kind < 0)) + 2
+    rows = int((t_ns[-1] - t_ns[0]) // settings.step_ns) + 2 * int(np.count_nonzero(kind < 0)) + 2
     t, inputs, wrong = np.empty(rows, np.int64), np.empty((rows, 4)), np.empty(rows, np.int64)
     n = int(_gather(like.memory, like.timing, *events, t, inputs, wrong))
     t, inputs, wrong = t[:n], inputs[:n], wrong[:n]
+    began = np.zeros(n, np.bool_)
     out, reason, nis = np.empty((n, 2)), np.empty(n, np.int64), np.full((n, 2), np.nan)
     room = _room(min(n, BLOCK_STEPS + AHEAD_STEPS))
     for since in range(0, n, BLOCK_STEPS):
         own, whole = min(BLOCK_STEPS, n - since), min(BLOCK_STEPS + AHEAD_STEPS, n - since)
         part = slice(since, since + whole)
-        _forward(c, x, s, inputs[part], wrong[part], room, 0, own)
-        kept = [array.copy() for array in (*b, s, x.effects.state)]
-        _forward(c, x, s, inputs[part], wrong[part], room, own, whole)
+        _forward(c, x, e, inputs[part], wrong[part], room, 0, own)
+        kept = [array.copy() for array in (*b, *e, x.effects.state)]
+        _forward(c, x, e, inputs[part], wrong[part], room, own, whole)
         both = np.empty((whole, 2))
         _backward(x.filter.angle, x.law, room, whole, both)
-        for array, before in zip((*b, s, x.effects.state), kept, strict=True):
+        for array, before in zip((*b, *e, x.effects.state), kept, strict=True):
             array[...] = before
         out[since : since + own] = both[:own]
         reason[since : since + own] = room.reason[:own]
+        began[since : since + own] = room.kind[:own] == _START
         stepped = room.kind[:own] != _HELD
         nis[since : since + own][stepped] = (room.innovation**2 / room.spread)[:own][stepped]
-    return Smoothed(t, out[:, 0], out[:, 1], reason, nis)
+    return Smoothed(t, out[:, 0], out[:, 1], _hindsight(reason, began), nis)
+
+
+def _hindsight(reason: Int64, began: npt.NDArray[np.bool_]) -> Int64:
+    """A bristle that later motion of the same stretch told of is known all along (backward)."""
+    told = reason.copy()
+    edges = [0, *np.flatnonzero(began).tolist(), len(reason)]
+    for since, until in itertools.pairwise(edges):
+        part = reason[since:until]
+        if np.any(part & _UNKNOWN == 0):
+            told[since:until] = part & ~_UNKNOWN
+    return told

@@ -2,37 +2,11 @@
 
 import math
 
-import numpy as np
-import numpy.typing as npt
-
 from eps_hil.compiled import njit
+from eps_hil.estimation.gap import still_unknown
 from eps_hil.estimation.levels import adapted_level_nm, approach
-from eps_hil.estimation.setup import (
-    ACCELERATION,
-    ANGLE,
-    ANGLE_BEFORE,
-    ANGLE_EARLIER,
-    ANGLE_NOISE,
-    BRISTLE,
-    CLOCK,
-    DRIVE,
-    DRIVE_BEFORE,
-    DRIVE_NOISE,
-    FORCE,
-    HELD,
-    LOCAL,
-    NOISE,
-    OMEGA,
-    PATH,
-    PHI,
-    SLOPE,
-    SPEED,
-    SPEED_BEFORE,
-    STEP_S,
-    Constants,
-    Inputs,
-    Physics,
-)
+from eps_hil.estimation.setup import Constants, Inputs, Physics
+from eps_hil.estimation.state import Moment, Rig
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.effect import Instant
 from eps_hil.physics.friction import (
@@ -46,18 +20,18 @@ CREEP_SIGMA = 3.0
 
 
 @njit
-def instant_of(c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs) -> Instant:
+def instant_of(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> Instant:
     """What the physics is told of this millisecond; T_fs and effects need the load.
 
     The load is the last estimate, led by its own lag (the loop of PAPER's second trap); the angle
     is the measured one, else the observer's integrated one.
     """
-    angle = u.motor_angle_rad if c.angle_seen else s[PHI]
-    load = s[FORCE] + s[SLOPE] * (c.observer_lag_s + STEP_S)
+    angle = u.motor_angle_rad if c.angle_seen else s.phi
+    load = s.force + s.slope * (c.observer_lag_s + c.step_s)
     if c.known_force:
         load = u.rack_force_n
     i = Instant(
-        s[CLOCK],
+        r.clock_s,
         u.motor_speed_rad_s,
         angle,
         angle / c.ratio,
@@ -70,10 +44,10 @@ def instant_of(c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs) 
     if not x.use.position:
         return i
     i = moved(i, i.speed_rad_s, added.position_m(x.effects, i, i.position_m), load)
-    s[LOCAL] = 1.0 / added.load_nm(x.effects, i, 1.0)
+    s.local = 1.0 / added.load_nm(x.effects, i, 1.0)
     if c.known_force:
         return i
-    return moved(i, i.speed_rad_s, i.position_m, s[LOCAL] * load)
+    return moved(i, i.speed_rad_s, i.position_m, s.local * load)
 
 
 @njit
@@ -89,36 +63,38 @@ def drive_torque_nm(c: Constants, x: Physics, i: Instant, u: Inputs) -> float:
 
 @njit
 def friction_step(
-    c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs, i: Instant, torque: float
+    c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs, i: Instant, torque: float
 ) -> float:
     """Dead zone → friction model → limiter (eq. 2, 3, 4a): T̂_f in Nm at the rotor.
 
     ``torque`` is T_1m of this instant.
     """
-    resting = _is_resting(c, s, u.motor_speed_rad_s, torque)
+    resting = _is_resting(c, s, u, torque)
     travel, slip = _path(c, s, u, resting)
     speed = u.motor_speed_rad_s
     moving = 0.0 if resting else speed
-    s[ACCELERATION] += c.acceleration_low_pass * ((speed - s[SPEED]) / STEP_S - s[ACCELERATION])
-    s[SPEED_BEFORE], s[SPEED] = s[SPEED], speed
+    s.acceleration += c.acceleration_low_pass * ((speed - s.speed) / c.step_s - s.acceleration)
+    s.speed_before, s.speed = s.speed, speed
     direction = moving if moving != 0.0 else travel
     if direction == 0.0:
-        direction = s[BRISTLE]
-    approach(c, s)
-    level = adapted_level_nm(x, s, direction, i.rack_force_n)
+        direction = s.bristle
+    approach(c, r)
+    level = adapted_level_nm(x, r, direction, i.rack_force_n)
     now = moved(i, moving, i.position_m, i.rack_force_n)
     if x.use.level:
         level = added.level_nm(x.effects, now, level)
     level = max(level, SMALLEST_LEVEL_NM)
     if x.use.memory:
-        added.advance(x.effects, now, STEP_S)
-    before = abs(s[BRISTLE])
-    s[BRISTLE] = bristle_step(s[BRISTLE], travel, slip, level, x.law.sigma0_nm_per_rad)
+        added.advance(x.effects, now, c.step_s)
+    s.unknown_nm = still_unknown(s.unknown_nm, slip, level, x.law.sigma0_nm_per_rad)
+    s.unknown_n = s.unknown_nm * c.ratio * s.local
+    before = abs(s.bristle)
+    s.bristle = bristle_step(s.bristle, travel, slip, level, x.law.sigma0_nm_per_rad)
     if resting:  # no further than it can bend; but a noisy level must not ratchet it back
         limit = max(level / x.law.sigma0_nm_per_rad, before)
-        s[BRISTLE] = min(max(s[BRISTLE], -limit), limit)
-    friction = friction_torque_nm(s[BRISTLE], moving, level, x.law)
-    if c.limit and abs(speed) < c.limiter_speed and abs(s[ACCELERATION]) < c.limiter_acceleration:
+        s.bristle = min(max(s.bristle, -limit), limit)
+    friction = friction_torque_nm(s.bristle, moving, level, x.law)
+    if c.limit and abs(speed) < c.limiter_speed and abs(s.acceleration) < c.limiter_acceleration:
         friction = math.copysign(min(abs(friction), abs(torque)), friction)
     return friction + added.torque_nm(x.effects, i, 0.0) if x.use.torque else friction
 
@@ -140,53 +116,70 @@ def moved(i: Instant, speed_rad_s: float, position_m: float, rack_force_n: float
 
 
 @njit
-def _is_resting(c: Constants, s: npt.NDArray[np.float64], speed: float, torque: float) -> bool:
+def _noise(c: Constants, variance: float, bend: float, known: float) -> float:
+    """Variance of an input's white noise: the known one, else followed by second differences."""
+    if known >= 0.0:
+        return known
+    return variance + c.noise_memory * (bend * bend / 6.0 - variance)
+
+
+@njit
+def _is_resting(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
     """Whether the observed speed is no more than the noise that is there would make it."""
-    bend = speed - 2.0 * s[SPEED] + s[SPEED_BEFORE]  # six times the variance of white noise
-    s[NOISE] += c.noise_memory * (bend * bend / 6.0 - s[NOISE])
-    bend = torque - 2.0 * s[DRIVE] + s[DRIVE_BEFORE]
-    s[DRIVE_BEFORE], s[DRIVE] = s[DRIVE], torque
-    s[DRIVE_NOISE] += c.noise_memory * (bend * bend / 6.0 - s[DRIVE_NOISE])
-    sigma = math.sqrt(c.speed_noise_gain * s[NOISE] + c.torque_noise_gain * s[DRIVE_NOISE])
-    return c.use_dead_zone and abs(s[OMEGA]) < max(c.dead_zone, c.dead_zone_sigma * sigma)
+    speed = u.motor_speed_rad_s
+    bend = speed - 2.0 * s.speed + s.speed_before
+    s.speed_noise = _noise(c, s.speed_noise, bend, u.speed_noise)
+    bend = torque - 2.0 * s.drive + s.drive_before
+    s.drive_before, s.drive = s.drive, torque
+    s.drive_noise = _noise(c, s.drive_noise, bend, u.drive_noise)
+    sigma = math.sqrt(c.speed_noise_gain * s.speed_noise + c.torque_noise_gain * s.drive_noise)
+    return c.use_dead_zone and abs(s.omega) < max(c.dead_zone, c.dead_zone_sigma * sigma)
 
 
 @njit
-def _creep(c: Constants, s: npt.NDArray[np.float64], angle: float) -> float:
-    """How far a resting rotor crept in this step: the low-passed angle, followed past a gap.
+def _follow(c: Constants, s: Moment, u: Inputs, travel: float, resting: bool) -> float:
+    """How far the rotor went in this step, by speed and angle together.
 
-    Inside the gap (``CREEP_SIGMA`` deviations of the noise that is there) nothing is path, so noise
-    wears no bristle down; beyond it creep both bends and wears it, as in eq. 2a.
+    In motion a complementary filter: the speed gives the step, the angle keeps the sum from
+    drifting. At rest the low-passed angle alone, and past a gap (``CREEP_SIGMA`` deviations of the
+    noise that is there): inside it nothing is path, so noise wears no bristle down; beyond it creep
+    both bends and wears it, as in eq. 2a. What filter and gap hold back is counted when the rotor
+    leaves its rest.
     """
-    bend = angle - 2.0 * s[ANGLE_BEFORE] + s[ANGLE_EARLIER]
-    s[ANGLE_EARLIER], s[ANGLE_BEFORE] = s[ANGLE_BEFORE], angle
-    s[ANGLE_NOISE] += c.noise_memory * (bend * bend / 6.0 - s[ANGLE_NOISE])
-    s[ANGLE] += c.angle_low_pass * (angle - s[ANGLE])
-    left = c.angle_low_pass / (2.0 - c.angle_low_pass)  # variance that the low-pass leaves
-    gap = CREEP_SIGMA * math.sqrt(left * s[ANGLE_NOISE])
-    before = s[HELD]
-    s[HELD] = min(max(s[HELD], s[ANGLE] - gap), s[ANGLE] + gap)
-    return s[HELD] - before
+    angle = u.motor_angle_rad
+    bend = angle - 2.0 * s.angle_before + s.angle_earlier
+    s.angle_earlier, s.angle_before = s.angle_before, angle
+    s.angle_noise = _noise(c, s.angle_noise, bend, u.angle_noise)
+    kept = s.angle - s.held
+    if not resting:
+        s.angle += travel
+    s.angle += c.angle_low_pass * (angle - s.angle)
+    if resting:
+        before = s.held
+        left = c.angle_low_pass / (2.0 - c.angle_low_pass)  # variance that the low-pass leaves
+        gap = CREEP_SIGMA * math.sqrt(left * s.angle_noise)
+        s.held = min(max(s.held, s.angle - gap), s.angle + gap)
+        return s.held - before
+    s.held = s.angle
+    return kept
 
 
 @njit
-def _path(
-    c: Constants, s: npt.NDArray[np.float64], u: Inputs, resting: bool
-) -> tuple[float, float]:
+def _path(c: Constants, s: Moment, u: Inputs, resting: bool) -> tuple[float, float]:
     """Displacement of the step that bends the bristle, and the path that wears it down (rad).
 
     Noise would wear a resting bristle down, and integrated noise would let it wander. A measured
     angle still shows how far the rotor creeps, with an error that does not grow; without one, the
     recent path is kept and counted once the rotor is seen to move.
     """
-    travel = 0.5 * (u.motor_speed_rad_s + s[SPEED]) * STEP_S
-    if not resting:
-        kept = s[PATH]
-        s[ANGLE] = s[HELD] = s[ANGLE_BEFORE] = s[ANGLE_EARLIER] = u.motor_angle_rad
-        s[PATH] = 0.0
-        return travel + kept, abs(travel) + abs(kept)
+    travel = 0.5 * (u.motor_speed_rad_s + s.speed) * c.step_s
+    s.last_angle = u.motor_angle_rad
     if c.angle_seen:
-        creep = _creep(c, s, u.motor_angle_rad)
-        return creep, abs(creep)
-    s[PATH] += travel - c.path_forgetting * s[PATH]
+        went = _follow(c, s, u, travel, resting)
+        return (went, abs(went)) if resting else (travel + went, abs(travel) + abs(went))
+    if not resting:
+        kept = s.path
+        s.path = 0.0
+        return travel + kept, abs(travel) + abs(kept)
+    s.path += travel - c.path_forgetting * s.path
     return 0.0, 0.0

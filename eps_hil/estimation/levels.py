@@ -13,15 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
-from eps_hil.estimation.setup import (
-    ADDED_NEG,
-    ADDED_POS,
-    GOAL_NEG,
-    GOAL_POS,
-    RUNNING,
-    Constants,
-    Physics,
-)
+from eps_hil.estimation.setup import Constants, Physics
+from eps_hil.estimation.state import Rig
 from eps_hil.physics.friction import SMALLEST_LEVEL_NM, static_level_nm
 
 _WAITING = 32
@@ -96,10 +89,10 @@ def enqueue(q: Queue, t: int, added_pos: float, added_neg: float) -> bool:
 
 
 @njit
-def hand_over(q: Queue, s: Float64, t: int) -> None:
+def hand_over(q: Queue, r: Rig, t: int) -> None:
     """Make everything that is due at grid point ``t`` the goal of the estimator's levels."""
     while q.filled[0] > 0 and q.due[0] <= t:
-        s[GOAL_POS], s[GOAL_NEG] = q.added[0, 0], q.added[0, 1]
+        r.goal_pos, r.goal_neg = q.added[0, 0], q.added[0, 1]
         n = q.filled[0] - 1
         for k in range(n):
             q.due[k] = q.due[k + 1]
@@ -108,31 +101,21 @@ def hand_over(q: Queue, s: Float64, t: int) -> None:
 
 
 @njit
-def approach(c: Constants, s: Float64) -> None:
+def approach(c: Constants, r: Rig) -> None:
     """Move the levels in use one step towards their goals."""
-    for now, goal in ((ADDED_POS, GOAL_POS), (ADDED_NEG, GOAL_NEG)):
-        s[now] += min(max(s[goal] - s[now], -c.level_step), c.level_step)
+    r.added_pos += min(max(r.goal_pos - r.added_pos, -c.level_step), c.level_step)
+    r.added_neg += min(max(r.goal_neg - r.added_neg, -c.level_step), c.level_step)
 
 
 @njit
-def adapted_level_nm(x: Physics, s: Float64, direction: float, load_n: float) -> float:
+def adapted_level_nm(x: Physics, r: Rig, direction: float, load_n: float) -> float:
     """T_fs of eq. 3 with what adaptation has added to k0± so far."""
-    added_nm = s[ADDED_POS] if direction >= 0.0 else s[ADDED_NEG]
+    added_nm = r.added_pos if direction >= 0.0 else r.added_neg
     return max(static_level_nm(direction, load_n, x.law) + added_nm, SMALLEST_LEVEL_NM)
 
 
-@njit
-def forget(s: Float64) -> None:
-    """Clear the estimator's state, except for the levels: they are the rig's, not the moment's."""
-    forth, back = s[GOAL_POS], s[GOAL_NEG]
-    s[:] = 0.0
-    s[RUNNING] = -1.0
-    s[ADDED_POS] = s[GOAL_POS] = forth
-    s[ADDED_NEG] = s[GOAL_NEG] = back
-
-
-def levels_in_use(x: Physics, s: Float64) -> FrictionLevels:
-    """The model's k0± with what a state has added to them."""
+def levels_in_use(x: Physics, r: Rig) -> FrictionLevels:
+    """The model's k0± with what adaptation has added to them."""
     return FrictionLevels(
-        x.law.offset_pos_nm + float(s[ADDED_POS]), x.law.offset_neg_nm + float(s[ADDED_NEG])
+        x.law.offset_pos_nm + float(r.added_pos), x.law.offset_neg_nm + float(r.added_neg)
     )

@@ -9,60 +9,39 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from eps_hil.compiled import njit
 from eps_hil.estimation.compensation import drive_torque_nm, friction_step, instant_of
-from eps_hil.estimation.levels import FrictionLevels, adapted_level_nm, forget, levels_in_use
+from eps_hil.estimation.gap import bridge
+from eps_hil.estimation.levels import FrictionLevels, adapted_level_nm, levels_in_use
 from eps_hil.estimation.observer import observer_step
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import (
-    ACCELERATION,
-    ANGLE,
-    ANGLE_BEFORE,
-    ANGLE_EARLIER,
-    BRISTLE,
-    CLOCK,
-    DRIVE,
-    DRIVE_BEFORE,
-    DRIVE_NOISE,
-    FORCE,
-    GOAL_NEG,
-    GOAL_POS,
-    HEAD,
-    HELD,
-    LINE,
-    LINE_LENGTH,
-    LOCAL,
-    LP1,
-    LP2,
-    NOISE,
-    OMEGA,
-    OUT_FORCE,
-    OUT_FRICTION,
-    PATH,
-    PHI,
-    RUNNING,
-    SETTLE,
-    SLOPE,
-    SPEED,
-    SPEED_BEFORE,
-    STEP_S,
-    TORQUE,
     Constants,
     Inputs,
     Physics,
     constants,
-    new_state,
     physics_of,
 )
+from eps_hil.estimation.state import (
+    HELD,
+    LINE_LENGTH,
+    NEVER_RAN,
+    RUNS,
+    Carried,
+    Moment,
+    Rig,
+    begin_anew,
+    new_carried,
+)
 from eps_hil.estimation.validity import Reason
+from eps_hil.physics.effects import added
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 
 _SETTLING = int(Reason.SETTLING)
 _DIVERGED = int(Reason.DIVERGED)
+_OUT_OF_RANGE = int(Reason.OUT_OF_RANGE)
+_FRICTION_UNKNOWN = int(Reason.FRICTION_UNKNOWN)
 _IMPOSSIBLE_N = 1e6
 
 
@@ -75,87 +54,103 @@ class Output(NamedTuple):
 
 
 @njit
-def start(c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs) -> None:
+def start(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
     """Begin, or begin again after a gap, from the inputs of one instant."""
     law = x.law
-    torque = drive_torque_nm(c, x, instant_of(c, x, s, u), u)
-    s[PHI], s[OMEGA] = u.motor_angle_rad, u.motor_speed_rad_s
-    s[SPEED] = s[SPEED_BEFORE] = u.motor_speed_rad_s
-    s[ANGLE] = s[HELD] = s[ANGLE_BEFORE] = s[ANGLE_EARLIER] = u.motor_angle_rad
-    s[DRIVE] = s[DRIVE_BEFORE] = torque
-    s[ACCELERATION] = s[SLOPE] = s[PATH] = 0.0
-    if s[RUNNING] < 0.0:
-        s[NOISE], s[DRIVE_NOISE] = c.first_noise, c.first_drive_noise
-    if s[RUNNING] < 0.0:  # never ran: a rotor at rest balances its torque with the rack
-        if abs(u.motor_speed_rad_s) > c.limiter_speed:
-            load = s[LOCAL] * c.ratio * torque
-            level = adapted_level_nm(x, s, u.motor_speed_rad_s, load)
-            s[BRISTLE] = math.copysign(level / law.sigma0_nm_per_rad, u.motor_speed_rad_s)
-        s[FORCE] = c.ratio * torque
+    torque = drive_torque_nm(c, x, instant_of(c, x, s, r, u), u)
+    s.phi, s.omega = u.motor_angle_rad, u.motor_speed_rad_s
+    s.drive = s.drive_before = torque
+    s.acceleration = s.slope = s.path = 0.0
+    load = s.force if s.running == HELD else c.ratio * torque
+    direction = s.bristle if s.running == HELD else u.motor_speed_rad_s
+    level = adapted_level_nm(x, r, direction, s.local * load)
+    most = max(
+        adapted_level_nm(x, r, 1.0, s.local * load), adapted_level_nm(x, r, -1.0, s.local * load)
+    )
+    bridge(c, s, u, level, most, law.sigma0_nm_per_rad)
+    if s.running == NEVER_RAN:  # a rotor at rest balances its torque with the rack
+        s.speed_noise, s.drive_noise = c.first_noise, c.first_drive_noise
+        s.angle_noise = c.first_angle_noise
+        s.force = c.ratio * torque
         if c.compensate:
-            s[FORCE] -= c.ratio * law.sigma0_nm_per_rad * s[BRISTLE]
+            s.force -= c.ratio * law.sigma0_nm_per_rad * s.bristle
         if c.known_force:
-            s[FORCE] -= u.rack_force_n / s[LOCAL]
-        s[LP1] = s[LP2] = s[FORCE]
+            s.force -= u.rack_force_n / s.local
+        s.once_filtered = s.filtered = s.force
     compensated = torque
     if c.compensate:
-        compensated -= law.sigma0_nm_per_rad * s[BRISTLE]
+        compensated -= law.sigma0_nm_per_rad * s.bristle
     if c.known_force:
-        compensated -= u.rack_force_n / (c.ratio * s[LOCAL])
-    s[TORQUE] = compensated
-    s[RUNNING], s[SETTLE] = 1.0, c.settle_steps
+        compensated -= u.rack_force_n / (c.ratio * s.local)
+    s.torque = compensated
+    s.speed = s.speed_before = u.motor_speed_rad_s
+    s.running, s.settle_steps, s.held_steps = RUNS, c.settle_steps, 0
 
 
 @njit
-def estimator_step(
-    c: Constants, x: Physics, s: npt.NDArray[np.float64], u: Inputs, reason: int
-) -> int:
-    """One millisecond: updates the state vector ``s`` (shape (STATES,)); returns the reason bits.
+def estimator_step(c: Constants, x: Physics, e: Carried, u: Inputs, reason: int) -> int:
+    """One millisecond: updates what is carried; returns the reason bits.
 
     ``reason`` says what is wrong with the inputs; anything but 0 holds the last estimate.
     """
+    s, r = e.moment[0], e.rig[0]
     if reason != 0:
-        s[CLOCK] += STEP_S if s[CLOCK] > 0.0 else 0.0
-        s[RUNNING] = min(s[RUNNING], 0.0)
+        r.clock_s += c.step_s if r.clock_s > 0.0 else 0.0
+        s.running = min(s.running, HELD)
+        s.held_steps += 1
         return reason
-    if s[RUNNING] <= 0.0:
-        start(c, x, s, u)
-    i = instant_of(c, x, s, u)
+    if s.running != RUNS:
+        start(c, x, s, r, u)
+    i = instant_of(c, x, s, r, u)
     torque = drive_torque_nm(c, x, i, u)
-    friction = friction_step(c, x, s, u, i, torque)
-    s[CLOCK] += STEP_S
+    friction = friction_step(c, x, s, r, u, i, torque)
+    r.clock_s += c.step_s
     if c.compensate:
         torque -= friction
     if c.known_force:
-        torque -= u.rack_force_n / (c.ratio * s[LOCAL])
+        torque -= u.rack_force_n / (c.ratio * s.local)
     observer_step(c, s, torque, u)
-    s[LP1] += c.low_pass * (s[FORCE] - s[LP1])
-    s[LP2] += c.low_pass * (s[LP1] - s[LP2])
-    if not abs(s[LP2]) < _IMPOSSIBLE_N or not abs(s[BRISTLE]) < _IMPOSSIBLE_N:
-        forget(s)
+    s.once_filtered += c.low_pass * (s.force - s.once_filtered)
+    s.filtered += c.low_pass * (s.once_filtered - s.filtered)
+    if not abs(s.filtered) < _IMPOSSIBLE_N or not abs(s.bristle) < _IMPOSSIBLE_N:
+        begin_anew(e, x.effects)
         return _DIVERGED
     publish(c, s, friction)
-    if s[SETTLE] > 0.0:
-        s[SETTLE] -= 1.0
-        return _SETTLING
-    return 0
+    beyond = _OUT_OF_RANGE if x.use.ranged and added.out_of_range(x.effects, i) else 0
+    return verdict(c, s) | beyond
 
 
 @njit
-def publish(c: Constants, s: npt.NDArray[np.float64], friction: float) -> None:
+def verdict(c: Constants, s: Moment) -> int:
+    """Whether the observer has settled and the friction is known: reason bits of the step."""
+    reason = 0
+    if c.compensate and s.unknown_n > c.unknown_limit_n:
+        reason |= _FRICTION_UNKNOWN
+        s.unknown_steps = c.unknown_steps
+    elif s.unknown_steps > 0:
+        reason |= _FRICTION_UNKNOWN
+        s.unknown_steps -= 1
+    if s.settle_steps > 0:
+        s.settle_steps -= 1
+        reason |= _SETTLING
+    return reason
+
+
+@njit
+def publish(c: Constants, s: Moment, friction: float) -> None:
     """Outputs of one instant: the friction waits for as long as the force was filtered."""
     if c.known_force:
-        s[OUT_FORCE], s[OUT_FRICTION] = 0.0, s[LP2] / c.ratio
+        s.out_force, s.out_friction = 0.0, s.filtered / c.ratio
         return
-    head = int(s[HEAD])
-    s[LINE + head] = friction
-    steps = min(c.output_lag_s / STEP_S, LINE_LENGTH - 2.0)
+    head = s.head
+    s.line[head] = friction
+    steps = min(c.output_lag_s / c.step_s, LINE_LENGTH - 2.0)
     whole = int(steps)
-    newer = s[LINE + (head - whole) % LINE_LENGTH]
-    older = s[LINE + (head - whole - 1) % LINE_LENGTH]
-    s[OUT_FORCE] = s[LOCAL] * s[LP2]
-    s[OUT_FRICTION] = newer + (steps - whole) * (older - newer)
-    s[HEAD] = (head + 1) % LINE_LENGTH
+    newer = s.line[(head - whole) % LINE_LENGTH]
+    older = s.line[(head - whole - 1) % LINE_LENGTH]
+    s.out_force = s.local * s.filtered
+    s.out_friction = newer + (steps - whole) * (older - newer)
+    s.head = (head + 1) % LINE_LENGTH
 
 
 @dataclass(slots=True)
@@ -164,13 +159,13 @@ class RackForceEstimator:
 
     constants: Constants
     physics: Physics
-    state: npt.NDArray[np.float64]
+    carried: Carried
 
     def __init__(self, model: Model, settings: EstimatorSettings | None = None) -> None:
         model = with_model_effects(model)
         self.constants = constants(model, settings or EstimatorSettings())
         self.physics = physics_of(model)
-        self.state = new_state()
+        self.carried = new_carried()
 
     @property
     def lag_s(self) -> float:
@@ -181,19 +176,21 @@ class RackForceEstimator:
         """Take the inputs of the next millisecond; hold the last estimate if they are bad."""
         if reason == Reason.FINE and not all(map(math.isfinite, inputs)):
             reason = Reason.BAD_SAMPLE
-        bits = estimator_step(self.constants, self.physics, self.state, inputs, int(reason))
-        return Output(self.state[OUT_FORCE], self.state[OUT_FRICTION], Reason(bits))
+        bits = estimator_step(self.constants, self.physics, self.carried, inputs, int(reason))
+        now = self.carried.moment[0]
+        return Output(float(now.out_force), float(now.out_friction), Reason(bits))
 
     @property
     def friction_levels(self) -> FrictionLevels:
         """The levels in use at this moment, on their way to what was set."""
-        return levels_in_use(self.physics, self.state)
+        return levels_in_use(self.physics, self.carried.rig[0])
 
     def set_friction_levels(self, levels: FrictionLevels) -> None:
         """Go over to adapted levels from the next step on, at the rate of the settings."""
-        self.state[GOAL_POS], self.state[GOAL_NEG] = levels.above(self.physics)
+        rig = self.carried.rig[0]
+        rig.goal_pos, rig.goal_neg = levels.above(self.physics)
 
     def reset(self) -> None:
         """Forget everything, adapted levels too."""
-        self.state[:] = new_state()
+        self.carried = new_carried()
         self.physics.effects.state[:] = 0.0

@@ -8,6 +8,8 @@ from pydantic import ConfigDict, Field, with_config
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
+SHORTEST_STEP_S = 1e-4
+
 
 @with_config(ConfigDict(extra="forbid"))
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,31 @@ class BristleSettings:
 
 @with_config(ConfigDict(extra="forbid"))
 @dataclass(frozen=True, slots=True)
+class PlausibilitySettings:
+    """What a signal, several together, and the estimate can be (docs/theory-estimator.md)."""
+
+    enabled: bool = True
+    estimate_n: Positive = 15_000.0
+    """Largest rack force that is believed."""
+    motor_torque_nm: NotNegative = 0.0
+    """Largest motor torque; 0: 1.2 times what ``estimate_n`` takes at the rotor. Set it to what
+    the motor can make."""
+    torque_sensor_nm: Positive = 30.0
+    motor_speed_rad_s: Positive = 1500.0
+    frozen_samples: Annotated[int, Field(ge=2)] = 5
+    """So many equal samples of a signal that is hardly ever equal, while the rotor moves."""
+    jump_chi_square: Positive = 37.0
+    """Limit of the normalised innovation squared after a torque jump (37: 1e-9 of a chi-square)."""
+    unseen_s: NotNegative = 0.75
+    """How long after missing inputs, or a jump of time, a torque that may have begun to be wrong
+    unseen is waited for: only its end shows."""
+    consistent_s: Positive = 10.0
+    """How long after a jump that no motion followed the torque is doubted, if it does not jump
+    back."""
+
+
+@with_config(ConfigDict(extra="forbid"))
+@dataclass(frozen=True, slots=True)
 class EstimatorSettings:
     """Settings of the rack-force estimator (PAPER fig. 8); torques and speeds at the rotor.
 
@@ -46,6 +73,7 @@ class EstimatorSettings:
     """The paper's estimator; the Kalman filter with the bristle inside; the same over a whole
     recording, forth and back (not live). docs/theory-second-estimator.md says which is when."""
     bristle: BristleSettings = field(default_factory=BristleSettings)
+    plausibility: PlausibilitySettings = field(default_factory=PlausibilitySettings)
 
     friction_compensation: bool = True
     """Subtract the friction model's torque (2Q-fa); off shows 'w/o FC' of figs 10 to 12."""
@@ -90,10 +118,21 @@ class EstimatorSettings:
 
     speed_window_s: Positive = 0.02
     """Window of the straight line that gives a speed where only the angle is measured."""
-    settle_s: NotNegative = 0.1
+    settle_s: NotNegative = 0.15
     """How long inputs must be good before the estimate is called valid again."""
+    friction_unknown_n: Positive = 25.0
+    """By how much the rack force may be off because the bristle's history is unknown (a start, a
+    gap) and be called valid; a large number: it never counts. docs/theory-estimator.md"""
     stale_after_s: Positive = 0.02
     """An input older than this (and than 3 of its periods) is lost."""
+    step_s: Annotated[float, Field(ge=SHORTEST_STEP_S, le=1e-3)] = 1e-3
+    """The grid on which it steps; taken from the sync frame where that comes more often than once
+    a millisecond. All times above are seconds, whatever the step."""
+
+    @property
+    def step_ns(self) -> int:
+        """The step in whole nanoseconds."""
+        return round(self.step_s * 1e9)
 
 
 def problem(settings: EstimatorSettings, *, live: bool = True) -> str:

@@ -1,10 +1,7 @@
-"""The numbers that compiled estimator code works with: constants, inputs, places in its state."""
+"""The numbers that compiled estimator code works with: constants, physics, inputs."""
 
 import math
 from typing import NamedTuple
-
-import numpy as np
-import numpy.typing as npt
 
 from eps_hil.estimation import observer_design
 from eps_hil.estimation.bristle_setup import filter_constants
@@ -16,23 +13,16 @@ from eps_hil.physics.model import Model
 STEP_S = 1e-3
 STEP_NS = 1_000_000
 
-# Places in the state vector. Everything that the estimator remembers is here.
-PHI, OMEGA, FORCE, BRISTLE, SPEED, ANGLE, ACCELERATION, TORQUE = range(8)
-SLOPE, LP1, LP2, RUNNING, SETTLE, OUT_FORCE, OUT_FRICTION, HEAD = range(8, 16)
-SPEED_BEFORE, NOISE, PATH, DRIVE, DRIVE_BEFORE, DRIVE_NOISE, CLOCK = range(16, 23)
-HELD, ANGLE_BEFORE, ANGLE_EARLIER, ANGLE_NOISE = range(23, 27)
-# Adapted friction levels: what is added to k0+ and k0− now, and where that is going (Nm).
-ADDED_POS, ADDED_NEG, GOAL_POS, GOAL_NEG = range(27, 31)
-# dφ/dx over i_APA where the rack is: FORCE and its low-pass are as they would be in mid travel.
-LOCAL = 31
-LINE = 32
-LINE_LENGTH = 64
-STATES = LINE + LINE_LENGTH
+
+_KEEP_EVERY_S = 0.032
+_UNKNOWN_LAGS = 3.0
+"""Lags of the output after which it holds nothing of an unknown friction any more."""
 
 
 class Constants(NamedTuple):
     """All numbers of one set-up, worked out once from model and settings."""
 
+    step_s: float
     inverse_inertia: float
     ratio: float
     sensor_to_rotor: float
@@ -54,6 +44,7 @@ class Constants(NamedTuple):
     noise_memory: float
     first_noise: float
     first_drive_noise: float
+    first_angle_noise: float
     angle_low_pass: float
     path_forgetting: float
     level_step: float
@@ -61,7 +52,10 @@ class Constants(NamedTuple):
     angle_seen: bool
     limiter_speed: float
     limiter_acceleration: float
-    settle_steps: float
+    settle_steps: int
+    unknown_limit_n: float
+    unknown_steps: int
+    keep_steps: int
     compensate: bool
     limit: bool
     angle_measured: bool
@@ -86,7 +80,9 @@ class Inputs(NamedTuple):
     """What one step is given, aligned to one physical instant.
 
     ``rack_force_n`` is used only where the observer is turned around to give the friction.
-    ``motor_angle_rad`` is used only with ``position: measured``.
+    ``motor_angle_rad`` is used only with ``position: measured``. The last three are the variances
+    of T_1m's, the speed's and the angle's noise where they are known; else they are learnt from
+    the inputs themselves.
     """
 
     motor_torque_nm: float
@@ -94,20 +90,24 @@ class Inputs(NamedTuple):
     motor_speed_rad_s: float
     motor_angle_rad: float = 0.0
     rack_force_n: float = 0.0
+    drive_noise: float = -1.0
+    speed_noise: float = -1.0
+    angle_noise: float = -1.0
 
 
 def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = False) -> Constants:
     """Observer gain, filters and thresholds for a model (reads nothing, remembers nothing)."""
-    measured = settings.position == "measured"
-    obs = observer_design.design(model, settings, angle=measured, speed=True, dt=STEP_S)
-    pole = math.exp(-2 * math.pi * settings.output_low_pass_hz * STEP_S)
+    measured, step_s = settings.position == "measured", settings.step_s
+    obs = observer_design.design(model, settings, angle=measured, speed=True, dt=step_s)
+    pole = math.exp(-2 * math.pi * settings.output_low_pass_hz * step_s)
     low_pass = 1.0 - pole if settings.low_pass else 1.0
-    filter_lag = 2 * STEP_S * pole / (1.0 - pole) if settings.low_pass else 0.0
+    filter_lag = 2 * step_s * pole / (1.0 - pole) if settings.low_pass else 0.0
     gain = obs.gain
     lag_s = obs.lag_s + filter_lag
     if settings.kind == "bristle_filter":
-        lag_s = STEP_S * filter_constants(model, settings, STEP_S, angle_seen).lag
+        lag_s = step_s * filter_constants(model, settings, step_s, angle_seen).lag
     return Constants(
+        step_s=step_s,
         inverse_inertia=1.0 / model.inertia_kg_m2,
         ratio=model.rack_to_rotor_ratio_rad_per_m,
         sensor_to_rotor=model.sensor_to_rotor,
@@ -120,23 +120,27 @@ def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = Fals
         observer_lag_s=obs.lag_s,
         output_lag_s=lag_s,
         low_pass=low_pass,
-        acceleration_low_pass=_smoothing(settings.acceleration_low_pass_hz),
-        slope_low_pass=_smoothing(settings.output_low_pass_hz),
+        acceleration_low_pass=_smoothing(settings.acceleration_low_pass_hz, step_s),
+        slope_low_pass=_smoothing(settings.output_low_pass_hz, step_s),
         dead_zone=settings.dead_zone_rad_s,
         dead_zone_sigma=settings.dead_zone_sigma,
         speed_noise_gain=obs.speed_noise_gain,
         torque_noise_gain=obs.torque_noise_gain,
-        noise_memory=STEP_S / settings.noise_memory_s,
+        noise_memory=step_s / settings.noise_memory_s,
         first_noise=settings.speed_noise_rad_s**2,
         first_drive_noise=settings.torque_noise_nm**2,
-        angle_low_pass=_smoothing(settings.creep_low_pass_hz),
-        path_forgetting=STEP_S / settings.path_memory_s,
-        level_step=STEP_S * settings.level_slew_nm_per_s,
+        first_angle_noise=settings.angle_noise_rad**2,
+        angle_low_pass=_smoothing(settings.creep_low_pass_hz, step_s),
+        path_forgetting=step_s / settings.path_memory_s,
+        level_step=step_s * settings.level_slew_nm_per_s,
         use_dead_zone=settings.dead_zone,
         angle_seen=angle_seen,
         limiter_speed=settings.limiter_speed_rad_s,
         limiter_acceleration=settings.limiter_acceleration_rad_s2,
-        settle_steps=round(settings.settle_s / STEP_S),
+        settle_steps=round(settings.settle_s / step_s),
+        unknown_limit_n=settings.friction_unknown_n,
+        unknown_steps=math.ceil(_UNKNOWN_LAGS * lag_s / step_s),
+        keep_steps=round(_KEEP_EVERY_S / step_s),
         compensate=settings.friction_compensation and settings.quantity == "rack_force",
         limit=settings.limiter,
         angle_measured=measured,
@@ -144,13 +148,6 @@ def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = Fals
     )
 
 
-def _smoothing(frequency_hz: float) -> float:
+def _smoothing(frequency_hz: float, step_s: float) -> float:
     """Weight of the newest sample in a first-order low-pass at the step rate."""
-    return 1.0 - math.exp(-2 * math.pi * frequency_hz * STEP_S)
-
-
-def new_state() -> npt.NDArray[np.float64]:
-    """The state vector before the first step, shape (STATES,)."""
-    state = np.zeros(STATES)
-    state[RUNNING], state[LOCAL] = -1.0, 1.0
-    return state
+    return 1.0 - math.exp(-2 * math.pi * frequency_hz * step_s)

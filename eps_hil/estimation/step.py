@@ -8,29 +8,29 @@ the memory of both).
 from collections.abc import Callable
 from typing import Any
 
-import numpy.typing as npt
 from numba import types
 from numba.extending import overload
 
 from eps_hil.estimation.bristle_filter import PhysicsInside, filter_step
 from eps_hil.estimation.rack_force import estimator_step
 from eps_hil.estimation.setup import Constants, Inputs, Physics
+from eps_hil.estimation.state import Carried
 
 
-def step(c: Constants, x: Physics, s: npt.NDArray[Any], u: Inputs, reason: int) -> int:
+def step(c: Constants, x: Physics, e: Carried, u: Inputs, reason: int) -> int:
     """One millisecond of the paper's estimator or of the bristle filter; the reason bits."""
     chosen: Callable[..., int] = filter_step if isinstance(x, PhysicsInside) else estimator_step
-    return chosen(c, x, s, u, reason)
+    return chosen(c, x, e, u, reason)
 
 
 @overload(step)
-def _chosen(c: Any, x: Any, s: Any, u: Any, reason: Any) -> Callable[..., int]:
+def _chosen(c: Any, x: Any, e: Any, u: Any, reason: Any) -> Callable[..., int]:
     inside = isinstance(x, types.NamedTuple) and x.instance_class is PhysicsInside
 
-    def paper(c: Any, x: Any, s: Any, u: Any, reason: Any) -> int:
-        return estimator_step(c, x, s, u, reason)
+    def paper(c: Any, x: Any, e: Any, u: Any, reason: Any) -> int:
+        return estimator_step(c, x, e, u, reason)
 
-    def bristle(c: Any, x: Any, s: Any, u: Any, reason: Any) -> int:
-        return filter_step(c, x, s, u, reason)
+    def bristle(c: Any, x: Any, e: Any, u: Any, reason: Any) -> int:
+        return filter_step(c, x, e, u, reason)
 
     return bristle if inside else paper

@@ -17,7 +17,6 @@ from eps_hil.estimation import batch
 from eps_hil.estimation.observer_design import design, force_response
 from eps_hil.estimation.phases import phases
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.setup import STEP_S
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -58,11 +57,11 @@ class Point:
 def point(model: Model, settings: EstimatorSettings, noise: Noise) -> Point:
     """The estimator's noise, delay and bandwidth for one setting, in closed form."""
     angle = settings.position == "measured"
-    found = design(model, settings, angle=angle, speed=True, dt=STEP_S)
+    found = design(model, settings, angle=angle, speed=True, dt=settings.step_s)
     part = slice(0 if angle else 1, 3)
     keep = np.eye(3) - np.hstack([found.gain, np.zeros((3, 1))])
     closed, into = (keep @ found.transition)[part, part], found.gain[part, 1]
-    pole = math.exp(-2 * math.pi * settings.output_low_pass_hz * STEP_S)
+    pole = math.exp(-2 * math.pi * settings.output_low_pass_hz * settings.step_s)
     weight = 1.0 - pole if settings.low_pass else 1.0
     # The torque of a step is the mean of its ends: white noise enters it twice, half each time.
     torque = (keep @ found.input)[part]
@@ -75,12 +74,12 @@ def point(model: Model, settings: EstimatorSettings, noise: Noise) -> Point:
     gains = []
     for hertz in _HERTZ:
         omega = 2 * math.pi * float(hertz)
-        z = np.exp(1j * omega * STEP_S)
+        z = np.exp(1j * omega * settings.step_s)
         filtered = (weight / (1.0 - (1.0 - weight) / z)) ** 2
-        gains.append(abs(force_response(a, found.input, found.gain, ratio, STEP_S, omega)
+        gains.append(abs(force_response(a, found.input, found.gain, ratio, settings.step_s, omega)
                          * filtered))  # fmt: skip
     under = np.flatnonzero(np.array(gains) < math.sqrt(0.5))
-    delay = found.lag_s + (2 * STEP_S * pole / (1.0 - pole) if settings.low_pass else 0.0)
+    delay = found.lag_s + (2 * settings.step_s * pole / (1.0 - pole) if settings.low_pass else 0.0)
     return Point(
         settings.force_walk_n_per_sqrt_s,
         math.hypot(speed_n, torque_n),
@@ -141,7 +140,7 @@ def with_walk(
     scale = low_pass_per_root_walk
     if scale is None:
         scale = settings.output_low_pass_hz / math.sqrt(settings.force_walk_n_per_sqrt_s)
-    corner = min(scale * math.sqrt(walk), 0.4 / STEP_S)
+    corner = min(scale * math.sqrt(walk), 0.4 / settings.step_s)
     return replace(settings, force_walk_n_per_sqrt_s=walk, output_low_pass_hz=corner)
 
 
@@ -153,11 +152,11 @@ def simulated_noise_n(
     Friction compensation and limiter are at work; the noise that the friction model adds is in it.
     """
     rng = np.random.default_rng(seed)
-    n = round(seconds / STEP_S)
+    n = round(seconds / settings.step_s)
     f, ratio = model.friction, model.rack_to_rotor_ratio_rad_per_m
     force, speed = 500.0, 20.0
     level = f.offset_pos_nm + f.viscous_pos_nm_s_per_rad * speed + f.load_pos_nm_per_n * force
-    t_ns = np.arange(n, dtype=np.int64) * round(STEP_S * 1e9)
+    t_ns = np.arange(n, dtype=np.int64) * round(settings.step_s * 1e9)
     series = {
         "motor_torque_nm": Series(
             t_ns, force / ratio + level + noise.torque_nm * rng.standard_normal(n)

@@ -17,7 +17,12 @@ from eps_hil.estimation.bristle_model import Step, transition
 from eps_hil.estimation.bristle_setup import FORCE, OMEGA, PHI, RATE, SIZE, Drive
 from eps_hil.estimation.bristle_smoother import smooth
 from eps_hil.estimation.levels import LevelChange
-from eps_hil.estimation.settings import BristleSettings, EstimatorSettings, problem
+from eps_hil.estimation.settings import (
+    BristleSettings,
+    EstimatorSettings,
+    PlausibilitySettings,
+    problem,
+)
 from eps_hil.estimation.stream import SIGNALS, Estimate, StreamEstimator, Trace
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.friction import friction_law
@@ -192,13 +197,14 @@ def test_without_friction_it_is_a_kalman_filter_with_a_lag(linear_model: Model) 
     series = linear_rig(linear_model)
     lag = 17
     _, late, smoothed = plain_kalman(linear_model, series, lag)
-    live = StreamEstimator(linear_model, FILTER, sample_periods_s(series)).run(*events(series))
+    believing = replace(FILTER, plausibility=PlausibilitySettings(enabled=False))
+    live = StreamEstimator(linear_model, believing, sample_periods_s(series)).run(*events(series))
     started = int(np.argmax((live.reason & int(Reason.SETTLING)) > 0))
     ours = live.rack_force_n[started + lag :]
     theirs = late[lag : lag + len(ours)]
     # the very first row may be half a millisecond short of inputs; the start is then one later
     assert np.max(np.abs(ours[200 : len(theirs)] - theirs[200 : len(ours)])) < 0.05
-    whole = estimate(series, linear_model, SMOOTHER)
+    whole = estimate(series, linear_model, replace(believing, kind="smoother"))
     n = len(whole.t_ns)
     assert np.max(np.abs(whole.rack_force_n[50 : n - 50] - smoothed[50 : n - 50])) < 0.05
 
@@ -323,7 +329,7 @@ def test_live_and_batch_agree_bit_for_bit(
     assert [one.rack_force_n for one in rows] == batch.rack_force_n.tolist()
     assert [one.friction_torque_nm for one in rows] == batch.friction_torque_nm.tolist()
     assert [int(one.reason) for one in rows] == batch.reason.tolist()
-    assert np.mean(batch.valid) > 0.9
+    assert np.mean(batch.valid[500:]) > 0.99
 
 
 @pytest.mark.parametrize("settings", [FILTER, SMOOTHER])
@@ -337,7 +343,7 @@ def test_a_gap_is_named_and_left_behind(
     trace = estimate(series, reference_model, settings)
     inside = (trace.t_ns > 4.05e9) & (trace.t_ns < 4.35e9)
     assert not np.any(trace.valid[inside])
-    assert np.all(trace.valid[(trace.t_ns > 4.7e9) & (trace.t_ns < 8.8e9)])
+    assert np.all(trace.valid[(trace.t_ns > 5.2e9) & (trace.t_ns < 8.8e9)])
     assert np.all(np.isfinite(trace.rack_force_n))
     whole = estimate(series_of(weave_truth, ANGLE, 9000), reference_model, settings)
     late = slice(-2000, -500)
@@ -362,7 +368,9 @@ def test_adapted_levels_are_gone_over_to(reference_model: Model, weave_truth: An
 def test_it_starts_again_from_the_impossible(reference_model: Model, weave_truth: Any) -> None:
     series = series_of(weave_truth, BASE, 4000)
     series["motor_torque_nm"].value[2000] = 1e12
-    trace = StreamEstimator(reference_model, FILTER, sample_periods_s(series)).run(*events(series))
+    believing = replace(FILTER, plausibility=PlausibilitySettings(enabled=False))
+    stream = StreamEstimator(reference_model, believing, sample_periods_s(series))
+    trace = stream.run(*events(series))
     assert np.any(trace.reason & int(Reason.DIVERGED))
     assert np.all(trace.valid[-800:])
     assert np.max(np.abs(trace.rack_force_n[-800:])) < 3000

@@ -1,0 +1,63 @@
+"""The bristle over a gap in the inputs, and how much of its deflection is unknown (eq. 2a).
+
+Nobody measures the bristle. Where its history is not known its torque may be anything between
+−T_fs and +T_fs, and the rack force is wrong by up to i_APA times that. What the friction may be
+off by, u (Nm), dies out as eq. 2a forgets its start, u⁺ = u exp(−|ω| σ0 Δt / T_fs): some
+hundredths of a radian of sliding are enough, and no time at rest is.
+"""
+
+import math
+
+from eps_hil.compiled import njit
+from eps_hil.estimation.setup import Constants, Inputs
+from eps_hil.estimation.state import NEVER_RAN, Moment
+from eps_hil.physics.friction import bristle_step
+
+KNOWN_NM = 1e-6
+"""Less than this is nothing, and costs no exponential."""
+
+
+@njit(inline="always")
+def still_unknown(unknown_nm: float, slip_rad: float, level_nm: float, sigma0: float) -> float:
+    """What is unknown of the friction (Nm) after a path of ``slip_rad``."""
+    if unknown_nm < KNOWN_NM or slip_rad == 0.0:
+        return unknown_nm
+    return unknown_nm * math.exp(-slip_rad * sigma0 / level_nm)
+
+
+@njit
+def bridge(c: Constants, s: Moment, u: Inputs, level: float, most: float, sigma0: float) -> None:
+    """Bristle and what is unknown of it as estimating begins, or begins again after held steps.
+
+    ``level`` is T_fs (Nm) of the direction that counts, ``most`` the larger of both.
+
+    A rotor at rest on both sides of a gap, its angle changed by less than the bristle can bend,
+    has kept its bristle. Without an angle it may have moved and come back: no further than the
+    acceleration that counts as rest (SP_B of eq. 4a) takes it, a path of SP_B T²/8. A rotor that
+    slid on, its angle measured and its speed changed by no more than noise (SP_A) and SP_B T,
+    has taken the bristle along by that angle, and the same path is all that it may have hidden.
+    """
+    end = level / sigma0
+    speed = u.motor_speed_rad_s
+    angle, held = s.angle, s.held
+    s.angle = s.held = s.angle_before = s.angle_earlier = u.motor_angle_rad
+    if s.running == NEVER_RAN:
+        moving = abs(speed) > c.limiter_speed
+        s.bristle = math.copysign(end, speed) if moving else 0.0
+        s.unknown_nm = sigma0 * abs(s.bristle) + most
+        return
+    change = u.motor_angle_rad - s.last_angle if c.angle_seen else 0.0
+    gap_s = s.held_steps * c.step_s
+    hidden = 0.125 * c.limiter_acceleration * gap_s * gap_s
+    rested = abs(s.speed) < c.limiter_speed and abs(speed) < c.limiter_speed
+    steady = abs(speed - s.speed) < c.limiter_speed + c.limiter_acceleration * gap_s
+    if c.angle_seen and rested:
+        hidden = 0.0
+    kept = abs(change) + hidden < end if rested else c.angle_seen and steady
+    if kept and rested and c.angle_seen:  # creep is followed from where it was, noise filtered
+        s.angle, s.held = angle, held
+        return
+    s.bristle = bristle_step(s.bristle, change, abs(change), level, sigma0)
+    s.bristle = min(max(s.bristle, -end), end)
+    anything = sigma0 * abs(s.bristle) + most
+    s.unknown_nm = min(s.unknown_nm + (sigma0 * hidden if kept else anything), anything)

@@ -1,0 +1,301 @@
+"""Whether signals can be what they say: range, rate, frozen, angle against speed, torque jumps.
+
+A frame with a right CRC and a running counter may still carry nonsense. What a sample cannot be is
+taken out as it arrives; what several signals cannot be together is told beside the estimate
+(docs/theory-estimator.md, "Plausibility"). Compiled; all that is remembered is one record.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.state import Records, record_of
+from eps_hil.estimation.torque_jumps import (
+    RING,
+    blind,
+    bridge,
+    course,
+    due_noise,
+    hinge,
+    latched,
+    unseen,
+    watch_jump,
+)
+from eps_hil.estimation.validity import Reason
+from eps_hil.physics.model import Model
+
+COUNT = 5
+"""Signals: motor torque, torque sensor, speed, angle, load cell, as in ``stream.SIGNALS``."""
+_TORQUE, _SENSOR, _SPEED, _ANGLE = range(4)
+_RANGE, _RATE = int(Reason.RANGE), int(Reason.RATE)
+_FROZEN, _INCONSISTENT = int(Reason.FROZEN), int(Reason.INCONSISTENT)
+_CONTINUOUS_NS = 50_000_000
+_MOVING_RAD_S = 1.0
+_REPEATS_MEMORY, _LEARNT = 256, 32
+_NO_ACCIDENT = math.log(1e-9)
+"""A run of equal samples that is less likely than this, by how often neighbours are equal."""
+_TURNS = 0.9
+"""The most that may be known of how often noise turns back; white noise does at two of three."""
+_SPREAD_MEMORY_MS, _FIRST_SPREAD = 512.0, 1.0
+_TOLD_S, _EDGE_S, _WINDOW_S = 0.2, 0.002, 0.010
+_BRIDGED_S = 0.018
+"""A hole at whose end a jump of the torque is still told from the load's own course."""
+_STALLED_S = 1.5
+"""How long torque is doubted that stood still, or whose jump back may have been missed."""
+_LEAK_PER_MS = 0.95
+"""What the angle's residual keeps from one millisecond to the next: it covers some 20 ms."""
+_SCALE, _SMOOTHED_S = 0.25, 0.005
+_ANGLE_SIGMA = 10.0
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+
+class Watch:
+    """What is remembered of signals and of how they fit each other."""
+
+    # Of each signal: the last sample and its stamp, equal ones in a row while the rotor moved,
+    # how often neighbours are equal and of how many that was learnt, whether it stands still now,
+    # why one was taken out last.
+    last: Annotated[Floats, COUNT]
+    last_ns: Annotated[Ints, COUNT]
+    same: Annotated[Ints, COUNT]
+    repeats: Annotated[Floats, COUNT]
+    learnt: Annotated[Ints, COUNT]
+    # The same at rest: equal ones in a row, the last change, how often it turned back, of how many.
+    still: Annotated[Ints, COUNT]
+    change: Annotated[Floats, COUNT]
+    turns: Annotated[Floats, COUNT]
+    rested: Annotated[Ints, COUNT]
+    frozen: Annotated[Ints, COUNT]
+    refused: Annotated[Ints, COUNT]
+    moving: int
+    # Aligned T_1m, less what is unexplained of it, and speed of the last steps.
+    torque: Annotated[Floats, RING]
+    speed: Annotated[Floats, RING]
+    steps: int
+    # Steps without inputs until now, or without a torque that was seen; its slope before them.
+    hole: int
+    unseen: int
+    slope_nm: float
+    # Innovation of the motion after a torque jump: its spread, the jumps that nothing followed.
+    spread: float
+    innovation: float
+    unexplained_nm: float
+    stalled: int
+    missed: int
+    told: int
+    quiet: int
+    # For how many steps more the torque may be wrong since nobody looked; whether that is now.
+    unsure: int
+    missed_now: int
+    # Angle less the speed's path, and what scales its tolerance; the angle of the step before.
+    slip: float
+    path: float
+    gain: float
+    angle: float
+
+
+WATCH = record_of(Watch)
+
+
+class Limits(NamedTuple):
+    """Numbers of :class:`~eps_hil.estimation.settings.PlausibilitySettings` for compiled code."""
+
+    on: bool
+    step_s: float
+    most: Floats
+    rate: Floats
+    frozen_samples: int
+    window: int
+    inverse_inertia: float
+    ratio: float
+    sensor_to_rotor: float
+    jump: float
+    consistent_steps: int
+    told_steps: int
+    stalled_steps: int
+    unsure_steps: int
+    bridged: int
+    edge: int
+    hinge: Floats
+    hinge_noise: float
+    due_noise: float
+    spread_memory: float
+    leak: float
+    angle_seen: bool
+    angle_tolerance: float
+    estimate_n: float
+
+
+def new_watch() -> Records:
+    """Nothing seen yet."""
+    watch = np.zeros(1, WATCH)
+    watch["spread"], watch["repeats"] = _FIRST_SPREAD, 1.0
+    return watch
+
+
+_NEW = new_watch()
+
+
+@njit
+def watch_anew(watch: Records) -> None:
+    """Nothing seen yet, after a jump of time; what is of the rig's signals stays known."""
+    w = watch[0]
+    spread, repeats, learnt = w.spread, w.repeats.copy(), w.learnt.copy()
+    turns, rested = w.turns.copy(), w.rested.copy()
+    watch[0] = _NEW[0]
+    w.spread, w.repeats[:], w.learnt[:] = spread, repeats, learnt
+    w.turns[:], w.rested[:] = turns, rested
+    w.missed_now = 1
+
+
+def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Limits:
+    """Limits of a model and its settings; what is not set follows from the model."""
+    chosen, ratio = settings.plausibility, model.rack_to_rotor_ratio_rad_per_m
+    torque = chosen.motor_torque_nm or 1.2 * chosen.estimate_n / ratio
+    most = (torque, chosen.torque_sensor_nm, chosen.motor_speed_rad_s, math.inf, math.inf)
+    fastest = 3.0 * torque / model.inertia_kg_m2
+    rate = (math.inf, math.inf, fastest, 2.0 * chosen.motor_speed_rad_s, math.inf)
+    step_s, step_ms = settings.step_s, settings.step_s * 1e3
+    stiff = math.sqrt(model.friction.sigma0_nm_per_rad / model.inertia_kg_m2)
+    window = min(max(round(1.5 / stiff / step_s), 4), round(_WINDOW_S / step_s))
+    return Limits(
+        on=chosen.enabled,
+        step_s=step_s,
+        most=np.array(most),
+        rate=np.array(rate),
+        frozen_samples=chosen.frozen_samples,
+        window=window,
+        inverse_inertia=1.0 / model.inertia_kg_m2,
+        ratio=ratio,
+        sensor_to_rotor=model.sensor_to_rotor,
+        jump=chosen.jump_chi_square,
+        consistent_steps=round(chosen.consistent_s / step_s),
+        told_steps=round(_TOLD_S / step_s),
+        stalled_steps=round(_STALLED_S / step_s),
+        unsure_steps=round(chosen.unseen_s / step_s),
+        bridged=round(_BRIDGED_S / step_s),
+        edge=max(round(_EDGE_S / step_s), 1),
+        hinge=hinge(window),
+        hinge_noise=float(np.sum(hinge(window) ** 2)),
+        due_noise=due_noise(window, step_s, 1.0 / model.inertia_kg_m2),
+        spread_memory=step_ms / _SPREAD_MEMORY_MS,
+        leak=_LEAK_PER_MS**step_ms,
+        angle_seen=angle_seen,
+        angle_tolerance=_ANGLE_SIGMA * settings.angle_noise_rad,
+        estimate_n=chosen.estimate_n,
+    )
+
+
+@njit
+def judge_sample(watch: Records, p: Limits, i: int, t: int, v: float) -> float:
+    """The sample of signal ``i``, or NaN where it cannot be what it says."""
+    if not p.on or not np.isfinite(v):
+        return v
+    w = watch[0]
+    before, since = w.last[i], t - w.last_ns[i]
+    w.last[i], w.last_ns[i] = v, t
+    if abs(v) > p.most[i]:
+        w.refused[i] = _RANGE
+        return math.nan
+    if not 0 < since < _CONTINUOUS_NS:
+        w.same[i] = w.still[i] = w.frozen[i] = 0
+        w.change[i] = 0.0
+        return v
+    if abs(v - before) > p.rate[i] * max(since * 1e-9, p.step_s):
+        w.refused[i] = _RATE
+        return math.nan
+    equal = v == before
+    if not equal:
+        w.same[i] = 0
+    elif w.moving:
+        w.same[i] += 1
+    if w.moving and w.same[i] < p.frozen_samples:
+        w.learnt[i] = min(w.learnt[i] + 1, _REPEATS_MEMORY)
+        w.repeats[i] += ((1.0 if equal else 0.0) - w.repeats[i]) / w.learnt[i]
+    chance = w.same[i] * math.log(max(w.repeats[i], 1e-3))
+    known = w.learnt[i] >= _LEARNT and v != 0.0
+    stands = known and w.same[i] >= p.frozen_samples and chance < _NO_ACCIDENT
+    rests = _stands_at_rest(w, p, i, v - before) and v != 0.0
+    w.frozen[i] = 1 if stands or rests else 0
+    return v
+
+
+@njit
+def _stands_at_rest(w: Watch, p: Limits, i: int, change: float) -> bool:
+    """Whether the noise that signal ``i`` has at rest is gone for too long to be an accident.
+
+    Noise turns back at every other sample. A quantised signal without noise stands still with the
+    rotor, and a creeping one goes one way: of these nothing is learnt that could be missed.
+    """
+    if change == 0.0:
+        w.still[i] += 0 if w.moving else 1
+        chance = w.still[i] * math.log(1.0 - min(w.turns[i], _TURNS))
+        return w.rested[i] >= _LEARNT and w.still[i] >= p.frozen_samples and chance < _NO_ACCIDENT
+    if not w.moving and not w.frozen[i]:
+        n = min(w.still[i] + 1, _REPEATS_MEMORY)
+        w.rested[i] = min(w.rested[i] + n, _REPEATS_MEMORY)
+        turned = 1.0 if change * w.change[i] < 0.0 else 0.0
+        w.turns[i] += (turned / n - w.turns[i]) * n / w.rested[i]
+    w.still[i], w.change[i] = 0, change
+    return False
+
+
+@njit
+def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -> tuple[int, bool]:
+    """Reason bits of signals that do not fit each other, and whether that is seen at this moment.
+
+    ``seen``: T_1m is read where no samples are lost. ``missing``: why inputs are missing, or 0.
+    What is doubted for something past is estimated on.
+    """
+    if not p.on:
+        return 0, False
+    w = watch[0]
+    if missing != 0:
+        w.slip, w.path, w.gain = 0.0, 0.0, 0.0
+        blind(w, p, u.motor_speed_rad_s, missing & (_RANGE | _RATE) != 0)
+        return latched(w, p), w.told > 0
+    before = w.speed[(w.steps - 1) % RING]
+    if w.steps == 0 or w.hole > 0:
+        before = u.motor_speed_rad_s
+        w.angle = u.motor_angle_rad - before * p.step_s
+    if w.hole > 0:
+        bridge(w, p, u)
+    at = w.steps % RING
+    reason = unseen(w, p)
+    torque = u.motor_torque_nm + p.sensor_to_rotor * u.torque_sensor_nm
+    w.torque[at] = course(w, p, torque - w.unexplained_nm, seen)
+    w.speed[at] = u.motor_speed_rad_s
+    w.steps += 1
+    w.moving = 1 if abs(u.motor_speed_rad_s) > _MOVING_RAD_S else 0
+    watch_jump(w, p, u)
+    reason |= latched(w, p)
+    now = w.told > 0
+    if p.angle_seen and _angle_off(w, p, u, before):
+        reason |= _INCONSISTENT
+        now = True
+    for i in range(COUNT):
+        if w.frozen[i]:
+            reason |= _FROZEN | _INCONSISTENT
+            w.stalled, w.missed = p.stalled_steps, 1
+            now = True
+    return reason, now
+
+
+@njit
+def _angle_off(w: Watch, p: Limits, u: Inputs, before: float) -> bool:
+    """Whether the angle's way and the speed's differ by more than noise, gain and lag make."""
+    speed = u.motor_speed_rad_s
+    way = 0.5 * (speed + before) * p.step_s
+    w.slip = p.leak * w.slip + (u.motor_angle_rad - w.angle) - way
+    w.path = p.leak * w.path + way
+    w.gain = p.leak * w.gain + (speed - before)
+    w.angle = u.motor_angle_rad
+    tolerance = p.angle_tolerance + _SCALE * abs(w.path) + _SMOOTHED_S * abs(w.gain)
+    return abs(w.slip) > tolerance

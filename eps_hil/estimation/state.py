@@ -1,0 +1,174 @@
+"""What the estimator remembers, as two named records, and the one place where they are made.
+
+:class:`Moment` is of the moment: a reset replaces it by :func:`new_moment`, whole, so that nothing
+can be left at a value that no start would give. :class:`Rig` is of the rig: adapted friction levels
+and for how long it has run; no reset touches it. Torques and speeds at the rotor, force at the
+rack. Compiled code sees numpy records, and reads and writes their fields by name.
+"""
+
+from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.physics.effects.added import Added
+
+LINE_LENGTH = 640
+"""Steps of friction that wait for the filtered force: 64 ms at the shortest step."""
+NEVER_RAN, HELD, RUNS = -1, 0, 1
+"""Values of ``running``: nothing estimated yet; the last estimate is held; estimating."""
+
+Records = npt.NDArray[Any]
+"""One record as an array of shape (1,), which compiled code can replace whole."""
+
+
+class Moment:
+    """What is of the moment. A field's type says how the record holds it."""
+
+    # The observer's state (eq. 5 to 9), the torque it was given last, its force's slope and filter.
+    phi: float
+    omega: float
+    force: float
+    torque: float
+    slope: float
+    once_filtered: float
+    filtered: float
+    # Friction (eq. 2): deflection z; speed of the last step, acceleration for eq. 4a.
+    bristle: float
+    speed: float
+    acceleration: float
+    # By how much the friction may be off (Nm), what that is at the rack (N), and for how many
+    # steps more the output holds something of it.
+    unknown_nm: float
+    unknown_n: float
+    unknown_steps: int
+    # Across held steps: the last measured angle, and how many there were.
+    last_angle: float
+    held_steps: int
+    # Dead zone: the noise that is there (second differences), path inside the zone, creep.
+    speed_before: float
+    speed_noise: float
+    path: float
+    drive: float
+    drive_before: float
+    drive_noise: float
+    angle: float
+    angle_before: float
+    angle_earlier: float
+    angle_noise: float
+    held: float
+    # dφ/dx over i_APA where the rack is: ``force`` is as it would be in mid travel.
+    local: float
+    # Outputs, and the line in which the friction waits for the filtered force.
+    out_force: float
+    out_friction: float
+    line: Annotated[npt.NDArray[np.float64], LINE_LENGTH]
+    head: int
+    running: int
+    settle_steps: int
+
+
+class Rig:
+    """What is of the rig: its time, what adaptation adds to k0+ and k0− now, and its goals (Nm)."""
+
+    clock_s: float
+    added_pos: float
+    added_neg: float
+    goal_pos: float
+    goal_neg: float
+
+
+def record_of(kind: type) -> np.dtype[Any]:
+    """The record that holds the fields of a class: floats, integers, and arrays of either.
+
+    An array's type is ``Annotated[array, length]``.
+    """
+    fields: list[tuple[Any, ...]] = []
+    for name, of in get_type_hints(kind, include_extras=True).items():
+        if get_origin(of) is Annotated:
+            whole = of.__origin__ == npt.NDArray[np.int64]
+            fields.append((name, "i8" if whole else "f8", of.__metadata__))
+        else:
+            fields.append((name, "i8" if of is int else "f8"))
+    return np.dtype((np.record, fields))
+
+
+MOMENT, RIG = record_of(Moment), record_of(Rig)
+
+
+class Carried(NamedTuple):
+    """Both records, (1,) each, as the estimator's step is given them."""
+
+    moment: Records
+    rig: Records
+
+
+def new_moment() -> Records:
+    """The state before the first step."""
+    moment = np.zeros(1, MOMENT)
+    moment["running"], moment["local"] = NEVER_RAN, 1.0
+    return moment
+
+
+def new_carried() -> Carried:
+    """Nothing estimated yet, of a rig with the model's own friction levels."""
+    return Carried(new_moment(), np.zeros(1, RIG))
+
+
+class Kept(NamedTuple):
+    """States of a while ago: two moments, (2,), the older one first; steps since the newer was
+    taken, since the older was, and how many there are, (3,)."""
+
+    moments: Records
+    steps: npt.NDArray[np.int64]
+
+
+def new_kept() -> Kept:
+    """None yet."""
+    return Kept(np.concatenate([new_moment(), new_moment()]), np.zeros(3, np.int64))
+
+
+_NEW = new_moment()
+
+
+@njit
+def keep(e: Carried, kept: Kept, good: bool, every: int) -> None:
+    """Take the state ``every`` so many steps, while nothing is wrong with the inputs."""
+    kept.steps[0] += 1
+    kept.steps[1] += 1
+    if not good or kept.steps[0] < every:
+        return
+    kept.moments[0] = kept.moments[1]
+    kept.moments[1] = e.moment[0]
+    kept.steps[1], kept.steps[0] = kept.steps[0], 0
+    kept.steps[2] = min(kept.steps[2] + 1, 2)
+
+
+@njit
+def roll_back(e: Carried, kept: Kept) -> None:
+    """The state from before inputs that turned out to be false: a doubt comes some steps late.
+
+    The older of two that are 32 ms apart; estimating goes on from it as after a gap. Where
+    there is none yet, it begins anew.
+    """
+    if kept.steps[2] < 2:
+        e.moment[0] = _NEW[0]
+        return
+    e.moment[0] = kept.moments[0]
+    kept.moments[1] = kept.moments[0]
+    kept.steps[0] = kept.steps[1]
+    s = e.moment[0]
+    s.running, s.held_steps = HELD, kept.steps[1]
+
+
+@njit
+def begin_anew(e: Carried, effects: Added) -> None:
+    """The state before the first step once more, for what a jump of time or nonsense spoilt.
+
+    The levels are at their goals then: nothing is published in which a step could show.
+    """
+    e.moment[0] = _NEW[0]
+    effects.state[:] = 0.0
+    r = e.rig[0]
+    r.added_pos, r.added_neg = r.goal_pos, r.goal_neg

@@ -1,0 +1,288 @@
+"""The stream's compiled part: samples into rings, and the steps that a sync frame makes due.
+
+One machine code for the live loop, a replay and a whole recording.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.estimation import alignment, levels
+from eps_hil.estimation.plausibility import judge_sample, judge_step, new_watch, watch_anew
+from eps_hil.estimation.setup import Constants, Inputs, Physics
+from eps_hil.estimation.state import (
+    RUNS,
+    Carried,
+    Kept,
+    Records,
+    begin_anew,
+    keep,
+    new_carried,
+    new_kept,
+    roll_back,
+)
+from eps_hil.estimation.step import step
+from eps_hil.estimation.stream_timing import (
+    ANGLE,
+    SENSOR,
+    SIGNALS,
+    SPEED,
+    TORQUE,
+    Timing,
+)
+from eps_hil.estimation.validity import Reason
+
+_LOST = np.array(
+    [
+        Reason.MOTOR_TORQUE,
+        Reason.TORQUE_SENSOR,
+        Reason.MOTOR_SPEED,
+        Reason.MOTOR_SPEED,
+        Reason.RACK_FORCE,
+    ],
+    dtype=np.int64,
+)
+_TIME, _NOT_STARTED = int(Reason.TIME), int(Reason.NOT_STARTED)
+_SOUND = int(Reason.SETTLING | Reason.OUT_OF_RANGE)
+"""What leaves the state itself sound, and worth going back to."""
+_BAD, _IMPLAUSIBLE = int(Reason.BAD_SAMPLE), int(Reason.IMPLAUSIBLE)
+_JUMP_NS = 1_000_000_000
+_BATCH_ROWS = 11_000
+"""Steps that one sync frame can make due: a jump of a second and more starts anew."""
+WAITING = 64
+"""Samples that may wait for the sync frame."""
+
+Int64 = npt.NDArray[np.int64]
+Float64 = npt.NDArray[np.float64]
+
+
+class Memory(NamedTuple):
+    """Everything that the stream remembers; arrays only, so that compiled code can hold it."""
+
+    stamps: Int64
+    values: Float64
+    filled: Int64
+    grid: Int64
+    carried: Carried
+    t_ns: Int64
+    estimate: Float64
+    reason: Int64
+    levels: levels.Queue
+    watch: Records
+    kept: Kept
+    noise: Float64
+    learnt: Int64
+
+
+def new_memory() -> Memory:
+    """Nothing seen yet."""
+    n = len(SIGNALS)
+    return Memory(
+        np.zeros((n, alignment.RING), np.int64),
+        np.zeros((n, alignment.RING)),
+        np.zeros(n, np.int64),
+        np.zeros(3, np.int64),
+        new_carried(),
+        np.zeros(_BATCH_ROWS, np.int64),
+        np.zeros((_BATCH_ROWS, 2)),
+        np.full(_BATCH_ROWS, _NOT_STARTED, np.int64),
+        levels.new_queue(),
+        new_watch(),
+        new_kept(),
+        np.zeros((n, 2)),
+        np.zeros(n, np.int64),
+    )
+
+
+class Waiting(NamedTuple):
+    """Samples in the order of their arrival, for one call at the sync frame; all (WAITING,)."""
+
+    signal: Int64
+    t_ns: Int64
+    value: Float64
+
+
+def new_waiting() -> Waiting:
+    """Room for them."""
+    return Waiting(np.zeros(WAITING, np.int64), np.zeros(WAITING, np.int64), np.zeros(WAITING))
+
+
+@njit(inline="always")
+def time_jumped(grid: Int64, step_ns: int, t: int) -> bool:
+    """Whether sync stamp ``t`` is of another time than the ones before: back, or far ahead.
+
+    ``grid``: next grid point (ns), 1 once it runs, newest sync stamp (ns). A clock that goes back
+    by less than a step makes nothing due until it has caught up; further back, what is in the
+    rings is of a future that does not come.
+    """
+    return t - grid[0] > _JUMP_NS or grid[2] - t > step_ns
+
+
+@njit
+def push(m: Memory, timing: Timing, i: int, t: int, v: float) -> None:
+    """One sample of signal ``i`` (place in SIGNALS) with its stamp."""
+    v = judge_sample(m.watch, timing.limits, i, t, v)
+    if not alignment.push_sample(m.stamps, m.values, m.filled, i, t, v):
+        return
+    if i == ANGLE and timing.speed_window > 0:
+        there, stamp, speed = alignment.slope(m.stamps, m.values, m.filled, i, timing.speed_window)
+        if there:
+            alignment.push_sample(m.stamps, m.values, m.filled, SPEED, stamp, speed)
+
+
+@njit
+def _learn(m: Memory, timing: Timing, i: int, t: int) -> None:
+    """The noise of ring ``i`` up to stamp ``t``: of what was read, not of what happens to be there.
+
+    How far samples are ahead of the step that is made differs between a live bus and a recording.
+    """
+    if m.noise[i, 1] == 0.0:
+        m.noise[i] = timing.first_noise[i]
+    ring = alignment.RING
+    n = max(m.learnt[i], m.filled[i] - ring + 4)
+    while n < m.filled[i] and m.stamps[i, n % ring] <= t:
+        n += 1
+        alignment.learn_noise(m.stamps, m.values, n, i, m.noise, timing.noise_memory)
+    m.learnt[i] = n
+
+
+@njit
+def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
+    """All inputs at physical instant ``at``, what is wrong with them, and whether T_1m was seen.
+
+    Where samples are missing the inputs go straight from neighbour to neighbour, and what a torque
+    did meanwhile was not seen.
+    """
+    got = (0.0, 0.0, 0.0, 0.0, 0.0)
+    torque, sensor, speed, angle, force = got
+    reason, share, seen = 0, timing.limits.sensor_to_rotor, True
+    for i in range(len(SIGNALS)):
+        if not timing.used[i]:
+            continue
+        _learn(m, timing, i, at + timing.delay[i])
+        value, why, apart = alignment.read_between(
+            m.stamps, m.values, m.filled, i, at + timing.delay[i], timing.stale[i], _LOST[i]
+        )
+        if i == SENSOR and m.filled[i] == 0:  # never there: absent, not lost (CONTRACT 2)
+            continue
+        if i <= SENSOR and apart > timing.missing[i]:
+            seen = False
+        if why & _BAD:
+            why |= m.watch[0].refused[i]
+        reason |= why
+        if i == TORQUE:
+            torque = value
+        elif i == SENSOR:
+            sensor = value
+        elif i == SPEED:
+            speed = value
+        elif i == ANGLE:
+            angle = value
+        else:
+            force = value
+    drive_noise = m.noise[TORQUE, 0] + share * share * m.noise[SENSOR, 0]
+    noise = (drive_noise, m.noise[SPEED, 0], m.noise[ANGLE, 0])
+    inputs = Inputs(torque, sensor, speed, angle, force, noise[0], noise[1], noise[2])
+    return inputs, reason, seen
+
+
+@njit
+def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
+    """Step the grid up to sync stamp ``t``; results in m.t_ns, m.estimate, m.reason [0:n]."""
+    extra = 0
+    if m.grid[1] == 0:
+        m.grid[0], m.grid[1] = t, 1
+        extra = _NOT_STARTED
+    elif time_jumped(m.grid, timing.step_ns, t):
+        levels.hand_over(m.levels, m.carried.rig[0], m.grid[0])
+        m.carried.rig[0].clock_s += max(t - m.grid[0], 0) * 1e-9
+        if abs(t - m.grid[0]) > _JUMP_NS:
+            begin_anew(m.carried, x.effects)
+            m.kept.steps[2] = 0
+        else:  # the clock was set back a little: for how long nothing was seen, nobody knows
+            m.carried.moment[0].held_steps += _JUMP_NS // timing.step_ns
+        m.grid[0] = t
+        m.filled[:] = 0
+        m.learnt[:] = 0
+        watch_anew(m.watch)
+        extra = _TIME
+    m.grid[2] = t
+    lag = int(round(c.output_lag_s * 1e9))
+    n = 0
+    # Half a step of grace: a sync frame that is a little early still makes its own step due.
+    while m.grid[0] <= t + timing.step_ns // 2 and n < _BATCH_ROWS:
+        levels.hand_over(m.levels, m.carried.rig[0], m.grid[0])
+        at = m.grid[0] - timing.lookback
+        inputs, reason, seen = gather(m, timing, at)
+        reason |= extra
+        doubt, now_seen = judge_step(m.watch, timing.limits, inputs, seen, reason)
+        if now_seen and m.carried.moment[0].running == RUNS:
+            roll_back(m.carried, m.kept)
+        reason = step(c, x, m.carried, inputs, reason | (doubt if now_seen else 0))
+        keep(m.carried, m.kept, (reason | doubt) & ~_SOUND == 0, c.keep_steps)
+        m.t_ns[n] = at - lag
+        now = m.carried.moment[0]
+        if timing.limits.on and abs(now.out_force) > timing.limits.estimate_n:
+            doubt |= _IMPLAUSIBLE
+            now.settle_steps = max(now.settle_steps, c.settle_steps)
+        m.reason[n] = reason | doubt
+        m.estimate[n, 0], m.estimate[n, 1] = now.out_force, now.out_friction
+        m.grid[0] += timing.step_ns
+        n += 1
+    return n
+
+
+@njit
+def take_all(m: Memory, timing: Timing, waiting: Waiting, n: int) -> None:
+    """The first ``n`` samples that wait."""
+    for k in range(n):
+        push(m, timing, waiting.signal[k], waiting.t_ns[k], waiting.value[k])
+
+
+@njit
+def take_and_advance(
+    m: Memory, timing: Timing, c: Constants, x: Physics, waiting: Waiting, n: int, t: int
+) -> tuple[int, int, float, float, int]:
+    """``n`` samples that wait, then a sync frame of stamp ``t``, in one call.
+
+    (estimates that are new; of the newest: instant, force, friction, reason).
+    """
+    take_all(m, timing, waiting, n)
+    rows = advance(m, timing, c, x, t)
+    k = max(rows - 1, 0)
+    return rows, m.t_ns[k], m.estimate[k, 0], m.estimate[k, 1], m.reason[k]
+
+
+@njit
+def run(
+    m: Memory,
+    timing: Timing,
+    c: Constants,
+    x: Physics,
+    signal: npt.NDArray[np.int8],
+    t_ns: Int64,
+    value: Float64,
+    out_t: Int64,
+    out: Float64,
+    out_reason: Int64,
+    since: int,
+) -> tuple[int, int]:
+    """Events ``since`` onwards (signal −1 is a sync) until done or ``out`` is full.
+
+    Returns (next event, rows written).
+    """
+    rows = 0
+    k = since
+    while k < len(signal) and rows + _BATCH_ROWS <= len(out_t):
+        if signal[k] >= 0:
+            push(m, timing, signal[k], t_ns[k], value[k])
+        else:
+            n = advance(m, timing, c, x, t_ns[k])
+            out_t[rows : rows + n] = m.t_ns[:n]
+            out[rows : rows + n] = m.estimate[:n]
+            out_reason[rows : rows + n] = m.reason[:n]
+            rows += n
+        k += 1
+    return k, rows

@@ -1,0 +1,203 @@
+"""Jumps of torque that no motion follows: the observer's innovation over a short window.
+
+No torque is wrong for its size; some rack force would explain any. But over a few milliseconds the
+load goes on as it did, and a rotor has inertia: where T_1m leaves its course at once, the speed
+must show it. The rings of :class:`~eps_hil.estimation.plausibility.Watch` hold T_1m *less what was
+found to be unexplained*, so that the end of a wrong torque looks like its beginning.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.compiled import njit
+from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.validity import Reason
+
+if TYPE_CHECKING:
+    from eps_hil.estimation.plausibility import Limits, Watch
+
+RING = 256
+_INCONSISTENT, _SETTLING = int(Reason.INCONSISTENT), int(Reason.SETTLING)
+_FOLLOWS = 0.3
+"""Share of what a torque jump should do to the speed, below which it was not there."""
+_CLIP, _LEAST_SPREAD = 6.6, 0.02**2
+_MOTION = 9.0
+"""A jump's own motion must exceed three deviations of what the load makes of the speed: load and
+friction bend its course too, but a torque that leaves its own at once is rare."""
+UNEXPLAINED_N = 50.0
+_BACK = 0.4
+"""Share of an unexplained torque that may be left when it has jumped back."""
+
+Floats = npt.NDArray[np.float64]
+
+
+def hinge(n: int) -> Floats:
+    """Weights (2n + 1,) on speeds, the middle one where the torque may have jumped.
+
+    Least squares of a line with a bend there: blind to speed and to steady acceleration. The bend
+    is told as the speed that it adds by the end of the window.
+    """
+    t = np.arange(-n, n + 1, dtype=float)
+    columns = np.stack([np.ones_like(t), t, np.maximum(t, 0.0)], axis=1)
+    weights: Floats = n * np.linalg.pinv(columns)[2]
+    return weights
+
+
+def due_noise(n: int, step_s: float, inverse_inertia: float) -> float:
+    """Variance of the bend that is due, where T_1m has white noise of variance 1 Nm²."""
+    weights, total = hinge(n), 0.0
+    for place in range(2 * n + 1):
+        torque = np.zeros(2 * n + 1)
+        torque[place] = 1.0
+        slope = (torque[n] - torque[0]) / n
+        off = torque[n:] - torque[n] - slope * np.arange(n + 1)
+        speed = np.cumsum(0.5 * (off[1:] + off[:-1])) * step_s * inverse_inertia
+        total += float(weights[n + 1 :] @ speed) ** 2
+    return total
+
+
+@njit
+def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
+    """Look at the torque of ``window`` steps ago: did it jump there, and did the rotor follow?"""
+    n, k = p.window, w.steps - 1
+    if k < 2 * n:
+        return
+    torque, speeds, weights = w.torque, w.speed, p.hinge
+    base = torque[(k - n) % RING]
+    slope = (base - torque[(k - 2 * n) % RING]) / n
+    edge, done = 0.0, 0.0
+    for j in range(1, p.edge + 1):
+        off = torque[(k - n + j) % RING] - base - j * slope
+        edge = off if abs(off) > abs(edge) else edge
+    for j in range(2 * n + 1):
+        done += weights[j] * speeds[(k - 2 * n + j) % RING]
+    noise = p.hinge_noise * u.speed_noise + p.due_noise * u.drive_noise
+    limit = max(p.jump * noise, _MOTION * w.spread)
+    w.spread += p.spread_memory * (min(done * done, _CLIP * w.spread) - w.spread)
+    w.spread = max(w.spread, _LEAST_SPREAD)
+    if abs(edge) * p.ratio < UNEXPLAINED_N or edge * edge < p.jump * u.drive_noise:
+        return
+    due, speed, before, most = 0.0, 0.0, 0.0, 0.0
+    for j in range(1, n + 1):
+        off = torque[(k - n + j) % RING] - base - j * slope
+        speed += 0.5 * (before + off) * p.step_s * p.inverse_inertia
+        due += weights[n + j] * speed
+        most, before = max(most, abs(off)), off
+    w.innovation = done - due
+    if abs(edge) < 0.3 * most or edge * due <= 0.0 or done * due > _FOLLOWS * due * due:
+        return
+    if due * due < limit or w.innovation * w.innovation < limit:
+        return
+    if w.stalled > 0 and w.unexplained_nm == 0.0:
+        return  # what stood still catches up
+    _found(w, p, base, slope, before)
+
+
+@njit
+def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> None:
+    """Take a jump that nothing followed out of the ring; ``level`` (Nm) is what is left of it."""
+    n, k = p.window, w.steps - 1
+    for j in range(1, n + 1):
+        w.torque[(k - n + j) % RING] = base + j * slope
+    old = w.unexplained_nm
+    w.unexplained_nm += level if abs(level) * p.ratio > UNEXPLAINED_N else 0.0
+    if abs(w.unexplained_nm) * p.ratio < 1.5 * UNEXPLAINED_N or (
+        level * old < 0.0 and abs(w.unexplained_nm) < _BACK * abs(old)
+    ):
+        forget_unexplained(w)
+    w.quiet, w.missed = 0, 0
+    if w.unsure > 0:  # it may as well be the end of what was wrong since nobody looked
+        w.missed, w.stalled = 1, p.stalled_steps
+    else:
+        w.told = p.told_steps
+
+
+@njit
+def forget_unexplained(w: "Watch") -> None:
+    """Believe the torque again as it is."""
+    w.torque += w.unexplained_nm
+    w.unexplained_nm = 0.0
+
+
+@njit
+def latched(w: "Watch", p: "Limits") -> int:
+    """Inconsistent while a jump that nothing followed stays, or is too near in the past.
+
+    So is a signal that stood still: it may be late since. Where inputs were missing the torque may
+    have jumped back unseen: then it is not doubted for long.
+    """
+    w.quiet += 1
+    if w.stalled > 0:
+        w.stalled -= 1
+    if w.quiet > (p.stalled_steps if w.missed else p.consistent_steps) and w.unexplained_nm != 0.0:
+        forget_unexplained(w)
+    if w.told > 0:
+        w.told -= 1
+        return _INCONSISTENT
+    if w.stalled > 0 or w.unexplained_nm != 0.0:
+        return _INCONSISTENT
+    return 0
+
+
+@njit
+def unseen(w: "Watch", p: "Limits") -> int:
+    """Settling while a torque may be wrong since a time at which nobody looked.
+
+    Whatever began to be wrong in a hole of the inputs is not seen; only its end would be, and for
+    so long it is waited for.
+    """
+    if w.missed_now:
+        w.unsure, w.missed_now = p.unsure_steps, 0
+    if w.unsure == 0:
+        return 0
+    w.unsure -= 1
+    return _SETTLING
+
+
+@njit
+def blind(w: "Watch", p: "Limits", speed: float, refused: bool) -> None:
+    """Inputs are missing: for longer than a bridge carries, the torque's course is lost.
+
+    So it is where a sample was ``refused``: what is impossible now may have been wrong before.
+    """
+    w.speed[(w.steps + w.hole) % RING] = speed
+    w.hole += 1
+    if w.steps > 0 and (refused or w.hole > p.bridged):
+        w.missed_now = 1
+        w.steps, w.missed, w.hole = 0, 1, 0
+
+
+@njit
+def course(w: "Watch", p: "Limits", torque: float, seen: bool) -> float:
+    """``torque`` (Nm) of this step, or how it would have gone on where it was not seen.
+
+    What it did in a short hole is one jump at its end then, which the motion confirms or not.
+    """
+    k, n = w.steps, p.window
+    w.unseen = 0 if seen else w.unseen + 1
+    if 0 < w.unseen <= p.bridged and k > 0:
+        return float(w.torque[(k - 1) % RING] + w.slope_nm)
+    w.slope_nm = (torque - w.torque[(k - n) % RING]) / n if k >= n else 0.0
+    return torque
+
+
+@njit
+def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
+    """Fill a hole of some steps: the torque as in :func:`course`, the speed as measured.
+
+    Where the speed is missing too, it is interpolated.
+    """
+    missing, w.hole, w.missed = w.hole, 0, 1
+    if w.steps == 0:
+        return
+    speed = w.speed[(w.steps - 1) % RING]
+    slope = (u.motor_speed_rad_s - speed) / (missing + 1)
+    for j in range(1, missing + 1):
+        at = w.steps % RING
+        w.torque[at] = w.torque[(w.steps - 1) % RING] + w.slope_nm
+        if not np.isfinite(w.speed[at]):
+            w.speed[at] = speed + j * slope
+        w.steps += 1
+        watch_jump(w, p, u)

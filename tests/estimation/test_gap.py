@@ -1,0 +1,153 @@
+"""A bristle of unknown history: told, forgotten by sliding, and bridged over a dropout at rest."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.estimation.batch import estimate
+from eps_hil.estimation.rack_force import RackForceEstimator
+from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.stream import Trace
+from eps_hil.estimation.validity import Reason
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+MS = 1_000_000
+NAMES = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "motor_angle_rad")
+UNKNOWN = int(Reason.FRICTION_UNKNOWN)
+
+
+def back_and_rest(seconds: float = 3.0) -> dict[str, Series]:
+    """Half a second of sine, then rest under 0.5 Nm with the bristle bent (no noise)."""
+    t = np.arange(round(seconds * 1000)) * 1e-3
+    moving = t < 0.5
+    speed = np.where(moving, 20.0 * np.sin(2 * np.pi * t), 0.0)
+    angle = np.cumsum(speed) * 1e-3
+    t_ns = (t * 1e9).round().astype(np.int64)
+    torque = np.where(moving, 0.5 + 0.01 * speed, 0.5)
+    columns = (torque, 0.0 * t, speed, angle)
+    return {name: Series(t_ns, value) for name, value in zip(NAMES, columns, strict=True)}
+
+
+def cut(series: dict[str, Series], lost: Any) -> dict[str, Series]:
+    return {n: Series(s.t_ns[~lost(s.t_ns)], s.value[~lost(s.t_ns)]) for n, s in series.items()}
+
+
+def within(trace: Trace, since_s: float, until_s: float) -> Any:
+    return trace.reason[(trace.t_ns > since_s * 1e9) & (trace.t_ns < until_s * 1e9)]
+
+
+@pytest.mark.parametrize("kind", ["observer", "bristle_filter"])
+def test_begun_at_rest_it_is_not_valid_however_long_that_lasts(
+    reference_model: Model, kind: Any
+) -> None:
+    settings = EstimatorSettings(kind=kind)
+    begun = cut(back_and_rest(), lambda t: t < 700 * MS)
+    resting = within(estimate(begun, reference_model, settings), 0.9, 3.0)
+    assert np.all(resting & UNKNOWN)
+    whole = within(estimate(back_and_rest(), reference_model, settings), 0.9, 2.9)
+    assert np.all(whole == 0)
+
+
+def test_a_rotor_that_slides_has_a_known_bristle() -> None:
+    from eps_hil.physics.model import load_model
+
+    model = load_model("configs/reference_rig.yaml")
+    estimator = RackForceEstimator(model)
+    told = [estimator.step(Inputs(0.5, 0.0, 5.0)).reason for _ in range(200)]
+    assert told[50] & Reason.FRICTION_UNKNOWN
+    assert told[-1] == Reason.FINE
+
+
+def test_what_it_calls_valid_is_as_if_it_had_run_all_along(
+    reference_model: Model, weave_truth: Any
+) -> None:
+    """Begun anywhere, also with the bristle bent at rest: never valid and more than 50 N off."""
+    t_ns = np.round(weave_truth.columns["time_s"] * 1e9).astype(np.int64)
+    series = {name: Series(t_ns, weave_truth.columns[name]) for name in NAMES}
+    running = estimate(series, reference_model)
+    hidden = 0.0
+    for start in range(1000, 9000, 500):
+        part = {n: Series(s.t_ns[start : start + 2000], s.value[start : start + 2000])
+                for n, s in series.items()}  # fmt: skip
+        begun = estimate(part, reference_model)
+        _, ours, theirs = np.intersect1d(begun.t_ns, running.t_ns, return_indices=True)
+        error = np.abs(begun.rack_force_n[ours] - running.rack_force_n[theirs])
+        assert np.max(error[begun.valid[ours]], initial=0.0) < 50.0
+        settled = begun.reason[ours] & ~UNKNOWN == 0
+        hidden = max(hidden, np.max(error[settled], initial=0.0))
+    assert hidden > 100.0, "the rule had something to hide"
+
+
+@pytest.mark.parametrize(
+    ("names", "lost_ms", "again"),
+    [(NAMES, 20, True), (NAMES, 800, True), (NAMES[:3], 20, True), (NAMES[:3], 800, False)],
+)
+def test_a_dropout_at_rest(
+    reference_model: Model, names: tuple[str, ...], lost_ms: int, again: bool
+) -> None:
+    """With an angle the bristle is kept; without, only where there was no time to come back."""
+    series = {n: s for n, s in back_and_rest().items() if n in names}
+    holed = cut(series, lambda t: (t > 1000 * MS) & (t < (1000 + lost_ms) * MS))
+    # the bus goes on without the torque frame alone
+    holed = {**series, "motor_torque_nm": holed["motor_torque_nm"]}
+    trace = estimate(holed, reference_model)
+    assert np.all(within(trace, 1.02, 1.0 + lost_ms * 1e-3 - 0.02) != 0) or lost_ms == 20
+    after = within(trace, 1.0 + lost_ms * 1e-3 + 0.8, 2.9)
+    assert np.all((after == 0) == again)
+    if again:
+        expected = estimate(series, reference_model)
+        assert trace.rack_force_n[-1] == pytest.approx(expected.rack_force_n[-1], abs=25.0)
+
+
+def test_a_rotor_that_moved_in_the_gap_has_another_bristle(reference_model: Model) -> None:
+    series = back_and_rest()
+    series["motor_angle_rad"].value[1500:] -= 1.0
+    holed = cut(series, lambda t: (t > 1400 * MS) & (t < 1600 * MS))
+    trace = estimate(holed, reference_model)
+    assert np.all(within(trace, 1.8, 2.9) & UNKNOWN)
+
+
+@pytest.mark.parametrize(
+    ("names", "lost_ms", "again"), [(NAMES, 3, True), (NAMES, 60, False), (NAMES[:3], 3, False)]
+)
+def test_a_dropout_just_before_rest(
+    reference_model: Model, names: tuple[str, ...], lost_ms: int, again: bool
+) -> None:
+    """A brief one in motion leaves the bristle to the measured angle; then it rests as known."""
+    series = {n: s for n, s in back_and_rest().items() if n in names}
+    holed = cut(series, lambda t: (t > 470 * MS) & (t <= (470 + lost_ms) * MS))
+    holed = {**series, "motor_torque_nm": holed["motor_torque_nm"]}
+    settings = replace(EstimatorSettings(), stale_after_s=0.002)
+    trace = estimate(holed, reference_model, settings)
+    expected = estimate(series, reference_model, settings)
+    assert np.all((within(trace, 1.3, 2.9) == 0) == again)
+    if again:
+        assert trace.rack_force_n[-1] == pytest.approx(expected.rack_force_n[-1], abs=25.0)
+
+
+def test_the_limit_is_a_setting(reference_model: Model) -> None:
+    begun = cut(back_and_rest(), lambda t: t < 700 * MS)
+    settings = replace(EstimatorSettings(), friction_unknown_n=1e9)
+    assert np.all(within(estimate(begun, reference_model, settings), 0.9, 2.9) == 0)
+
+
+@pytest.mark.parametrize("back_ms", [3, 20, 500, 990, 1010, 10_000])
+def test_a_clock_set_back_repeats_nothing(reference_model: Model, back_ms: int) -> None:
+    from eps_hil.estimation.stream import StreamEstimator
+
+    series = back_and_rest()
+    stream = StreamEstimator(reference_model, EstimatorSettings(), dict.fromkeys(NAMES, 1e-3))
+    steps = []
+    for k in range(2500):
+        t = (50_000 + k - (back_ms if k >= 1500 else 0)) * MS
+        for name in NAMES:
+            stream.push(name, t, float(series[name].value[k]))
+        steps.append(stream.advance(t))
+        if k in (1499, 1500, 1503):
+            assert stream.latest.valid == (k == 1499)
+    assert steps == [1] * 2500
+    assert stream.latest.valid or back_ms > 1000  # a long step is a new start, here at rest
