@@ -15,6 +15,7 @@ from eps_hil.service.adaptation_config import AdaptationConfig
 from eps_hil.service.limits import Limits
 
 Seconds = Annotated[float, Field(gt=0, le=60, allow_inf_nan=False)]
+VERDICT = "EPSHIL_Verdict"
 _STRICT = ConfigDict(extra="forbid")
 
 
@@ -23,7 +24,10 @@ def _off(value: object) -> object:
     return "off" if value is False else value
 
 
-Realtime = Annotated[Literal["auto", "require", "off"], BeforeValidator(_off)]
+Realtime = Annotated[
+    Literal["auto", "require", "off"],
+    BeforeValidator(_off, json_schema_input_type=Literal["auto", "require", "off", False]),
+]
 
 
 @with_config(_STRICT)
@@ -31,13 +35,15 @@ Realtime = Annotated[Literal["auto", "require", "off"], BeforeValidator(_off)]
 class PublishConfig:
     """What the service may send. With ``enabled: false`` it sends nothing at all.
 
-    ``message`` and ``health_message`` name messages of the DBC (``health_message: null``: no
-    health frames). ``listen_first_s``: how long to listen for another transmitter of these ids
-    before sending the first frame.
+    ``message``, ``verdict_message`` and ``health_message`` name messages of the DBC (null: no such
+    frames; a database that has no ``EPSHIL_Verdict`` gets none either). ``listen_first_s``: how
+    long to listen for another transmitter of these ids before sending the first frame.
     """
 
     enabled: bool = True
     message: NAME = "EPSHIL_Estimate"
+    verdict_message: NAME | None = VERDICT
+    verdict_period_s: Seconds = 0.01
     health_message: NAME | None = "EPSHIL_Health"
     health_period_s: Seconds = 0.1
     listen_first_s: Annotated[float, Field(ge=0, le=10)] = 0.25
@@ -101,14 +107,28 @@ class ServiceConfig(BusSetup):
     calibration: Mapping[str, Any] | None = None
     rig: Mapping[str, Any] | None = None
 
+    @property
+    def sends(self) -> tuple[str, ...]:
+        """Names of the messages that the service publishes."""
+        if not self.publish.enabled:
+            return ()
+        names = [self.publish.message, self.publish.health_message]
+        if self.adaptation is not None:
+            names += [self.adaptation.message, self.adaptation.suggestion_message]
+        return tuple(name for name in names if name is not None)
+
 
 def load_config(path: str | Path) -> ServiceConfig:
     """Read and check a configuration file; :class:`InputError` names line and field."""
     config = load_as(path, ServiceConfig)
-    if config.publish.message == config.publish.health_message:
+    publish = config.publish
+    named = (publish.message, publish.verdict_message, publish.health_message)
+    given = [name for name in named if name is not None]
+    if len(set(given)) < len(given):
         raise InputError(
-            path, "publish", "message and health_message are the same", "name two messages"
-        )
+            path, "publish", "two of message, verdict_message and health_message are the same",
+            "name a message for each",
+        )  # fmt: skip
     return config
 
 

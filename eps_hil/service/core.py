@@ -1,23 +1,30 @@
 """The heart of the loop without I/O and without a clock: frames in, the frame to publish out.
 
-What it returns depends on nothing but the frames it was given and their stamps, so a recording
-replayed as fast as possible gives the published frames bit for bit (DESIGN.md, decisions 2, 3).
+The estimates depend on nothing but the frames and their stamps, so a recording replayed as fast as
+possible gives them bit for bit (DESIGN.md, decisions 2, 3). How old one is when it is handed to the
+bus is told from outside (``now``); without that, its age is that at the sync frame's stamp.
 """
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from typing import Protocol
 
 from eps_hil.bus.codec import Sample
 from eps_hil.bus.frame import Frame
 from eps_hil.estimation.stream import Estimate
-from eps_hil.estimation.validity import Reason
+from eps_hil.estimation.validity import Reason, bits_on_the_bus
 from eps_hil.service.friction_levels import FrictionLevelKeeper
 
 _FOREIGN_HOLD_NS = 1_000_000_000
 """How long after a frame of another transmitter the estimate stays invalid."""
+
+AGE_LIMIT_S = 0.02
+"""By how much an estimate may be older than its look-back and be called valid."""
+_SETTLING = Reason.SETTLING | Reason.FRICTION_UNKNOWN
+_NOT_SETTLING = ~int(_SETTLING)
+_STALE = int(Reason.STALE)
 
 _LOAD_CELL = "rack_force_n"
 
@@ -48,11 +55,15 @@ class Estimator(Protocol):
         """Take a sample."""
 
     def advance(self, t_ns: int) -> int:
-        """Step up to a sync stamp."""
+        """Step up to a sync stamp; how many estimates are new."""
 
     @property
     def latest(self) -> Estimate:
         """The newest estimate."""
+
+    @property
+    def latency_s(self) -> float:
+        """From a sync frame's stamp back to the instant that its estimate speaks of."""
 
 
 class Encoder(Protocol):
@@ -64,9 +75,21 @@ class Encoder(Protocol):
 
 def status_of(reason: Reason) -> Status:
     """The verdict in one word."""
-    if reason == Reason.FINE:
+    bits = int(reason)  # operators of flags take microseconds
+    if not bits:
         return Status.VALID
-    return Status.SETTLING if reason == Reason.SETTLING else Status.INVALID
+    return Status.INVALID if bits & _NOT_SETTLING else Status.SETTLING
+
+
+def aged(estimate: Estimate, age_ns: int, look_back_ns: int, limit_ns: int) -> Estimate:
+    """The estimate, not valid where its age cannot be its look-back.
+
+    Older by more than the limit: it waited. Younger by as much: the clock was set meanwhile, and
+    what the age is nobody knows.
+    """
+    if abs(age_ns - look_back_ns) <= limit_ns:
+        return estimate
+    return estimate._replace(valid=False, reason=estimate.reason | Reason.STALE)
 
 
 def estimate_values(estimate: Estimate, status: Status, age_s: float) -> dict[str, float]:
@@ -75,8 +98,8 @@ def estimate_values(estimate: Estimate, status: Status, age_s: float) -> dict[st
         "RackForceEstimate": estimate.rack_force_n,
         "FrictionTorque": estimate.friction_torque_nm,
         "EstimateStatus": int(status),
-        "EstimateReason": int(estimate.reason),
-        "EstimateAge": age_s * 1e3,
+        "EstimateReason": bits_on_the_bus(int(estimate.reason)),
+        "EstimateAge": age_s * 1e3 if age_s >= 0.0 else math.inf,
     }
 
 
@@ -97,6 +120,7 @@ class ServiceCore:
     ``encoder`` None: nothing is ever returned (listen only). ``send_ids``: (id, extended) of
     everything the service sends; such a frame seen from the bus is another transmitter's.
     ``levels``: who looks after the friction levels of ``estimator``, where they may change.
+    ``age_limit_s``: see :func:`aged`.
     """
 
     def __init__(
@@ -106,29 +130,44 @@ class ServiceCore:
         encoder: Encoder | None = None,
         send_ids: frozenset[tuple[int, bool]] = frozenset(),
         levels: FrictionLevelKeeper | None = None,
+        age_limit_s: float = AGE_LIMIT_S,
     ) -> None:
         self.decoder, self.estimator = decoder, estimator
         self.levels = levels
         self._method = None if levels is None else levels.method
         self.steps = self.valid_steps = self.skipped = self.foreign = 0
+        self.repeated = 0
+        """Sync frames for which no grid point was due: their answer is the one before, older."""
+        self.stale = 0
+        """Estimates that were too old for their look-back when they were published."""
         self.latest: Estimate | None = None
+        """The newest estimate, with the verdict that was published."""
         self.sync_t_ns = 0
         """Receive stamp of the last sync frame."""
         self.load_cell: deque[tuple[int, float]] = deque(maxlen=512)
         """The newest (stamp, rack force of the rig), to show beside the estimate."""
         self.record: list[tuple[int, Estimate]] | None = None
-        """Where a list is put here, (sync stamp, estimate) of every step is appended to it."""
+        """Where a list is put here, (sync stamp, estimate) of every new estimate is appended to
+        it: of the frames alone, whatever the service's own lateness made of it."""
         self._encoder, self._send_ids = encoder, send_ids
         self._foreign_t_ns: int | None = None
+        self._look_back_ns = round(estimator.latency_s * 1e9)
+        self._age_limit_ns = round(age_limit_s * 1e9)
 
-    def on_frames(self, frames: Sequence[Frame]) -> list[Frame]:
+    def on_frames(
+        self, frames: Sequence[Frame], now: Callable[[], int] | None = None
+    ) -> list[Frame]:
         """Take a batch in order; at most one frame to publish: that of its newest sync frame.
+
+        ``now``: the time (ns) by the clock of the frames' stamps; asked when the whole batch has
+        been worked through and the answer is made. The published age and verdict are of that
+        time: what waited is not valid. Without it they are of the sync frame's stamp.
 
         A batch holds several sync frames only when the loop was late. Stale estimates are not
         sent in a burst: they are left out, counted in ``skipped``, and seen by the receiver as
         a jump of the message counter.
         """
-        newest: Frame | None = None
+        newest: tuple[int, Estimate] | None = None
         decoder, estimator = self.decoder, self.estimator
         for frame in frames:
             if frame.error or frame.own:
@@ -147,11 +186,13 @@ class ServiceCore:
             if samples and decoder.sync(frame):
                 if newest is not None:
                     self.skipped += 1
+                    self._encode(newest[1], 0)  # the counter counts what is left out
                 newest = self._step(frame.t_ns, samples[0].t_ns)
-        return [] if newest is None else [newest]
+        return [] if newest is None else self._published(*newest, now)
 
-    def _step(self, receive_ns: int, sample_ns: int) -> Frame | None:
-        self.estimator.advance(sample_ns)
+    def _step(self, receive_ns: int, sample_ns: int) -> tuple[int, Estimate]:
+        """Sync stamp and estimate; where no grid point was due, the last one, older by now."""
+        new = self.estimator.advance(sample_ns) > 0
         estimate = self.estimator.latest
         if self.levels is not None:
             self.levels.advance(sample_ns)
@@ -161,16 +202,31 @@ class ServiceCore:
                 estimate = estimate._replace(valid=False, reason=reason)
             else:
                 self._foreign_t_ns = None
+        self.repeated += not new
+        if self.record is not None and new:
+            self.record.append((receive_ns, estimate))
+        age_ns = receive_ns - estimate.t_ns
+        estimate = aged(estimate, age_ns, self._look_back_ns, self._age_limit_ns)
         self.latest = estimate
         self.sync_t_ns = receive_ns
         self.steps += 1
         self.valid_steps += estimate.valid
-        if self.record is not None:
-            self.record.append((receive_ns, estimate))
+        return receive_ns, estimate
+
+    def _published(
+        self, receive_ns: int, estimate: Estimate, now: Callable[[], int] | None
+    ) -> list[Frame]:
+        age_ns = (receive_ns if now is None else now()) - estimate.t_ns
+        told = aged(estimate, age_ns, self._look_back_ns, self._age_limit_ns)
+        self.stale += int(told.reason) & _STALE > 0
+        self.latest = told
+        return self._encode(told, age_ns)
+
+    def _encode(self, told: Estimate, age_ns: int) -> list[Frame]:
         if self._encoder is None:
-            return None
-        age_s = (receive_ns - estimate.t_ns) * 1e-9
-        return self._encoder.frame(estimate_values(estimate, status_of(estimate.reason), age_s))
+            return []
+        values = estimate_values(told, status_of(told.reason), age_ns * 1e-9)
+        return [self._encoder.frame(values)]
 
     def load_cell_at(self, t_ns: int) -> float | None:
         """Rack force of the rig at ``t_ns`` by the nearest sample within 10 ms, in N."""

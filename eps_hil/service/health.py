@@ -2,7 +2,8 @@
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from eps_hil.bus.port import BusState, PortCounts
 from eps_hil.service.core import ServiceCore
@@ -10,6 +11,7 @@ from eps_hil.service.core import ServiceCore
 _BINS = 20_000
 _BIN_NS = 1_000
 _NOT_OURS_NS = 10_000_000_000
+TOTALS = ("Overruns", "LostFrames", "CrcErrors", "SendDrops")
 _BUS_STATES = {state: number for number, state in enumerate(BusState)}
 """``BusState`` of the DBC: unknown, error_active, error_warning, error_passive, bus_off, lost."""
 
@@ -89,18 +91,36 @@ class StepRate:
         return (steps - seen[0][1]) / span if span > 0 else 0.0
 
 
+def totals_modulo(message: Any | None) -> dict[str, int]:
+    """Where each total of a health message begins again at 0: by the signal's width."""
+    if message is None:
+        return {}
+    return {s.name: 2**s.length for s in message.signals if s.name in TOTALS}
+
+
 def health_values(
-    loss: Loss, lateness: Lateness, rate_hz: float, state: BusState
+    loss: Loss,
+    lateness: Lateness,
+    rate_hz: float,
+    state: BusState,
+    modulo: Mapping[str, int],
 ) -> dict[str, float]:
-    """Signals of ``EPSHIL_Health``."""
-    return {
-        "BusState": _BUS_STATES[state],
-        "StepRate": rate_hz,
-        "MaxLateness": lateness.take_recent_max_ns() * 1e-6,
+    """Signals of ``EPSHIL_Health``; ``modulo``: see :func:`totals_modulo`.
+
+    A total that stayed at the end of its range would hide everything that happens afterwards.
+    """
+    totals = {
         "Overruns": lateness.overruns,
         "LostFrames": loss.by_counter + loss.in_kernel,
         "CrcErrors": loss.crc,
         "SendDrops": loss.send_dropped,
+    }
+    wrapped = {name: total % modulo.get(name, total + 1) for name, total in totals.items()}
+    return {
+        "BusState": _BUS_STATES[state],
+        "StepRate": rate_hz,
+        "MaxLateness": lateness.take_recent_max_ns() * 1e-6,
+        **wrapped,
     }
 
 
@@ -119,10 +139,20 @@ class Summary:
     late_p99_ms: float
     late_max_ms: float
     overruns: int
+    bus_losses: int = 0
+    failures: Mapping[str, int] = field(default_factory=dict)
+    """Errors of the jobs beside the estimates, by what failed; rows that a log lost."""
 
     @classmethod
     def of(
-        cls, core: ServiceCore, lateness: Lateness, loss: Loss, duration_s: float, published: int
+        cls,
+        core: ServiceCore,
+        lateness: Lateness,
+        loss: Loss,
+        duration_s: float,
+        published: int,
+        bus_losses: int = 0,
+        failures: Mapping[str, int] | None = None,
     ) -> "Summary":
         """From the counters of a run that has ended."""
         return cls(
@@ -137,6 +167,8 @@ class Summary:
             lateness.quantile_ns(0.99) * 1e-6,
             lateness.max_ns * 1e-6,
             lateness.overruns,
+            bus_losses,
+            dict(failures or {}),
         )
 
     def lines(self) -> list[str]:
@@ -154,6 +186,9 @@ class Summary:
             f"lateness   p50 {self.late_p50_ms:.3f} ms, p99 {self.late_p99_ms:.3f} ms, "
             f"max {self.late_max_ms:.3f} ms, {self.overruns} steps later than their period",
         ]
+        if self.bus_losses:
+            said.append(f"bus        lost and opened again {self.bus_losses} times")
+        said += [f"trouble    {what}: {number}" for what, number in self.failures.items()]
         if self.foreign:
             said.append(f"WARNING    {self.foreign} frames of our ids came from somebody else")
         return said

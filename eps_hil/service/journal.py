@@ -14,6 +14,7 @@ from eps_hil.errors import InputError
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.service.guard import Trip
 from eps_hil.service.override import Transition
+from eps_hil.service.whole_lines import WholeLines
 
 
 def as_json(transition: Transition, wall_ns: int) -> dict[str, Any]:
@@ -59,7 +60,7 @@ class Journal:
     def __init__(self, path: Path | None) -> None:
         self._path = path
         try:
-            self._file = None if path is None else path.open("a", encoding="utf-8")
+            self._file = None if path is None else WholeLines(path, "a")
         except OSError as error:
             raise InputError(path, "", f"cannot be written: {error.strerror}") from None
 
@@ -69,11 +70,9 @@ class Journal:
         return self._file is None
 
     def note(self, event: dict[str, Any]) -> None:
-        """One line."""
-        if self._file is None:
-            return
-        self._file.write(json.dumps(event) + "\n")
-        self._file.flush()
+        """One line; OSError where the disk refuses it."""
+        if self._file is not None:
+            self._file.append(json.dumps(event) + "\n")
 
     def write(self, transitions: Sequence[Transition], wall_ns: int) -> None:
         """The transitions, in order."""

@@ -10,24 +10,31 @@ import contextlib
 import math
 import signal
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import astuple
+from collections.abc import Callable, Coroutine, Iterator
+from typing import Any
 
 from eps_hil.bus.codec import FrameEncoder
 from eps_hil.bus.frame import Frame
-from eps_hil.bus.port import BusState, Port, PortCounts, open_port
-from eps_hil.errors import BusError
-from eps_hil.estimation.validity import Reason
+from eps_hil.bus.port import Port, open_port
+from eps_hil.bus.socket_port import SocketPort
+from eps_hil.errors import AbsentBusError, BusError
+from eps_hil.estimation.validity import Reason, words
 from eps_hil.service import realtime
 from eps_hil.service.core import Status, silent_values
 from eps_hil.service.ending import Ending
 from eps_hil.service.estimate_log import EstimateLog
 from eps_hil.service.health import Lateness, Loss, StepRate, Summary, health_values
-from eps_hil.service.level_desk import LevelDesk
+from eps_hil.service.level_updates import LevelUpdates
+from eps_hil.service.link import Link
+from eps_hil.service.periodic_jobs import PeriodicJobs
+from eps_hil.service.present import Present
 from eps_hil.service.setup import Parts
 from eps_hil.service.status_line import Snapshot
+from eps_hil.service.systemd import Notifier
+from eps_hil.service.verdict import verdict_values
 
 _SHOW_PERIOD_S = 0.1
+_TELL_PERIOD_S = 1.0
 
 Say = Callable[[str], None]
 Show = Callable[[Snapshot], None]
@@ -37,14 +44,18 @@ OpenPort = Callable[[Parts], Port]
 def open_for(parts: Parts) -> Port:
     """The bus of the configuration: our inputs and, to notice another sender, our own ids."""
     bus = parts.config.bus
-    return open_port(
+    port = open_port(
         bus.interface,
         bus.channel,
         fd=bus.fd,
         receive_ids=sorted({*parts.decoder.receive_ids, *parts.send_ids}),
         send_ids=parts.send_ids,
+        never_send_ids=tuple(parts.commands),
         options=bus.options,
     )
+    if isinstance(port, SocketPort):
+        port.urgent_id = parts.decoder.sync_id
+    return port
 
 
 class Service:
@@ -62,16 +73,20 @@ class Service:
         *,
         show: Show | None = None,
         log: EstimateLog | None = None,
-        levels: LevelDesk | None = None,
+        levels: LevelUpdates | None = None,
         opener: OpenPort = open_for,
+        notifier: Notifier | None = None,
+        present: Present | None = None,
     ) -> None:
         self._parts, self._core = parts, parts.core
-        self._levels = levels or LevelDesk(parts, say)
-        self._say, self._show, self._log, self._opener = say, show, log, opener
+        self._levels = levels or LevelUpdates(parts, say)
+        self._say, self._show, self._log = say, show, log
+        self._notifier, self._present = notifier or Notifier({}), present or Present()
         self.ready = False
-        self._ending = Ending()
-        self._port: Port | None = None
-        self._past = PortCounts()
+        self._ending, self._periodic = Ending(), PeriodicJobs(say)
+        config = parts.config
+        pause_s = config.service.reconnect_s if config.bus.reconnect else None
+        self._link = Link(config.bus, lambda: opener(parts), self._deliver, say, pause_s)
         self._publishing = False
         self._published = 0
         self._lateness, self._rate, self._rate_hz = Lateness(), StepRate(), 0.0
@@ -82,7 +97,7 @@ class Service:
         self._began_s = time.monotonic()
 
     async def run(self, duration_s: float | None = None) -> Summary:
-        """Until a signal, ``duration_s`` or a lost bus; :class:`BusError` for the last.
+        """Until a signal or ``duration_s``; :class:`BusError` for a lost bus without reconnect.
 
         Once it has begun to publish, its last frame says status "off", however the run ends.
         """
@@ -92,11 +107,11 @@ class Service:
         self._began_s = time.monotonic()
         try:
             with self._signals():
-                self._connect()
+                await self._open_first(duration_s)
                 await self._listen_first()
                 await self._serve(duration_s)
         finally:
-            self._disconnect()
+            self._link.close()
         self._ending.raise_failure()
         return self.summary()
 
@@ -110,9 +125,14 @@ class Service:
 
     def summary(self) -> Summary:
         """What the run came to so far."""
-        loss = Loss.of(self._parts.decoder.faults, self._counts())
+        loss = Loss.of(self._parts.decoder.faults, self._link.counts)
         spent_s = time.monotonic() - self._began_s
-        return Summary.of(self._core, self._lateness, loss, spent_s, self._published)
+        failures = dict(self._periodic.failures)
+        if self._log is not None and self._log.lost:
+            failures["rows that the log lost"] = self._log.lost
+        return Summary.of(
+            self._core, self._lateness, loss, spent_s, self._published, self._link.losses, failures
+        )
 
     async def _serve(self, duration_s: float | None) -> None:
         if self._ending.asked_for:
@@ -122,17 +142,19 @@ class Service:
         self._say(f"run        {realtime.hurry(runtime.realtime, runtime.priority)}{locked}")
         self._publishing = bool(self._parts.send_ids)
         self._last_sync_s = self._loop.time()
-        jobs = [self._watch(), self._tell_health(), self._levels.keep()]
-        jobs += [self._tell_levels()] if self._levels.period_s < math.inf else []
-        jobs += [] if self._show is None else [self._show_status(self._show)]
-        jobs += [] if self._log is None else [self._log.keep(self._core)]
+        jobs = [*self._periodic_of(self._parts), self._periodic.keep("levels", self._levels.keep)]
+        if self._log is not None:
+            log = self._log
+            jobs.append(self._periodic.keep("log", lambda: log.keep(self._core)))
         tasks = [self._ending.task(self._loop, job) for job in jobs]
         self.ready = True
         self._say("READY")
+        self._notifier.ready(self._in_short())
         try:
             await self._ending.wait(duration_s)
         finally:
             self._publishing = False
+            self._notifier.stopping()
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -143,11 +165,10 @@ class Service:
     def _deliver(self, frames: list[Frame]) -> None:
         core = self._core
         steps, skipped = core.steps, core.skipped
-        answer = core.on_frames(frames)
+        answer = core.on_frames(frames, self._present.now_ns)
         if self._publishing:
             for frame in answer:
-                self._send(frame)
-                self._published += 1
+                self._published += self._send(frame)
         if core.steps == steps:
             return
         self._last_sync_s = self._loop.time()
@@ -156,57 +177,87 @@ class Service:
         for older in range(core.skipped - skipped + 1):
             self._lateness.add(late_ns + older * self._period_ns, self._period_ns)
 
-    def _send(self, frame: Frame) -> None:
-        if self._port is None:
-            return
-        try:
-            self._port.send(frame)
-        except BusError as error:
-            self._lost(str(error))
+    def _send(self, frame: Frame) -> bool:
+        return self._link.send(frame)
 
     # What may be late.
 
-    async def _watch(self) -> None:
+    def _periodic_of(self, parts: Parts) -> Iterator[Coroutine[Any, Any, None]]:
+        every, publish = self._periodic.every, parts.config.publish
+        yield every("no input", parts.config.service.no_input_period_s, self._watch)
+        if parts.verdict is not None:
+            yield every("verdict", publish.verdict_period_s, self._tell_verdict)
+        yield every("health", publish.health_period_s, self._tell_health)
+        if self._levels.period_s < math.inf:
+            yield every("levels on the bus", self._levels.period_s, self._tell_levels)
+        if self._show is not None:
+            yield every("status line", _SHOW_PERIOD_S, lambda: self._show_status(self._show))
+        notifier = self._notifier
+        yield every("systemd", _TELL_PERIOD_S, lambda: notifier.status(self._in_short()))
+        if notifier.feed_s:  # by this loop itself: when it hangs, nothing is fed
+            yield every("watchdog", notifier.feed_s, notifier.alive)
+
+    def _watch(self) -> None:
         """The sync frame stopped: say so, at a lower rate, until it is back."""
-        runtime = self._parts.config.service
-        while True:
-            await asyncio.sleep(runtime.no_input_period_s)
-            if self._loop.time() - self._last_sync_s > runtime.no_input_after_s:
-                self._silent = True
-                self._send_silent(Status.INVALID)
+        if self._loop.time() - self._last_sync_s > self._parts.config.service.no_input_after_s:
+            self._silent = True
+            self._send_silent(Status.INVALID)
 
-    async def _tell_health(self) -> None:
-        while True:
-            await asyncio.sleep(self._parts.config.publish.health_period_s)
-            self._rate_hz = self._rate.update(self._loop.time(), self._core.steps)
-            if self._parts.health is not None:
-                loss = Loss.of(self._parts.decoder.faults, self._counts())
-                state = BusState.LOST if self._port is None else self._port.state
-                values = health_values(loss, self._lateness, self._rate_hz, state)
-                self._send(self._parts.health.frame(values))
+    def _tell_health(self) -> None:
+        self._rate_hz = self._rate.update(self._loop.time(), self._core.steps)
+        self._link.tell_state()
+        if self._parts.health is not None:
+            loss = Loss.of(self._parts.decoder.faults, self._link.counts)
+            values = health_values(
+                loss, self._lateness, self._rate_hz, self._link.state, self._parts.health_modulo
+            )
+            self._send(self._parts.health.frame(values))
 
-    async def _tell_levels(self) -> None:
-        while True:
-            await asyncio.sleep(self._levels.period_s)
-            for frame in self._levels.frames():
-                self._send(frame)
+    def _tell_verdict(self) -> None:
+        encoder, latest = self._parts.verdict, self._core.latest
+        if encoder is not None:
+            reason = Reason.NOT_STARTED if latest is None else latest.reason
+            silent_at_ns = time.time_ns() if self._silent else None
+            values = verdict_values(self._parts.estimator, reason, silent_at_ns)
+            self._send(encoder.frame(values))
 
-    async def _show_status(self, show: Show) -> None:
-        while True:
-            await asyncio.sleep(_SHOW_PERIOD_S)
-            bus_lost = self._port is None
-            show(Snapshot.of(self._core, self._rate_hz, silent=self._silent, bus_lost=bus_lost))
+    def _tell_levels(self) -> None:
+        for frame in self._levels.frames():
+            self._send(frame)
+
+    def _show_status(self, show: Show | None) -> None:
+        if show is not None:
+            lost = self._link.lost
+            show(Snapshot.of(self._core, self._rate_hz, silent=self._silent, bus_lost=lost))
+
+    def _in_short(self) -> str:
+        core = self._core
+        if self._link.lost or self._silent or core.latest is None:
+            verdict = "bus lost" if self._link.lost else "no input"
+        else:
+            verdict = "valid" if core.latest.valid else f"invalid: {words(core.latest.reason)}"
+        return f"{self._rate_hz:.0f} steps/s, {verdict}, {core.steps} steps"
 
     def _send_silent(self, status: Status) -> None:
         encoder: FrameEncoder | None = self._parts.silent
         if encoder is not None:
             self._send(encoder.frame(silent_values(status, Reason.NO_INPUT)))
 
-    # The bus coming and going.
+    async def _open_first(self, duration_s: float | None) -> None:
+        """A bus that is not there yet is waited for, no longer than the run shall last."""
+        told = [""]
 
-    def _connect(self) -> None:
-        self._port = self._opener(self._parts)
-        self._port.start(self._loop, self._deliver, self._lost)
+        def waiting(why: str) -> None:
+            told[0] = why
+            self._notifier.waiting(why)
+
+        def never_came() -> None:
+            self._ending.fail(AbsentBusError(f"{told[0]}; it did not come within {duration_s:g} s"))
+
+        end = None if duration_s is None else self._loop.call_later(duration_s, never_came)
+        await self._link.open_first(self._loop, self._ending, waiting)
+        if end is not None:
+            end.cancel()
 
     async def _listen_first(self) -> None:
         """Two transmitters of one id ruin both: hear whether ours is taken before using it."""
@@ -220,35 +271,6 @@ class Service:
                 f"{self._parts.config.bus}: another transmitter sends our ids ({ids}); "
                 "end the other service, or set publish.enabled: false"
             )
-
-    def _lost(self, reason: str) -> None:
-        if self._port is None:
-            return
-        self._disconnect()
-        if not self._parts.config.bus.reconnect:
-            self._ending.fail(BusError(f"{self._parts.config.bus}: the bus is lost: {reason}"))
-            return
-        self._say(f"bus lost   {reason}; waiting for it (bus.reconnect)")
-        self._reconnecting = self._loop.create_task(self._reconnect())
-
-    async def _reconnect(self) -> None:
-        while not self._ending.asked_for:
-            await self._ending.wait(self._parts.config.service.reconnect_s)
-            if self._ending.asked_for:
-                return
-            with contextlib.suppress(BusError):
-                self._connect()
-                self._say("bus back   going on")
-                return
-
-    def _disconnect(self) -> None:
-        if self._port is not None:
-            port, self._port = self._port, None
-            port.close()
-            self._past = _sum(self._past, port.counts)
-
-    def _counts(self) -> PortCounts:
-        return self._past if self._port is None else _sum(self._past, self._port.counts)
 
     # Ends.
 
@@ -279,7 +301,3 @@ class Service:
         finally:
             for number in caught:
                 self._loop.remove_signal_handler(number)
-
-
-def _sum(one: PortCounts, other: PortCounts) -> PortCounts:
-    return PortCounts(*(a + b for a, b in zip(astuple(one), astuple(other), strict=True)))

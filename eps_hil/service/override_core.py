@@ -11,7 +11,7 @@ from typing import Protocol
 from eps_hil.bus.codec import Sample
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import BusState
-from eps_hil.estimation.validity import Reason
+from eps_hil.estimation.validity import Reason, of_inputs
 from eps_hil.service.core import ServiceCore
 from eps_hil.service.guard import ECU_ACTIVE, Command, Reading, Seen, Trip
 from eps_hil.service.latest import LatestValues
@@ -90,9 +90,11 @@ class OverrideCore:
 
     @property
     def reason(self) -> Reason:
-        """The service's verdict over its inputs."""
+        """The service's verdict over its inputs; that the friction is unknown yet is none of it,
+        for torque injection is how it becomes known.
+        """
         latest = self._service.latest
-        return Reason.NOT_STARTED if latest is None else latest.reason
+        return Reason.NOT_STARTED if latest is None else of_inputs(latest.reason)
 
     @property
     def syncs(self) -> int:

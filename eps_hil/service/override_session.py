@@ -44,6 +44,7 @@ def open_for(parts: OverrideParts, dry_run: bool) -> Port:
         fd=bus.fd,
         receive_ids=parts.receive_ids,
         send_ids=() if dry_run else parts.send_ids,
+        never_send_ids=parts.never_send_ids,
         options=bus.options,
     )
 

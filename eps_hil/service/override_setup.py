@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from eps_hil.bus.codec import FrameDecoder, FrameEncoder, crc_rule, rules_of
+from eps_hil.bus.commands import refuse_command
 from eps_hil.bus.database import find_message, load_database, nearest
 from eps_hil.bus.e2e import E2eProtector
 from eps_hil.bus.frame import Frame
@@ -18,7 +19,7 @@ from eps_hil.estimation.stream import SIGNALS, StreamEstimator
 from eps_hil.physics.model import Model, load_model
 from eps_hil.service.config import OverrideConfig, ServiceConfig
 from eps_hil.service.guard import Command
-from eps_hil.service.setup import GATING, make_estimator, service_mapping
+from eps_hil.service.setup import GATING, commands_of, make_estimator, service_mapping
 
 _NEEDED = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s")
 
@@ -58,7 +59,7 @@ class StatusReader:
         self.can_id, self.extended = int(message.frame_id), bool(message.is_extended_frame)
         faults = dict.fromkeys(
             ("crc", "counter", "length", "lost_frames", "not_decodable", "not_available",
-             "out_of_range", "clock_restarts"), 0,
+             "out_of_range", "clock_restarts", "second_sender", "not_trusted"), 0,
         )  # fmt: skip
         self._decoder = MessageDecoder(message, [ReadSignal(signal, "state", 1.0, 0.0)], faults)
         for each in message.signals:
@@ -91,6 +92,8 @@ class OverrideParts:
     state: FrameEncoder | None
     status: StatusReader | None
     position_per_rad: float
+    never_send_ids: tuple[int, ...]
+    """Every command but the one that the guard judges."""
 
     @property
     def send_ids(self) -> tuple[int, ...]:
@@ -126,6 +129,10 @@ def prepare_override(config: ServiceConfig, file: str | Path) -> OverrideParts:
     state = override.state_message and FrameEncoder(
         database, override.state_message, dbc_file=dbc_file
     )
+    commands = commands_of(config, database, mapping)
+    others = {can_id: one for can_id, one in commands.items() if can_id != command.can_id}
+    if state:
+        refuse_command(commands, state.can_id, file, "override.state_message")
     model = load_model(config.model)
     position = _position(mapping, model, config)
     _check_ages(mapping, decoder, override, file, position > 0)
@@ -140,6 +147,7 @@ def prepare_override(config: ServiceConfig, file: str | Path) -> OverrideParts:
         state=state or None,
         status=_status(database, override, file, dbc_file),
         position_per_rad=position,
+        never_send_ids=tuple(others),
     )
 
 

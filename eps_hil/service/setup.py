@@ -3,24 +3,29 @@
 Everything that can be refused is refused here, before the bus is opened.
 """
 
-from collections.abc import Collection, Iterator
+import math
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from eps_hil.bus.codec import FrameDecoder, FrameEncoder
+from eps_hil.bus.commands import Commands, of_database, refuse_command
 from eps_hil.bus.database import find_message, load_database, nearest
 from eps_hil.bus.mapping import SignalMapping, load_mapping
 from eps_hil.errors import InputError
-from eps_hil.estimation.settings import EstimatorSettings, problem
+from eps_hil.estimation.settings import SHORTEST_STEP_S, EstimatorSettings, problem
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator
+from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import load_model
 from eps_hil.service.adaptation_config import AdaptationConfig
-from eps_hil.service.config import ServiceConfig
+from eps_hil.service.config import VERDICT, ServiceConfig
 from eps_hil.service.core import ServiceCore
 from eps_hil.service.friction_levels import FrictionLevelKeeper
+from eps_hil.service.health import totals_modulo
 from eps_hil.service.online_methods import OnlineErrorInjection, OnlineMethod, OnlineReversals
+from eps_hil.service.verdict import NEEDED, signal_verdicts
 
 _PUBLISHED = ("RackForceEstimate", "EstimateStatus")
 """What a message must have at least to carry an estimate."""
@@ -56,16 +61,25 @@ class Parts:
     level_frames: FrameEncoder | None
     suggestion_frames: FrameEncoder | None
     sync_period_s: float
+    health_modulo: Mapping[str, int]
+    """Where the totals of the health message begin again."""
+    verdict: FrameEncoder | None
+    """Of the verdict on each signal."""
+    commands: Commands
+    """By id: what the service must never send, whatever the file says."""
 
     @property
     def send_ids(self) -> tuple[int, ...]:
         """The only ids that the port will be allowed to send."""
-        encoders = (self.silent, self.health, self.level_frames, self.suggestion_frames)
+        encoders = (
+            self.silent, self.health, self.level_frames, self.suggestion_frames, self.verdict,
+        )  # fmt: skip
         return tuple(e.can_id for e in encoders if e is not None)
 
     def warm_up(self) -> None:
         """Compile (or load) all machine code now, so that no frame waits for it."""
         self.estimator.warm_up()
+        signal_verdicts(self.estimator, Reason.FINE)
         if self.levels.method is not None:
             self.levels.method.warm_up()
 
@@ -78,7 +92,9 @@ def prepare(config: ServiceConfig, file: str | Path) -> Parts:
     decoder = FrameDecoder(database, mapping, mapping_file=config.signals, dbc_file=dbc_file)
     encoders = _encoders(config, database, file, dbc_file)
     send_ids = frozenset((e.can_id, e.extended) for e in encoders if e is not None)
+    commands = commands_of(config, database, mapping)
     for can_id, _ in sorted(send_ids):
+        refuse_command(commands, can_id, file, "publish")
         if can_id in decoder.receive_ids:
             raise InputError(
                 config.signals, f"id 0x{can_id:X}", "is both listened to and sent",
@@ -106,8 +122,17 @@ def prepare(config: ServiceConfig, file: str | Path) -> Parts:
         levels=levels,
         level_frames=encoders[3],
         suggestion_frames=encoders[4],
+        verdict=encoders[5],
         sync_period_s=sync_period_s,
+        health_modulo=totals_modulo(find_message(database, config.publish.health_message or "")),
+        commands=commands,
     )
+
+
+def commands_of(config: ServiceConfig, database: Any, mapping: SignalMapping) -> Commands:
+    """Messages of the configuration's database that command something, by id."""
+    torque = () if config.override is None else (config.override.command_message,)
+    return of_database(database, torque=torque, marked=mapping.commands)
 
 
 def _wanted(config: ServiceConfig) -> tuple[str, ...]:
@@ -150,10 +175,10 @@ Encoders = tuple[FrameEncoder | None, ...]
 
 
 def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: str) -> Encoders:
-    """Of estimates, silence, health, levels, suggestions; None for what is not sent."""
+    """Of estimates, silence, health, levels, suggestions, verdict; None for what is not sent."""
     publish, adaptation = config.publish, config.adaptation
     if not publish.enabled:
-        return (None,) * 5
+        return (None,) * 6
 
     def encoder(name: str | None, place: str, needed: tuple[str, ...]) -> FrameEncoder | None:
         if name is None:
@@ -174,6 +199,9 @@ def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: 
             raise InputError(file, place, f"{name} is a CAN FD message", "set bus.fd: true")
         return FrameEncoder(database, name, dbc_file=dbc_file)
 
+    verdict = publish.verdict_message
+    if verdict == VERDICT and find_message(database, verdict) is None:
+        verdict = None  # a database from before it
     told = (None, None) if adaptation is None else (
         encoder(adaptation.message, "adaptation.message", _LEVELS),
         encoder(adaptation.suggestion_message, "adaptation.suggestion_message", _SUGGESTED),
@@ -183,6 +211,7 @@ def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: 
         encoder(publish.message, "publish.message", _PUBLISHED),
         encoder(publish.health_message, "publish.health_message", ()),
         *told,
+        encoder(verdict, "publish.verdict_message", NEEDED),
     )
 
 
@@ -195,7 +224,8 @@ def make_estimator(
         if source.carrier is not None and name not in decoder.period_s:
             raise InputError(
                 config.dbc[0], source.carrier, f"has no cycle time, which {name} needs",
-                "add GenMsgCycleTime",
+                f"add GenMsgCycleTime, or messages.{source.carrier}.cycle_time_s to "
+                f"{config.signals}",
             )  # fmt: skip
     settings = derived_settings(config.estimator, mapping)
     if wrong := problem(settings):
@@ -207,11 +237,17 @@ def make_estimator(
 
 
 def derived_settings(settings: EstimatorSettings, mapping: SignalMapping) -> EstimatorSettings:
-    """A ``window_s`` that the mapping gives to a derived speed goes before the estimator's."""
+    """What the mapping says goes before: a derived speed's ``window_s``, a fast sync frame's cycle.
+
+    One rule for the service and for whoever estimates from its logs.
+    """
     speed = mapping.signals.get("motor_speed_rad_s")
-    if speed is None or speed.window_s is None:
-        return settings
-    return replace(settings, speed_window_s=speed.window_s)
+    if speed is not None and speed.window_s is not None:
+        settings = replace(settings, speed_window_s=speed.window_s)
+    cycle_s = mapping.rules(mapping.sync_message or "").cycle_time_s
+    if cycle_s is not None and cycle_s < settings.step_s:
+        settings = replace(settings, step_s=cycle_s * math.ceil(SHORTEST_STEP_S / cycle_s - 1e-9))
+    return settings
 
 
 def _sync_period_s(mapping: SignalMapping, decoder: FrameDecoder) -> float:
@@ -231,7 +267,7 @@ def describe(parts: Parts) -> Iterator[str]:
         names = [n for n, s in mapping.signals.items() if s.carrier == message.name]
         sync = ", the estimator steps on it" if message.name == mapping.sync_message else ""
         yield (
-            f"listen     0x{message.frame_id:X} {message.name} every {message.cycle_time} ms"
+            f"listen     0x{message.frame_id:X} {message.name} every {_cycle(mapping, message)}"
             f"{sync}: {', '.join(names)}"
         )
     for name, source in mapping.signals.items():
@@ -239,6 +275,11 @@ def describe(parts: Parts) -> Iterator[str]:
             yield f"derive     {name} from {source.derive_from}"
     sends = [
         (parts.silent, config.publish.message, "with every sync frame"),
+        (
+            parts.verdict,
+            config.publish.verdict_message or "",
+            f"every {config.publish.verdict_period_s} s",
+        ),
         (
             parts.health,
             config.publish.health_message or "",
@@ -271,6 +312,11 @@ def _words(adaptation: AdaptationConfig) -> str:
         return f"{method}: told and recorded, not applied"
     known = {"both_known": "both levels are", "sum_known": "their sum is"}[adaptation.apply]
     return f"{method}: applied where {known} known, within {adaptation.sanity_band:.0%}"
+
+
+def _cycle(mapping: SignalMapping, message: Any) -> str:
+    cycle_s = mapping.rules(message.name).cycle_s(message)
+    return "so often" if cycle_s is None else f"{1e3 * cycle_s:g} ms"
 
 
 def _messages(parts: Parts) -> list[Any]:

@@ -43,7 +43,7 @@ def test_defaults_and_paths_relative_to_the_file(
     assert config.dbc == (tmp_path / "parts" / "a.dbc",)
     assert config.model == tmp_path / "parts" / "m.yaml"
     assert config.publish.enabled
-    assert not config.bus.reconnect
+    assert config.bus.reconnect
     assert config.estimator.friction_compensation
 
 

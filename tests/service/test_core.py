@@ -2,7 +2,8 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from eps_hil.service.config import ServiceConfig
 from eps_hil.service.core import ServiceCore, Status, status_of
 from eps_hil.service.setup import Parts, prepare
 
-from .conftest import Receiver, TinyRig
+from .conftest import T0_NS, Receiver, TinyRig
 
 CONFIG = Path("c.yaml")
 
@@ -116,7 +117,7 @@ def test_a_gap_makes_it_invalid_with_a_reason_and_it_comes_back(parts: Parts, ri
     drive(parts.core, rig, 360, 362)
     assert not _latest(parts).valid
     assert _latest(parts).reason != Reason.FINE
-    drive(parts.core, rig, 362, 660)
+    drive(parts.core, rig, 362, 1200)
     assert _latest(parts).valid
 
 
@@ -131,7 +132,7 @@ def test_a_damaged_frame_makes_it_invalid_and_it_comes_back(
     reasons = [Reason(int(receiver.read(f)["EstimateReason"])) for f in sent]
     assert any(reason & Reason.BAD_SAMPLE for reason in reasons)
     assert parts.decoder.faults["crc"] == 1
-    drive(parts.core, rig, 340, 600)
+    drive(parts.core, rig, 340, 1200)
     assert _latest(parts).valid
 
 
@@ -208,3 +209,69 @@ def _config() -> ServiceConfig:
     from .conftest import ROOT
 
     return load_config(ROOT / "configs" / "demo_udp.yaml")
+
+
+def at(now_ns: int) -> Callable[[], int]:
+    """A clock that stands still."""
+    return lambda: now_ns
+
+
+def test_a_batch_that_waited_is_said_to_be_stale(
+    parts: Parts, rig: TinyRig, receiver: Receiver
+) -> None:
+    drive(parts.core, rig, 0, 400)
+    batch = rig.millisecond(400)
+    (late,) = parts.core.on_frames(batch, at(batch[-1].t_ns + 300_000_000))
+    told = receiver.read(late)
+    assert told["EstimateStatus"] == Status.INVALID
+    assert told["EstimateReason"] == Reason.TIME
+    assert told["EstimateAge"] == 127.5
+    assert parts.core.stale == 1
+    batch = rig.millisecond(401)
+    (prompt,) = parts.core.on_frames(batch, at(batch[-1].t_ns + 3_000_000))
+    told = receiver.read(prompt)
+    assert told["EstimateStatus"] == Status.VALID
+    assert told["EstimateAge"] == pytest.approx(parts.estimator.latency_s * 1e3 + 3.0, abs=0.8)
+
+
+def test_how_late_the_service_was_changes_no_estimate(config: ServiceConfig, rig: TinyRig) -> None:
+    prompt, late = fresh(config), fresh(config)
+    prompt.record, late.record = [], []
+    for k in range(400):
+        batch = rig.millisecond(k)
+        prompt.on_frames(batch)
+        late.on_frames(batch, at(batch[-1].t_ns + k * 1_000_000))
+    assert _bits(late.record) == _bits(prompt.record)
+    assert late.stale > 300
+
+
+@pytest.mark.parametrize("back_ms", [1, 5, 500, 1500])
+def test_a_clock_set_back_is_never_a_frozen_valid(
+    parts: Parts, rig: TinyRig, receiver: Receiver, back_ms: int
+) -> None:
+    drive(parts.core, rig, 0, 400)
+    sent = []
+    for k in range(400, 1400):
+        set_back = [replace(f, t_ns=f.t_ns - back_ms * 1_000_000) for f in rig.millisecond(k)]
+        sent += [receiver.read(f) for f in parts.core.on_frames(set_back)]
+    valid = [each for each in sent if each["EstimateStatus"] == Status.VALID]
+    forces = [each["RackForceEstimate"] for each in valid]
+    repeated = sum(a == b for a, b in itertools.pairwise(forces))
+    assert repeated < 10
+    assert sent[-1]["EstimateStatus"] == Status.VALID
+
+
+@pytest.mark.parametrize("ppm", [-300, 300])
+def test_a_drifting_rig_gets_no_answer_twice_as_new(parts: Parts, rig: TinyRig, ppm: int) -> None:
+    core = parts.core
+    core.record = []
+    for k in range(8000):
+        frames = [
+            replace(f, t_ns=T0_NS + round((f.t_ns - T0_NS) * (1 + ppm * 1e-6)))
+            for f in rig.millisecond(k)
+        ]
+        core.on_frames(frames)
+    stamps = [estimate.t_ns for _, estimate in core.record]
+    assert len(set(stamps)) == len(stamps)
+    assert abs(len(stamps) - 8000) <= 4
+    assert all(estimate.valid for _, estimate in core.record[1000:])

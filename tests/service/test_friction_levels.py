@@ -28,7 +28,7 @@ from eps_hil.rig.profile import Sine, _Profile
 from eps_hil.service.adaptation_config import AdaptationConfig
 from eps_hil.service.config import ServiceConfig, load_config
 from eps_hil.service.friction_levels import LevelEvent
-from eps_hil.service.level_desk import LevelDesk, levels_of
+from eps_hil.service.level_updates import LevelUpdates, levels_of
 from eps_hil.service.online_methods import with_levels
 from eps_hil.service.setup import Parts, describe, prepare
 
@@ -318,7 +318,7 @@ def test_more_changes_than_can_wait_are_refused_and_nothing_breaks() -> None:
 
 def test_what_is_published_about_levels() -> None:
     parts = service(replace(BOTH, apply="sum_known"))
-    frames = LevelDesk(parts, lambda _: None).frames()
+    frames = LevelUpdates(parts, lambda _: None).frames()
     told = {f.can_id: DATABASE.decode_message(f.can_id, f.data) for f in frames}
     assert told[0x150]["LevelPositive"] == pytest.approx(0.056)
     assert str(told[0x150]["LevelSource"]) == "model"
@@ -328,7 +328,7 @@ def test_what_is_published_about_levels() -> None:
     said = "\n".join(describe(parts))
     assert "reversals: applied where their sum is known, within 50%" in said
     assert "0x151 EPSHIL_FrictionSuggestion every 0.1 s" in said
-    assert set(service(None).send_ids) == {0x120, 0x400}
+    assert set(service(None).send_ids) == {0x120, 0x121, 0x400}
 
 
 def test_a_message_that_the_database_lacks_is_named() -> None:

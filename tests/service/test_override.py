@@ -4,6 +4,7 @@ import pytest
 
 from eps_hil.estimation.validity import Reason
 from eps_hil.service.guard import ARM_PAUSE_NS, Command, Seen, Trip
+from eps_hil.service.journal import as_json
 from eps_hil.service.override import Override, State, Transition, trip_words
 
 from .guard_bench import LIMITS, MS, Bench
@@ -81,6 +82,21 @@ def test_a_trip_is_a_fault_with_its_reasons_and_time() -> None:
     for request in (0.01, None, 0.0):
         assert session.step(request) == Command(0.0, False)
     assert session.story() == [], "told once"
+
+
+def test_a_journal_line_holds_time_reason_and_trips() -> None:
+    transition = Transition(
+        7, State.INJECTING, State.FAULT, "driver, bus", Trip.DRIVER | Trip.BUS, Reason.GAP
+    )
+    assert as_json(transition, 1_790_000_000_123_000_000) == {
+        "utc": "2026-09-21T14:13:20.123+00:00",
+        "t_ns": 7,
+        "from": "injecting",
+        "to": "fault",
+        "why": "driver, bus",
+        "trips": ["driver", "bus"],
+        "input_verdict": int(Reason.GAP),
+    }
 
 
 def test_out_of_a_fault_only_by_the_operator() -> None:

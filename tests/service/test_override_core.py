@@ -101,6 +101,25 @@ class TestRun:
         assert {frame.can_id for frame in sent} == {STATE}
         assert len(sent) == pytest.approx(30, abs=2)
 
+    def test_one_command_for_a_sync_frame_and_none_without(self, bench: Lockstep) -> None:
+        """A batch of several sync frames is one answer; other frames, and timers, are none."""
+        injecting(bench)
+        bench.running = False
+        bench.step(4)
+        bench.running = True
+        sent = tapped(bench)
+        bench.step(2)
+        assert [frame.can_id for frame in sent].count(COMMAND) == 1
+        assert bench.state is State.INJECTING
+        other = Frame(bench.wall_ns, 0x7F0, bytes(8))
+        commands = bench.core.on_frames([other], bench.now_ns, bench.wall_ns)
+        assert COMMAND not in [frame.can_id for frame in commands]
+        late_ns = bench.now_ns + 4_000_000
+        assert bench.core.command.enable
+        on_timer = bench.core.on_timer(late_ns)
+        assert COMMAND not in [frame.can_id for frame in on_timer]
+        assert bench.state is State.INJECTING, "too early for a trip"
+
     def test_the_state_on_the_bus(self, bench: Lockstep) -> None:
         sent = tapped(bench)
         injecting(bench)
@@ -205,6 +224,26 @@ class TestTrips:
         disturb(bench.core, bench.now_ns)
         assert trips(bench) == trip
         zero_from_here(bench, 2)
+
+    def test_ten_releases_follow_a_trip(self, bench: Lockstep) -> None:
+        injecting(bench)
+        bench.core.on_bus(bench.now_ns, BusState.BUS_OFF)
+        start = len(bench.ticks) + 1  # what was sent before is heard in the next millisecond
+        bench.step(40)
+        heard = [c for tick in bench.ticks[start:] for c in tick.commands]
+        assert [command.enable for command in heard] == [False] * RELEASES
+
+    def test_a_trip_is_told_at_once(self, bench: Lockstep) -> None:
+        injecting(bench)
+        sent = tapped(bench)
+        while not [frame for frame in sent if frame.can_id == STATE]:
+            bench.step()
+        sent.clear()  # the next one is due in 10 ms
+        bench.waiting.append(Frame(bench.wall_ns, 0x40, b"", error=True))
+        bench.step(2)
+        message = DATABASE.get_message_by_frame_id(STATE)
+        (told,) = [f for f in sent if f.can_id == STATE]
+        assert message.decode(told.data, decode_choices=False)["State"] == State.FAULT
 
     def test_a_good_bus_is_no_trip(self, bench: Lockstep) -> None:
         injecting(bench)
@@ -325,6 +364,18 @@ class TestSetup:
         mapping.write_text(re.sub(r"  (rack_position_m|motor_angle_rad): .*\n", "", text))
         with pytest.raises(InputError, match="one of them"):
             prepare_override(replace(load_config(CONFIG), signals=mapping), CONFIG)
+
+    def test_the_state_is_not_told_under_the_name_of_a_command(self) -> None:
+        config = load_config(CONFIG)
+        assert config.override is not None
+        for name in ("EPSHIL_TorqueOverride", "RIG_Command"):
+            override = replace(config.override, state_message=name)
+            with pytest.raises(InputError, match=f"override.state_message: {name} commands"):
+                prepare_override(replace(config, override=override), CONFIG)
+
+    def test_the_session_may_send_its_own_command_and_no_other(self, parts: OverrideParts) -> None:
+        assert 0x80 in parts.send_ids
+        assert parts.never_send_ids == (0xA0,)
 
     def test_a_command_with_an_autosar_profile(self) -> None:
         rule = E2eProfile("p01", data_id=0x80)

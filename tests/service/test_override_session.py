@@ -4,30 +4,36 @@ What a killed or stopped process leaves behind is shown by test_override_kill.py
 """
 
 import asyncio
+import os
+import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from eps_hil.bus.config import BusConfig
+from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import Port, open_port
-from eps_hil.errors import BusError
+from eps_hil.errors import AbsentBusError, BusError, InputError
 from eps_hil.rig.config import load_rig_setup
 from eps_hil.rig.ecu import OverrideState
 from eps_hil.rig.process import RigSimulation
 from eps_hil.service import override_session
 from eps_hil.service.config import RuntimeConfig, ServiceConfig, load_config
+from eps_hil.service.guard import Command, Trip
 from eps_hil.service.journal import Journal
-from eps_hil.service.operator import KeyOperator, Operator, Unattended
+from eps_hil.service.operator import KeyOperator, Unattended, terminal_operator
 from eps_hil.service.override import State
 from eps_hil.service.override_session import OverrideSession, open_for
 from eps_hil.service.override_setup import OverrideParts
 
 from .lockstep import CONFIG, Sawtooth, parts_of
-from .patience import PATIENT, slow_dbc
+from .patience import PATIENT
+from .shared_clock import PromptOperator, SharedClock, StampedPort
 
 UDP = BusConfig("udp_multicast", "239.74.163.83", fd=True, options={"port": 43183, "hop_limit": 0})
 PEAK_NM = 0.04
@@ -35,36 +41,52 @@ ECU_TIMEOUT_S = 0.2
 
 
 class RigThread(threading.Thread):
-    """The simulated rig at its pace, as well as a thread can keep it.
+    """The simulated rig at its pace, as well as a thread can keep it, or at that of ``clock``.
 
     One that is late stays late: catching up would leave the session's thread no time at all.
     """
 
-    def __init__(self, config: ServiceConfig) -> None:
+    def __init__(self, config: ServiceConfig, clock: SharedClock | None = None) -> None:
         super().__init__()
         setup = load_rig_setup(CONFIG)
         rig = replace(setup.rig, override_timeout_s=ECU_TIMEOUT_S)
-        self.simulation = RigSimulation(
-            replace(setup, rig=rig, bus=replace(setup.bus, dbc=config.dbc))
-        )
+        self.simulation = RigSimulation(replace(setup, rig=rig))
         bus = config.bus
         self._port = open_port(bus.interface, bus.channel, fd=bus.fd, options=bus.options)
         self._stopped = threading.Event()
+        self._clock, self._due_s = clock, time.monotonic()
+        self.session: StampedPort | None = None
+        """The session's port, where rig and session go by one clock."""
+        self.receive_ids: Sequence[int] = ()
         self.applied: list[float] = []
         self.start()
 
     def run(self) -> None:
-        due = time.monotonic()
         while not self._stopped.is_set():
+            now_ns = (self._clock or time).monotonic_ns()
             for frame in self._port.recv(0.0):
-                self.simulation.hear(frame, time.monotonic_ns())
-            now_ns = time.monotonic_ns()
+                self.simulation.hear(frame, now_ns)
             self.applied.append(self.simulation.override.torque_nm(now_ns) or 0.0)
-            for frame in self.simulation.step(now_ns):
-                self._port.send(frame)
-            due = max(due + 1e-3, time.monotonic() - 0.02)
-            time.sleep(max(0.0, due - time.monotonic()))
+            frames = self.simulation.step(now_ns)
+            for frame in frames:
+                assert self._port.send(frame)
+            self._pause(frames)
         self._port.close()
+
+    def _pause(self, frames: list[Frame]) -> None:
+        if self._clock is None:
+            self._due_s = max(self._due_s + 1e-3, time.monotonic() - 0.02)
+            time.sleep(max(0.0, self._due_s - time.monotonic()))
+            return
+        if self.session is None or not self.session.answers(frames, self.receive_ids):
+            time.sleep(1e-3)  # nobody there yet, or any more
+        self._clock.spent_ns += 1_000_000
+
+    def go_on(self, milliseconds: int) -> None:
+        """So much more of its time: what was sent to it last has been heard."""
+        end = len(self.applied) + milliseconds
+        while len(self.applied) < end and self.is_alive():
+            time.sleep(0.01)
 
     def stop(self) -> None:
         self._stopped.set()
@@ -74,31 +96,39 @@ class RigThread(threading.Thread):
 class Stage:
     """A rig, a session, and what shall happen once the torque is on."""
 
-    def __init__(self, config: ServiceConfig, folder: Path) -> None:
+    def __init__(
+        self, config: ServiceConfig, folder: Path, clock: SharedClock | None = None
+    ) -> None:
         assert config.override is not None
         # two busy threads of one process keep no time
         limits = replace(config.override.limits, **PATIENT, max_step_nm=0.05)  # type: ignore[arg-type]
         self.config = replace(config, override=replace(config.override, limits=limits))
         self.journal_file = folder / "j.jsonl"
         self.said: list[str] = []
-        self.port: Port | None = None
+        self.clock = clock
         self.session: OverrideSession
         self.rig: RigThread
 
     def opener(self, parts: OverrideParts, dry_run: bool) -> Port:
-        self.port = open_for(parts, dry_run)
-        return self.port
+        port = open_for(parts, dry_run)
+        if self.clock is None:
+            return port
+        self.rig.receive_ids = parts.receive_ids
+        self.rig.session = StampedPort(port, self.clock)
+        return self.rig.session
 
-    def run(self, then: Callable[[], None], operator: Operator | None = None) -> None:
-        """Where the machine keeps no time (User-Mode Linux), a limit may end it early: again."""
+    def run(self, then: Callable[[], None]) -> None:
+        """In real time a limit may end it before the torque is there: again. Not by ``clock``."""
         end = time.monotonic() + 240.0
         while time.monotonic() < end:
-            if self._once(then, operator):
+            if self._once(then):
                 return
+            assert self.clock is None, self.said
             assert self.session.fault is not None, self.said
         pytest.fail(f"the torque never came: {self.said[-20:]}")
 
-    def _once(self, then: Callable[[], None], operator: Operator | None) -> bool:
+    def _once(self, then: Callable[[], None]) -> bool:
+        operator = Unattended() if self.clock is None else PromptOperator(self.clock)
         journal = Journal(self.journal_file)
         done = [False]
 
@@ -110,39 +140,35 @@ class Stage:
 
         async def session() -> None:
             self.session = OverrideSession(
-                parts_of(self.config), Sawtooth(PEAK_NM, 0.4), operator or Unattended(),
+                parts_of(self.config), Sawtooth(PEAK_NM, 0.4), operator,
                 self.said.append, show=look, journal=journal, opener=self.opener,
             )  # fmt: skip
-            await self.session.run(60.0)
+            await self.session.run(60.0 if self.clock is None else 240.0)
 
-        self.rig = RigThread(self.config)
+        self.rig = RigThread(self.config, self.clock)
         try:
             asyncio.run(session())
         finally:
-            time.sleep(0.1)  # what was sent last is still on its way
+            self.rig.go_on(100)
             self.rig.stop()
             journal.close()
         return done[0]
 
 
 @pytest.fixture(params=["udp_multicast", pytest.param("socketcan", marks=pytest.mark.socketcan)])
-def config(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ServiceConfig:
-    loaded = replace(load_config(CONFIG), service=RuntimeConfig(realtime="off"))
+def stage(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stage:
+    """In real time on UDP; on vcan, which may be User-Mode Linux's, by a clock of the test."""
+    config = replace(load_config(CONFIG), service=RuntimeConfig(realtime="off"))
     if request.param == "udp_multicast":
-        return replace(loaded, bus=UDP)
+        return Stage(replace(config, bus=UDP), tmp_path)
     request.getfixturevalue("vcan0")
-    monkeypatch.setattr(override_session, "_LATE_NS", 50_000_000)
-    return replace(
-        loaded,
-        bus=BusConfig("socketcan", "vcan0"),
-        dbc=(slow_dbc(request.getfixturevalue("tmp_path")),),
-        estimator=replace(loaded.estimator, stale_after_s=0.1),
-    )
+    clock = SharedClock()
+    monkeypatch.setattr(override_session, "time", clock)
+    return Stage(replace(config, bus=BusConfig("socketcan", "vcan0")), tmp_path, clock)
 
 
 @pytest.mark.slow
-def test_a_session_in_good_order(config: ServiceConfig, tmp_path: Path) -> None:
-    stage = Stage(config, tmp_path)
+def test_a_session_in_good_order(stage: Stage) -> None:
     stage.run(lambda: stage.session.finish("enough"))
     assert stage.rig.applied[-1] == 0.0
     assert stage.rig.simulation.override.state is OverrideState.RELEASED
@@ -153,9 +179,7 @@ def test_a_session_in_good_order(config: ServiceConfig, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_error_in_the_loop_releases(config: ServiceConfig, tmp_path: Path) -> None:
-    stage = Stage(config, tmp_path)
-
+def test_an_error_in_the_loop_releases(stage: Stage) -> None:
     def go_wrong() -> None:
         raise ZeroDivisionError("a mistake")
 
@@ -216,3 +240,109 @@ def test_keys_of_the_operator() -> None:
 
     asyncio.run(type_keys())
     assert told == ["prepare", "arm", "beat", "beat", "the operator's terminal is gone"]
+
+
+def quiet_session() -> OverrideSession:
+    """One that was not started: no bus, no operator's terminal."""
+    parts = parts_of(replace(load_config(CONFIG), bus=UDP))
+    return OverrideSession(parts, Sawtooth(), Unattended(), lambda _: None)
+
+
+@pytest.mark.parametrize("moment", ["at the start", "later"])
+def test_a_session_never_opens_a_bus_again(moment: str) -> None:
+    """Neither one that is not there nor one that was lost, though it would be back at once."""
+    config = replace(load_config(CONFIG), bus=UDP, service=RuntimeConfig(realtime="off"))
+    assert config.bus.reconnect
+    opened: list[Port] = []
+    attempts = [0]
+
+    def opener(parts: OverrideParts, dry_run: bool) -> Port:
+        attempts[0] += 1
+        if moment == "at the start" and attempts[0] == 1:
+            raise AbsentBusError("can0: the interface is down")
+        opened.append(open_for(parts, dry_run))
+        return opened[-1]
+
+    session = OverrideSession(
+        parts_of(config), Sawtooth(), Unattended(), lambda _: None, opener=opener
+    )
+
+    async def run() -> None:
+        loop = asyncio.get_running_loop()
+        loop.call_later(0.6, session._lost, "the interface went down")
+        await session.run(3.0)
+
+    with pytest.raises(
+        BusError, match=r"the interface is down|the bus is lost: the interface went"
+    ):
+        asyncio.run(run())
+    assert attempts[0] == 1
+    assert session.core.state is State.OFF
+    for port in opened:
+        with pytest.raises(BusError, match="closed"):
+            port.recv(0.0)
+
+
+class PortThatKeeps:
+    """A port in name only: keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.sent: list[Frame] = []
+
+    def send(self, frame: Frame) -> bool:
+        self.sent.append(frame)
+        return True
+
+
+def test_a_command_that_was_late_is_thrown_away() -> None:
+    """Five milliseconds from the decision to the bus: a process was stopped in between."""
+    session, port = quiet_session(), PortThatKeeps()
+    stand_in: Any = port
+    session._port = stand_in
+    session.core.override.state = State.INJECTING
+    session.core.command = Command(0.04, True)
+    frame = session._parts.command.frame(session.core.command)
+    session._send([frame], time.monotonic_ns())
+    assert port.sent == [frame]
+    assert not session.core.override.guard.trips
+    session._send([frame, frame], time.monotonic_ns() - 5_100_000)
+    assert port.sent == [frame]
+    assert session.core.state is State.FAULT
+    assert session.core.override.guard.trips == Trip.CLOCK
+
+
+def test_a_late_release_is_sent_all_the_same() -> None:
+    session, port = quiet_session(), PortThatKeeps()
+    stand_in: Any = port
+    session._port = stand_in
+    frame = session._parts.command.frame(session.core.command)
+    session._send([frame], time.monotonic_ns() - 1_000_000_000)
+    assert port.sent == [frame]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_signals_end_a_session(number: signal.Signals) -> None:
+    """The first one ends it in good order; a second one would end the process."""
+    before = signal.getsignal(number)
+    session = quiet_session()
+
+    async def signalled() -> None:
+        session._loop = asyncio.get_running_loop()
+        with session._signals():
+            os.kill(os.getpid(), number)
+            await session._ending.wait(2.0)
+            assert signal.getsignal(number) is signal.SIG_DFL
+
+    try:
+        asyncio.run(signalled())
+    finally:
+        signal.signal(number, before)
+    assert session._ending.asked_for
+    assert (session._why, session._abnormal) == (number.name, True)
+
+
+def test_without_a_terminal_there_is_no_operator(monkeypatch: pytest.MonkeyPatch) -> None:
+    with open(os.devnull, encoding="ascii") as nobody:
+        monkeypatch.setattr("sys.stdin", nobody)
+        with pytest.raises(InputError, match="nobody can hold the dead-man key"):
+            terminal_operator()

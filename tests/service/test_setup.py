@@ -1,13 +1,16 @@
 """What the service refuses before it opens a bus, and what it says that it will do."""
 
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 
 import pytest
 
+from eps_hil.bus.commands import Command, Kind
 from eps_hil.bus.config import BusConfig
-from eps_hil.errors import InputError
-from eps_hil.service.config import PublishConfig, RuntimeConfig, load_config
+from eps_hil.bus.frame import Frame
+from eps_hil.errors import BusError, InputError
+from eps_hil.service.config import PublishConfig, RuntimeConfig, ServiceConfig, load_config
+from eps_hil.service.loop import open_for
 from eps_hil.service.setup import Parts, describe, prepare
 
 from .conftest import MAPPING, ROOT
@@ -41,7 +44,7 @@ def test_says_what_it_listens_to_and_sends(parts: Parts) -> None:
 def test_reads_only_what_the_estimator_needs(parts: Parts) -> None:
     assert "rack_force_estimate_n" in MAPPING.signals  # for recorders, of the same file
     assert parts.decoder.receive_ids == (0x100, 0x101, 0x110)
-    assert parts.send_ids == (0x120, 0x400)
+    assert parts.send_ids == (0x120, 0x400, 0x121)
 
 
 def test_listen_only(config_file: Path, config_text: str) -> None:
@@ -120,6 +123,31 @@ def test_a_derived_speed_is_derived_over_the_window_of_the_mapping(
     assert parts.core.decoder.sync.__self__.sync_id == 0x100  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize("message", ["EPSHIL_TorqueOverride", "RIG_Command"])
+def test_a_command_is_nothing_to_publish(tmp_path: Path, config_text: str, message: str) -> None:
+    """Health or levels under a command's name would move a motor that nobody armed."""
+    text = config_text + f"publish: {{health_message: {message}}}\n"
+    said = refused(tmp_path, text)
+    assert f"c.yaml: publish: {message} commands a" in said
+    assert "only an armed override or a programme sends that" in said
+
+
+def test_a_message_that_the_mapping_marks_is_nothing_to_publish(
+    tmp_path: Path, config_text: str
+) -> None:
+    text = mapped(tmp_path, config_text, "signals:\n", "commands: [EPSHIL_Estimate]\nsignals:\n")
+    assert "EPSHIL_Estimate commands a set-point" in refused(tmp_path, text)
+
+
+def test_the_service_port_would_refuse_a_command_too(config: ServiceConfig, parts: Parts) -> None:
+    port = open_for(parts)
+    with pytest.raises(BusError, match="0x80 commands a torque or a rig"):
+        port.send(Frame(0, 0x80, bytes(8)))
+    port.close()
+    with pytest.raises(BusError, match="0x120 commands"):
+        open_for(replace(parts, commands={0x120: Command(0x120, "X", Kind.TORQUE)}))
+
+
 def test_silence_must_be_longer_than_a_cycle(tmp_path: Path, config_text: str) -> None:
     text = config_text.replace("realtime: off", "no_input_after_s: 0.001")
     assert "EPS_MotorState comes every 0.001 s" in refused(tmp_path, text)
@@ -142,4 +170,4 @@ def test_the_document_names_every_key_with_its_default() -> None:
 @pytest.mark.parametrize("name", ["demo_udp.yaml", "demo_vcan.yaml"])
 def test_shipped_configurations_are_good(name: str) -> None:
     path = ROOT / "configs" / name
-    assert prepare(load_config(path), path).send_ids == (0x120, 0x400)
+    assert prepare(load_config(path), path).send_ids == (0x120, 0x400, 0x121)

@@ -9,9 +9,11 @@ import math
 import os
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from eps_hil.bus.frame import Frame
 from eps_hil.errors import InputError
@@ -24,6 +26,8 @@ from eps_hil.service.online_methods import with_levels
 from eps_hil.service.setup import Parts
 
 _PERIOD_S = 0.2
+_WAITING_MAX = 10_000
+"""Events that wait for a disk that is full; of more than that the oldest are lost."""
 _SWITCH_S = 5e-4
 """How soon a thread that reads a file gives way to the loop (Python's own: 5 ms)."""
 
@@ -36,7 +40,7 @@ def levels_of(model: Model) -> FrictionLevels:
     return FrictionLevels(friction.offset_pos_nm, friction.offset_neg_nm)
 
 
-class LevelDesk:
+class LevelUpdates:
     """One run's; ``journal`` None: events are said and published, not kept.
 
     :class:`InputError` at once for a journal that cannot be written, where there will be one.
@@ -50,6 +54,8 @@ class LevelDesk:
         if parts.config.adaptation is not None:
             self._journal = Journal(journal)
         self._told: tuple[str, str] | None = None
+        self._waiting: deque[dict[str, Any]] = deque(maxlen=_WAITING_MAX)
+        self._refused = False
 
     def hint(self) -> str:
         """How an operator gives new levels."""
@@ -109,7 +115,10 @@ class LevelDesk:
         return events
 
     def _write(self, events: Sequence[LevelEvent]) -> None:
-        if not events or self._path is None:
+        utc = datetime.fromtimestamp(time.time(), UTC).isoformat(timespec="milliseconds")
+        self._waiting += [{"utc": utc, **event.as_json()} for event in events]
+        if not self._waiting or self._path is None:
+            self._waiting.clear()
             return
         if self._journal.closed:
             try:
@@ -118,6 +127,15 @@ class LevelDesk:
                 self._path = None
                 self._say(f"levels     no journal is kept: {error}")
                 return
-        utc = datetime.fromtimestamp(time.time(), UTC).isoformat(timespec="milliseconds")
-        for event in events:
-            self._journal.note({"utc": utc, **event.as_json()})
+        try:
+            while self._waiting:
+                self._journal.note(self._waiting[0])
+                self._waiting.popleft()
+        except OSError as error:
+            if not self._refused:
+                self._say(f"levels     {self._path}: cannot be written: {error.strerror}")
+            self._refused = True
+            return
+        if self._refused:
+            self._refused = False
+            self._say(f"levels     {self._path}: written again")

@@ -1,0 +1,142 @@
+"""A quick selection of ``scripts/estimate_faults``, and its judge judged."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from eps_hil.bus import sample_clock
+from eps_hil.bus.protection import CrcRule, Seen
+from eps_hil.bus.sample_clock import SampleClock
+from eps_hil.estimation.stream import StreamEstimator
+from eps_hil.oracle.faults import case
+from eps_hil.oracle.faults.drive import drive
+from eps_hil.oracle.faults.stretch import Stretch
+from eps_hil.oracle.faults.table import table
+from eps_hil.oracle.faults.traffic import Published, World
+from eps_hil.service.core import ServiceCore
+
+pytestmark = pytest.mark.slow
+
+SEED = 20
+HOLDS = (
+    "ecu silent", "motor state silent", "torques silent", "rig silent", "bus silent",
+    "gap of seconds", "frames lost", "frames doubled", "frames swapped", "one message late",
+    "torques 20 ms late", "all frames late", "crc wrong", "sync crc wrong", "bits flipped",
+    "error frames", "bus off", "flood", "second sender of our id", "signal not available",
+    "counter stuck", "counter jumps", "second ecu", "ecu restarted", "rig restarted",
+    "rig stopped", "service restarted", "service stopped", "estimates not sent", "clock step",
+    "clock step half second back", "clock drift",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World([("demo", 24)])
+
+
+@pytest.mark.parametrize("name", [case.NO_FAULT, *HOLDS])
+def test_never_wrong_and_valid(world: World, name: str) -> None:
+    outcome = case.single(world, name, SEED)
+    assert outcome.wrong == [], "\n".join(outcome.story)
+
+
+_copy = World.copy
+
+
+def _that_believes_values(world: World, core: ServiceCore) -> ServiceCore:
+    made = _copy(world, core)
+    estimator = made.estimator
+    assert isinstance(estimator, StreamEstimator)
+    limits = estimator.timing.limits._replace(on=False)
+    estimator.timing = estimator.timing._replace(limits=limits)
+    return made
+
+
+def test_without_the_crc_check_the_judge_finds_fault(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside it nothing may look at the values, which would notice most of the damage too."""
+    monkeypatch.setattr(World, "copy", _that_believes_values)
+    sound = [case.single(world, "bits flipped", SEED + k) for k in range(16)]
+    assert all(outcome.longest_ms <= 20 for outcome in sound)
+    monkeypatch.setattr(CrcRule, "good", lambda self, data: True)
+    found = [case.single(world, "bits flipped", SEED + k) for k in range(16)]
+    assert any(outcome.longest_ms > 20 for outcome in found)
+
+
+def test_without_a_look_at_the_data_a_second_ecu_is_found(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Seen, "again", lambda self, t_ns, counter, data: None)
+    monkeypatch.setattr(
+        SampleClock, "_early", lambda self, *frame: self._restart(*frame, frame[1] - frame[0].stamp)
+    )
+    found = [case.single(world, "second ecu", SEED + k) for k in range(8)]
+    assert any(outcome.longest_ms > 20 for outcome in found)
+
+
+def test_without_the_relation_of_the_counters_late_torques_are_found(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(World, "copy", _that_believes_values)  # else it settles for as long
+    monkeypatch.setattr(sample_clock, "_RELATED", 1 << 60)
+    found = [case.single(world, "torques 20 ms late", SEED + k) for k in range(4)]
+    assert any(outcome.longest_ms > 20 for outcome in found)
+
+
+def test_a_service_that_never_comes_back_is_found(world: World) -> None:
+    found = _judged(world, lambda each: each._replace(status=3, reason=2))
+    assert any("not valid" in line for line in found)
+
+
+def test_a_service_that_goes_quiet_is_found(world: World) -> None:
+    found = _judged(world, lambda each: None)
+    assert found == ["nothing was published"]
+
+
+@pytest.mark.parametrize(("spell_ms", "told"), [(19, False), (25, True)])
+def test_a_spell_of_wrong_values_is_found_by_its_length(
+    world: World, spell_ms: int, told: bool
+) -> None:
+    count = [0]
+
+    def spoil(each: Published) -> Published:
+        count[0] += 1
+        wrong = 200 < count[0] <= 200 + spell_ms
+        return each._replace(force_n=each.force_n + 101.0) if wrong else each
+
+    found = _judged(world, spoil)
+    assert bool(found) == told, found
+
+
+def test_an_age_that_is_too_small_is_found(world: World) -> None:
+    found = _judged(world, lambda each: each._replace(age_ms=0.0), name="no fault", seed=2)
+    assert any("off for" in line for line in found)
+
+
+def test_the_table_has_a_line_for_every_kind(world: World) -> None:
+    outcome = case.single(world, case.NO_FAULT, SEED)
+    rows = [replace(outcome, kinds=(name,)) for name in case.KINDS]
+    rows.append(replace(outcome, kinds=("bus off", "flood"), wrong=["x"]))
+    lines = table(rows).splitlines()
+    assert len(lines) == 2 + len(case.KINDS) + 1
+    assert lines[-1].startswith("| 2 faults in sequence | 1 |")
+    assert lines[-1].endswith("| 1 |")
+
+
+def _judged(
+    world: World,
+    change: Callable[[Published], Published | None],
+    name: str = case.NO_FAULT,
+    seed: int = SEED,
+) -> list[str]:
+    """What the judge says of a case whose published frames were tampered with."""
+
+    def tampered(world: World, core: ServiceCore, stretch: Stretch, _: object) -> list[Published]:
+        made = [change(each) for each in drive(world, core, stretch)]
+        return [each for each in made if each is not None]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(case, "drive", tampered)
+        return case.single(world, name, seed).wrong
