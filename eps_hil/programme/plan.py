@@ -25,8 +25,8 @@ class Plan:
     ``speeds_rad_s`` are at the rotor and positive. Each repetition is a block of all cells, in an
     order of its own (``random``, by ``seed``), so that warming up does not look like speed or load.
     A pass counts for ``run_s``, after ``settle_s`` plus the time for ``settle_rad`` of rotor: slow
-    passes first have to wind up the torsion bar. ``motor_share`` of the preload is carried by the
-    EPS motor; the rack stays within ``rack_travel_m`` of its centre.
+    passes first have to wind up the torsion bar. The rack stays within ``rack_travel_m`` of its
+    centre. ``motor_share`` of earlier files is refused unless it is 0 (:func:`load_plan`).
     """
 
     name: str
@@ -39,7 +39,7 @@ class Plan:
     run_s: Annotated[float, Field(gt=0.1, le=60)] = 1.0
     settle_s: Annotated[float, Field(ge=0, le=10)] = 0.4
     settle_rad: NotNegative = 2.0
-    motor_share: Annotated[float, Field(ge=0, le=1)] = 1.0
+    motor_share: Annotated[float, Field(ge=0, le=1)] = 0.0
     rack_travel_m: Annotated[float, Field(gt=0, le=0.1)] = 0.05
     attempts: Annotated[int, Field(ge=1, le=10)] = 3
 
@@ -94,9 +94,16 @@ class PlannedCell:
 def load_plan(path: str | Path, model: Model) -> Plan:
     """Read a programme file; :class:`InputError` names line and field of the first mistake.
 
-    A speed whose pass does not fit into the travel is refused.
+    A speed whose pass does not fit into the travel is refused, and so is a share of the preload for
+    the EPS motor: that would be a torque which no guard has judged.
     """
     plan = yaml_file.load(path, Plan, section="programme")
+    if plan.motor_share:
+        raise InputError(
+            path, "programme.motor_share",
+            "asks for a torque of the EPS motor, and only an armed override commands one",
+            "leave it out, and set the share at the rig (the simulated one: rig.motor_share)",
+        )  # fmt: skip
     for name in ("speeds_rad_s", "preloads_n"):
         values = getattr(plan, name)
         if len(set(values)) != len(values):

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from eps_hil.bus.codec import FrameDecoder, FrameEncoder
+from eps_hil.bus.commands import Kind, of_database
 from eps_hil.bus.config import BusSetup
 from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
@@ -96,6 +97,8 @@ class ProgrammeRun:
             database, mapping, mapping_file=setup.signals, dbc_file=dbc_file
         )
         self._encoder = FrameEncoder(database, COMMAND, dbc_file=dbc_file)
+        commands = of_database(database, marked=mapping.commands)
+        self._torque_ids = [i for i, one in commands.items() if one.kind is Kind.TORQUE]
         self._channel = setup.bus.channel
         self._latest: dict[str, float] = {}
         self._sums: dict[str, list[float]] = {}
@@ -123,6 +126,7 @@ class ProgrammeRun:
             bus.channel,
             fd=bus.fd,
             send_ids=(self._encoder.can_id,),
+            never_send_ids=self._torque_ids,
             options=bus.options,
         )
         results = {one.cell.number: one for one in finished}
@@ -234,7 +238,7 @@ class ProgrammeRun:
         values = {
             "WheelSpeedSetPoint": wheel,
             "RackForceSetPoint": wanted.force_n,
-            "MotorShare": 100.0 * self._plan.motor_share,
+            "MotorShare": 0.0,  # a torque of the motor is an armed override's to command
             "CommandRequest": request,
         }
         self._commanded = True

@@ -2,7 +2,9 @@
 
 No I/O and no clock of its own. A rig that a program drives must not depend on that program: when
 good commands stop for the time-out, speed and preload go to zero at the rig's own rates, and the
-robot goes on holding the wheel until it is released in so many words.
+robot goes on holding the wheel until it is released in so many words. Which share of the preload
+the EPS motor carries is a setting of the rig: a torque of the motor is commanded by an armed
+override and by nothing else, so a set-point with a share in it is refused.
 """
 
 import math
@@ -23,7 +25,6 @@ from eps_hil.rig.manoeuvre import COLUMNS, PRELOAD_COMPENSATION
 RIG_COMMAND = "RIG_Command"
 _ENABLE = 1
 _COUNTERS = 256
-_DT_S = 1e-3
 
 ROBOT_STIFFNESS_NM_PER_RAD = 400.0
 ROBOT_DAMPING_NM_S_PER_RAD = 12.0
@@ -61,7 +62,7 @@ class SetPoint:
         return (
             abs(self.wheel_speed_rad_s) <= WHEEL_SPEED_LIMIT_RAD_S
             and abs(self.rack_force_n) <= FORCE_LIMIT_N
-            and 0.0 <= self.motor_share <= 1.0
+            and self.motor_share == 0.0
         )
 
 
@@ -97,14 +98,17 @@ class SetPointReader:
 
 
 class RigControl:
-    """Set-points as the rig follows them, one millisecond per :meth:`rows`; times in ns."""
+    """Set-points as the rig follows them, ``step_s`` per :meth:`rows`; times in ns.
 
-    def __init__(self, timeout_ns: int) -> None:
-        self._timeout_ns = timeout_ns
+    ``motor_share``: of the preload, carried by the EPS motor.
+    """
+
+    def __init__(self, timeout_ns: int, motor_share: float = 1.0, step_s: float = 1e-3) -> None:
+        self._timeout_ns, self._share, self._step_s = timeout_ns, motor_share, step_s
         self._heard_ns = 0
         self._counter: int | None = None
         self._wanted = SetPoint(0, False, 0.0, 0.0, 0.0)
-        self._speed_rad_s = self._angle_rad = self._force_n = self._share = 0.0
+        self._speed_rad_s = self._angle_rad = self._force_n = 0.0
         self._rows = np.zeros((2, COLUMNS))
         self.state = CommandState.RELEASED
         self.timeouts = 0
@@ -128,7 +132,7 @@ class RigControl:
         self._wanted = command
 
     def rows(self, now_ns: int) -> Floats | None:
-        """Set-point rows of this millisecond and the next, (2, COLUMNS); None: not commanded."""
+        """Set-point rows of this step and the next, (2, COLUMNS); None: not commanded."""
         if self.state is CommandState.RELEASED:
             return None
         if self.state is CommandState.ACTIVE and now_ns - self._heard_ns > self._timeout_ns:
@@ -136,14 +140,12 @@ class RigControl:
             self.timeouts += 1
         going = self.state is CommandState.ACTIVE
         self._fill(self._rows[0])
-        if going:
-            self._share = self._wanted.motor_share
         before = self._speed_rad_s
         speed = self._wanted.wheel_speed_rad_s if going else 0.0
         force = self._wanted.rack_force_n if going else 0.0
-        self._speed_rad_s = _towards(before, speed, ACCELERATION_RAD_S2 * _DT_S)
-        self._force_n = _towards(self._force_n, force, FORCE_RATE_N_PER_S * _DT_S)
-        self._angle_rad += 0.5 * (before + self._speed_rad_s) * _DT_S
+        self._speed_rad_s = _towards(before, speed, ACCELERATION_RAD_S2 * self._step_s)
+        self._force_n = _towards(self._force_n, force, FORCE_RATE_N_PER_S * self._step_s)
+        self._angle_rad += 0.5 * (before + self._speed_rad_s) * self._step_s
         self._fill(self._rows[1])
         return self._rows
 

@@ -15,27 +15,44 @@ from eps_hil.rig.sensors import REPORTED
 SENT = (*REPORTED, "motor_temperature_degc")
 """Canonical signals that a simulated rig puts on the bus, where the mapping has them."""
 
-_DEFAULT_CYCLE_MS = 10
+_DEFAULT_CYCLE_S = 0.01
+TICKS_PER_MS = (1, 2, 4, 5, 10, 20)
+"""What divides the plant's twenty steps a millisecond."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cyclic:
-    """One message: sent in milliseconds whose number leaves ``phase_ms`` over ``cycle_ms``."""
+    """One message: sent in ticks whose number leaves ``phase`` over ``every``."""
 
     name: str
     encoder: FrameEncoder
-    cycle_ms: int
-    phase_ms: int
+    every: int
+    phase: int
+    cycle_s: float
     signals: tuple[tuple[str, str, float, float], ...]  # canonical, DBC name, scale, offset
 
-    def due(self, millisecond: int) -> bool:
-        """Whether the message is sent in this millisecond."""
-        return millisecond % self.cycle_ms == self.phase_ms
+    def due(self, tick: int) -> bool:
+        """Whether the message is sent in this tick."""
+        return tick % self.every == self.phase
 
 
-def schedule(database: Any, mapping: SignalMapping, *, dbc_file: object = "DBC") -> list[Cyclic]:
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """All messages, lowest id first, and how many ticks a millisecond has: 1 to 20."""
+
+    messages: tuple[Cyclic, ...]
+    per_ms: int
+
+    @property
+    def tick_ns(self) -> int:
+        """From one tick to the next."""
+        return 1_000_000 // self.per_ms
+
+
+def schedule(database: Any, mapping: SignalMapping, *, dbc_file: object = "DBC") -> Schedule:
     """The messages that carry the rig's signals, and the ECU's override status if there is one.
 
+    A tick is a millisecond, or the cycle of the fastest message (``cycle_time_s`` of the mapping).
     Slow messages are spread over their cycle, so that no millisecond has to carry all.
     """
     wanted: dict[str, list[tuple[str, str, float, float]]] = {}
@@ -50,30 +67,50 @@ def schedule(database: Any, mapping: SignalMapping, *, dbc_file: object = "DBC")
         raise InputError(dbc_file, "", "the signal mapping names none of the rig's signals")
     if find_message(database, STATUS) is not None:
         wanted.setdefault(STATUS, [])
+    cycles_s = {name: _cycle_s(database, mapping, name) for name in wanted}
+    per_ms = _ticks_per_ms(cycles_s)
     messages, slow = [], 0
     for name, signals in wanted.items():
         rules = mapping.messages.get(name)
         encoder = FrameEncoder(database, name, rules=rules, dbc_file=dbc_file)
-        cycle_ms = int(find_message(database, name).cycle_time or _DEFAULT_CYCLE_MS)  # type: ignore[union-attr]
-        phase_ms = 0
-        if cycle_ms > 1:
+        every, phase = round(cycles_s[name] * 1e3 * per_ms), 0
+        if every > per_ms:
             slow += 1
-            phase_ms = (2 * slow) % cycle_ms
-        messages.append(Cyclic(name, encoder, cycle_ms, phase_ms, tuple(signals)))
+            phase = (2 * slow * per_ms) % every
+        messages.append(Cyclic(name, encoder, every, phase, cycles_s[name], tuple(signals)))
     # Lowest id first, as arbitration on a bus would have it.
-    return sorted(messages, key=lambda message: message.encoder.can_id)
+    return Schedule(tuple(sorted(messages, key=lambda m: m.encoder.can_id)), per_ms)
+
+
+def _cycle_s(database: Any, mapping: SignalMapping, name: str) -> float:
+    message = find_message(database, name)
+    return mapping.rules(name).cycle_s(message) or _DEFAULT_CYCLE_S
+
+
+def _ticks_per_ms(cycles_s: Mapping[str, float]) -> int:
+    """So many that every message's cycle is a whole number of ticks."""
+    for per_ms in TICKS_PER_MS:
+        ticks = [cycle_s * 1e3 * per_ms for cycle_s in cycles_s.values()]
+        if all(each > 0.5 and abs(each - round(each)) < 1e-6 for each in ticks):
+            return per_ms
+    name = min(cycles_s, key=lambda each: cycles_s[each])
+    raise InputError(
+        "signal mapping", f"messages.{name}.cycle_time_s",
+        "the simulated rig cannot keep these cycle times together",
+        f"use whole milliseconds, or a millisecond over one of {TICKS_PER_MS}",
+    )  # fmt: skip
 
 
 def frames_of(
     messages: Sequence[Cyclic],
-    millisecond: int,
+    tick: int,
     values: Mapping[str, float],
     status: Mapping[str, float],
 ) -> list[Frame]:
-    """Frames of one millisecond: ``values`` by canonical name, ``status`` in DBC units."""
+    """Frames of one tick: ``values`` by canonical name, ``status`` in DBC units."""
     frames = []
     for message in messages:
-        if not message.due(millisecond):
+        if not message.due(tick):
             continue
         if message.name == STATUS:
             content: dict[str, float] = dict(status)

@@ -6,7 +6,7 @@ interpolates between its rows, so a load never moves in steps of a millisecond.
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, with_config
 
 from eps_hil import yaml_file
 from eps_hil.errors import InputError
+from eps_hil.examples import CONFIGS
 from eps_hil.physics import chain as columns
 from eps_hil.rig.profile import ZERO, Finite, NotNegative, Positive, Profile, constant, points
 
@@ -34,7 +35,7 @@ Floats = npt.NDArray[np.float64]
 COLUMNS = columns.INPUTS + 9
 
 ROWS_PER_S = 1000
-FOLDER = Path(__file__).resolve().parents[2] / "configs" / "manoeuvres"
+FOLDER = CONFIGS / "manoeuvres"
 
 _STRICT = ConfigDict(extra="forbid")
 
@@ -106,7 +107,10 @@ class Segment:
     duration_s: Annotated[float, Field(gt=0, le=3600)] | None = None
     rack_force_n: Profile = ZERO
     rig: Rig = field(default_factory=Rig)
-    driver: Annotated[Driver, BeforeValidator(_hands_off)] = field(default_factory=Driver)
+    driver: Annotated[
+        Driver,
+        BeforeValidator(_hands_off, json_schema_input_type=Driver | Literal["hands_off"]),
+    ] = field(default_factory=Driver)
     motor: Motor = field(default_factory=Motor)
     vehicle_speed_m_s: Profile = ZERO
     lateral_acceleration_m_s2: Profile = ZERO

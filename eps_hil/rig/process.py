@@ -11,17 +11,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eps_hil.bus.commands import of_database, refuse_command
 from eps_hil.bus.config import describe_ids
 from eps_hil.bus.database import find_message, load_database
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.bus.port import Port, open_port
+from eps_hil.bus.reconnecting_port import ReconnectingPort
 from eps_hil.rig.command import RIG_COMMAND, RigControl, SetPointReader
 from eps_hil.rig.config import RigSetup
 from eps_hil.rig.ecu import COMMAND, CommandReader, Override
-from eps_hil.rig.frames import Cyclic, frames_of, schedule
+from eps_hil.rig.frames import frames_of, schedule
 from eps_hil.rig.plant import TRUE_SIGNALS, Plant
 from eps_hil.rig.realtime import Lateness, Pacer, settle
+from eps_hil.rig.reported import Losses, drifts_ppm
 from eps_hil.rig.sensors import REPORTED, Sensors, SensorSettings
 
 _STOP_MS = 20
@@ -40,32 +43,46 @@ class RigReport:
     timeouts: int
     clipped: int
     overruns: int
-    caught_up_ms: int
+    caught_up_ms: float
     lateness: Lateness
 
 
 class RigSimulation:
-    """Plant, sensors, ECU and frames, one millisecond per call; no bus and no clock."""
+    """Plant, sensors, ECU and frames, one tick per call (:mod:`frames`); no bus and no clock."""
 
     def __init__(self, setup: RigSetup) -> None:
         files = ", ".join(str(path) for path in setup.bus.dbc)
         mapping = load_mapping(setup.bus.signals)
         database = load_database(setup.bus.dbc, strict=mapping.strict)
-        self.messages: list[Cyclic] = schedule(database, mapping, dbc_file=files)
+        plan = schedule(database, mapping, dbc_file=files)
+        self.messages, self.per_ms, self.tick_ns = plan.messages, plan.per_ms, plan.tick_ns
+        step_s = 1e-3 / self.per_ms
+        never = of_database(database, marked=mapping.commands)
+        for each in self.messages:
+            refuse_command(never, each.encoder.can_id, setup.bus.signals, "signals")
+        self.never_send_ids = tuple(never)
         command = find_message(database, COMMAND)
         self.reader = None if command is None else CommandReader(command)
         set_points = find_message(database, RIG_COMMAND)
         self.set_points = None if set_points is None else SetPointReader(set_points)
-        self.control = RigControl(round(setup.rig.command_timeout_s * 1e9))
+        self.control = RigControl(
+            round(setup.rig.command_timeout_s * 1e9), setup.rig.motor_share, step_s
+        )
         limit_nm = setup.chain.motor_torque_limit_nm
         self.override = Override(round(setup.rig.override_timeout_s * 1e9), limit_nm)
         # The encoder rounds to the DBC's steps, so the sensors need not.
         sensors: SensorSettings = replace(setup.rig.sensors, quantise=False)
-        self._plant = Plant(setup.model, setup.chain, setup.rig.order, setup.manoeuvre.table())
-        self._sensors = Sensors(setup.model, sensors, setup.rig.seed)
+        table = setup.manoeuvre.table()
+        self._plant = Plant(setup.model, setup.chain, setup.rig.order, table, self.per_ms)
+        drifts = drifts_ppm(setup.reported)
+        self._sensors = Sensors(
+            setup.model, sensors, setup.rig.seed, drifts_ppm=drifts, step_s=step_s
+        )
+        model_file, ticks = setup.rig.model or setup.bus.model, self._plant.rows * self.per_ms
+        self._losses = Losses(model_file, setup.reported, self.messages, ticks, setup.rig.seed)
         self._truth, self._reported = np.zeros(len(TRUE_SIGNALS)), np.zeros(len(REPORTED))
         self._values = {"motor_temperature_degc": setup.rig.motor_temperature_degc}
-        self.millisecond = 0
+        self.ticks = 0
         self.commands = self.bad_commands = 0
 
     @property
@@ -95,16 +112,17 @@ class RigSimulation:
         self.override.hear(command, now_ns)
 
     def step(self, now_ns: int, *, stopping: bool = False) -> list[Frame]:
-        """Frames of this millisecond; then the plant moves on. ``stopping``: zero motor torque."""
+        """Frames of this tick; then the plant moves on. ``stopping``: zero motor torque."""
         torque_nm = 0.0 if stopping else self.override.torque_nm(now_ns)
         self._plant.step(self._truth, torque_nm, self.control.rows(now_ns))
         self._sensors.step(self._truth, self._reported)
         self._values.update(zip(REPORTED, self._reported.tolist(), strict=True))
         applied = torque_nm if torque_nm is not None else self._values["motor_torque_nm"]
         status = self.override.status(applied)
-        frames = frames_of(self.messages, self.millisecond, self._values, status)
-        self.millisecond += 1
-        return frames
+        frames = frames_of(self.messages, self.ticks, self._values, status)
+        kept = [one for one in frames if not self._losses.lost(self.ticks, one.can_id)]
+        self.ticks += 1
+        return kept
 
     @property
     def clipped(self) -> int:
@@ -123,22 +141,28 @@ class Rig:
         sent = sorted(message.encoder.can_id for message in self._simulation.messages)
         self._heard = self._simulation.listens_to
         self._sent = tuple(sent)
-        self._port: Port = open_port(
-            bus.interface,
-            bus.channel,
-            fd=bus.fd,
-            receive_ids=self._heard,
-            send_ids=self._sent,
-            options=bus.options,
-        )
+
+        def opener() -> Port:
+            return open_port(
+                bus.interface,
+                bus.channel,
+                fd=bus.fd,
+                receive_ids=self._heard,
+                send_ids=self._sent,
+                never_send_ids=self._simulation.never_send_ids,
+                options=bus.options,
+            )
+
+        self._port = ReconnectingPort(opener, say, name=str(bus)) if bus.reconnect else opener()
 
     def stop(self) -> None:
-        """End after the present millisecond (callable from a signal handler)."""
+        """End after the present tick (callable from a signal handler)."""
         self._stop = True
 
     def run(self, *, duration_s: float = math.inf, loop: bool = False) -> RigReport:
         """Run in real time for one manoeuvre, ``duration_s``, or (``loop``) until stopped."""
         simulation = self._simulation
+        per_ms = simulation.per_ms
         limit_ms = math.inf if loop else simulation.rows
         limit_ms = min(limit_ms, duration_s * 1000)
         self._announce(limit_ms)
@@ -146,14 +170,14 @@ class Rig:
         self._say(f"timing: {settle(self._setup.rig.realtime)}")
         while self._port.recv(0.0):
             pass  # what was commanded before we were ready is out of date
-        pacer = Pacer()
+        pacer = Pacer(simulation.tick_ns)
         try:
-            while not self._stop and simulation.millisecond < limit_ms:
+            while not self._stop and simulation.ticks < limit_ms * per_ms:
                 due = pacer.wait()
                 self._receive()
                 for _ in range(due):
                     self._send(time.monotonic_ns(), stopping=False)
-            for _ in range(_STOP_MS):  # let listeners see the torque go
+            for _ in range(_STOP_MS * per_ms):  # let listeners see the torque go
                 pacer.wait()
                 self._send(time.monotonic_ns(), stopping=True)
         finally:
@@ -178,16 +202,19 @@ class Rig:
         setup, messages = self._setup, self._simulation.messages
         length = "until stopped" if math.isinf(limit_ms) else f"{limit_ms / 1000:g} s"
         self._say(f"rig on {setup.bus.bus}: {setup.manoeuvre.name}, {length}")
-        self._say(f"plant: {setup.rig.order} masses, seed {setup.rig.seed}")
+        masses = "1 mass" if setup.rig.order == 1 else f"{setup.rig.order} masses"
+        held = [str(each["effect"]) for each in (*setup.model.effects, *setup.reported)]
+        added = f", effects: {', '.join(held)}" if held else ""
+        self._say(f"plant: {masses}, seed {setup.rig.seed}{added}")
         for message in messages:
             can_id = f"0x{message.encoder.can_id:X}"
-            self._say(f"sends {can_id} {message.name} every {message.cycle_ms} ms")
+            self._say(f"sends {can_id} {message.name} every {1e3 * message.cycle_s:g} ms")
         self._say(f"listens to {describe_ids(self._heard)} (override, set-points)")
 
     def _report(self, pacer: Pacer) -> RigReport:
         simulation, counts = self._simulation, self._port.counts
         return RigReport(
-            simulated_s=simulation.millisecond / 1000,
+            simulated_s=simulation.ticks / simulation.per_ms / 1000,
             frames_sent=counts.sent,
             send_dropped=counts.send_dropped,
             commands=simulation.commands,
@@ -195,6 +222,6 @@ class Rig:
             timeouts=simulation.override.timeouts,
             clipped=simulation.clipped,
             overruns=pacer.overruns,
-            caught_up_ms=pacer.caught_up,
+            caught_up_ms=pacer.caught_up / simulation.per_ms,
             lateness=pacer.lateness,
         )

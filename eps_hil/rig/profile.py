@@ -120,7 +120,7 @@ class _Profile:
         return total
 
 
-Profile = Annotated[_Profile, BeforeValidator(_number)]
+Profile = Annotated[_Profile, BeforeValidator(_number, json_schema_input_type=_Profile | float)]
 """A number, or a mapping of terms that are added."""
 
 ZERO = _Profile()

@@ -1,4 +1,4 @@
-"""Keeping time: absolute deadlines every millisecond, and honest numbers about how late it was."""
+"""Keeping time: absolute deadlines, and honest numbers about how late it was."""
 
 import gc
 import os
@@ -24,17 +24,18 @@ class Lateness:
 
 
 class Pacer:
-    """Absolute deadlines one millisecond apart on the monotonic clock."""
+    """Absolute deadlines ``period_ns`` apart on the monotonic clock."""
 
-    def __init__(self) -> None:
-        self._next_ns = time.monotonic_ns() + MILLISECOND_NS
+    def __init__(self, period_ns: int = MILLISECOND_NS) -> None:
+        self._period_ns = period_ns
+        self._next_ns = time.monotonic_ns() + period_ns
         self._bins = np.zeros(_BINS, dtype=np.int64)
         self._worst_ns = 0
         self.overruns = 0
         self.caught_up = 0
 
     def wait(self) -> int:
-        """Sleep to the next deadline; how many milliseconds are due now (1, or more when late).
+        """Sleep to the next deadline; how many periods are due now (1, or more when late).
 
         Later than ``CATCH_UP_MS``: one overrun is counted and the deadlines start from now.
         """
@@ -44,13 +45,13 @@ class Pacer:
         late_ns = max(time.monotonic_ns() - self._next_ns, 0)
         self._worst_ns = max(self._worst_ns, late_ns)
         self._bins[min(late_ns // 1000, _BINS - 1)] += 1
-        due = 1 + late_ns // MILLISECOND_NS
-        if due > CATCH_UP_MS:
+        due = 1 + late_ns // self._period_ns
+        if late_ns >= CATCH_UP_MS * MILLISECOND_NS:
             self.overruns += 1
-            self._next_ns = time.monotonic_ns() + MILLISECOND_NS
+            self._next_ns = time.monotonic_ns() + self._period_ns
             return 1
         self.caught_up += due - 1
-        self._next_ns += due * MILLISECOND_NS
+        self._next_ns += due * self._period_ns
         return int(due)
 
     @property

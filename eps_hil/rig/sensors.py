@@ -16,8 +16,9 @@ from pydantic import ConfigDict, Field, with_config
 
 from eps_hil.compiled import njit
 from eps_hil.errors import InputError
+from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
-from eps_hil.rig.plant import TRUE_SIGNALS
+from eps_hil.rig.plant import TOLD, TRUE_SIGNALS
 
 Floats = npt.NDArray[np.float64]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -52,8 +53,9 @@ NOISE_RMS = {
 }
 """Noise of each sensor, rms, in the unit of the signal."""
 
-_DT_S = 1e-3
 _NOISE_BLOCK = 100
+LONGEST_DRIFT_S = 1.0
+"""Lag of a drifting clock at which its buffer is full: it is emptied, and the lag starts anew."""
 
 
 @with_config(ConfigDict(extra="forbid"))
@@ -75,12 +77,14 @@ class SensorSettings:
 
 class _Law(NamedTuple):
     column: npt.NDArray[np.int64]  # (m,) of the truth row
-    dead_ms: Floats  # (m,) dead time in ms
+    dead: Floats  # (m,) dead time in steps
     keep: Floats  # (m,) of the low-pass
     noise: Floats  # (m,) rms
     bias: Floats  # (m,)
     step: Floats  # (m,) resolution, 0: not quantised
     offset: Floats  # (m,)
+    drift: Floats  # (m,) steps of further dead time a step
+    longest_drift: float  # in steps
 
 
 @njit
@@ -90,8 +94,9 @@ def _sense(
     size = ring.shape[0]
     ring[count % size] = truth
     for j in range(law.column.size):
-        whole = int(math.floor(law.dead_ms[j]))
-        part = law.dead_ms[j] - whole
+        dead = law.dead[j] + (law.drift[j] * count) % law.longest_drift
+        whole = int(math.floor(dead))
+        part = dead - whole
         # Before the first sample the rig stood as the first sample found it.
         newer, older = max(count - whole, 0), max(count - whole - 1, 0)
         column = law.column[j]
@@ -118,8 +123,10 @@ def _sense_all(law: _Law, ring: Floats, filtered: Floats, truth: Floats, white: 
 class Sensors:
     """One set of sensors; the same settings and seed give the same noise, live and offline.
 
+    The model's effects on delays act here; ``drifts_ppm`` are signals' clocks that run slow.
+
     ``resolution`` maps canonical names to (step, offset) of the DBC; none: not quantised here
-    (a frame encoder does it).
+    (a frame encoder does it). ``step_s``: from one :meth:`step` to the next.
     """
 
     def __init__(
@@ -128,10 +135,13 @@ class Sensors:
         settings: SensorSettings,
         seed: int,
         resolution: Mapping[str, tuple[float, float]] | None = None,
+        drifts_ppm: Mapping[str, float] | None = None,
+        step_s: float = 1e-3,
     ):
         _check_names(settings)
-        self._law = _law(model, settings, resolution or {})
-        depth = int(self._law.dead_ms.max()) + 3
+        drifts = drifts_ppm or {}
+        self._law = _law(with_model_effects(model), settings, resolution or {}, drifts, step_s)
+        depth = int(self._law.dead.max() + (self._law.longest_drift if drifts else 0.0)) + 3
         self._ring = np.zeros((depth, len(TRUE_SIGNALS)))
         self._filtered = np.zeros(len(REPORTED))
         self._random = np.random.default_rng(seed)
@@ -140,7 +150,7 @@ class Sensors:
         self._count = 0
 
     def step(self, truth: Floats, out: Floats) -> None:
-        """Reported values of this millisecond into ``out`` (order of :data:`REPORTED`)."""
+        """Reported values of this step into ``out`` (order of :data:`REPORTED`)."""
         if self._at == len(self._white):
             self._white = self._random.standard_normal((_NOISE_BLOCK, len(REPORTED)))
             self._at = 0
@@ -165,13 +175,19 @@ def _check_names(settings: SensorSettings) -> None:
 
 
 def _law(
-    model: Model, settings: SensorSettings, resolution: Mapping[str, tuple[float, float]]
+    model: Model,
+    settings: SensorSettings,
+    resolution: Mapping[str, tuple[float, float]],
+    drifts_ppm: Mapping[str, float],
+    step_s: float,
 ) -> _Law:
-    dead_ms, keep = [], []
+    dead, keep = [], []
     for name in REPORTED:
         delay_s, tau_s = model.delays_s.of(name), settings.filters_s.get(name, 0.0)
-        pole = math.exp(-_DT_S / tau_s) if tau_s > 0 else 0.0
-        rest_s = delay_s - pole / (1.0 - pole) * _DT_S
+        pole = math.exp(-step_s / tau_s) if tau_s > 0 else 0.0
+        if name == "motor_torque_nm":
+            delay_s = max(delay_s, 0.0)  # a shaft that follows late is in the plant
+        rest_s = delay_s - pole / (1.0 - pole) * step_s
         if rest_s < -1e-9:
             raise InputError(
                 "sensors",
@@ -179,16 +195,18 @@ def _law(
                 f"a filter of {tau_s:g} s is later than the delay of {delay_s:g} s in the model",
                 "shorten the filter or raise the model's delay",
             )
-        dead_ms.append(max(rest_s, 0.0) / _DT_S)
+        dead.append(max(rest_s, 0.0) / step_s)
         keep.append(pole)
     noise = [settings.noise_rms.get(n, NOISE_RMS[n]) if settings.noise else 0.0 for n in REPORTED]
     steps = [resolution.get(n, (0.0, 0.0)) if settings.quantise else (0.0, 0.0) for n in REPORTED]
     return _Law(
-        np.array([TRUE_SIGNALS.index(name) for name in REPORTED], dtype=np.int64),
-        np.round(np.array(dead_ms), 9),
+        np.array([TRUE_SIGNALS.index(TOLD.get(name, name)) for name in REPORTED], dtype=np.int64),
+        np.round(np.array(dead), 9),
         np.array(keep),
         np.array(noise, dtype=np.float64),
         np.array([float(settings.biases.get(name, 0.0)) for name in REPORTED]),
         np.array([step for step, _ in steps], dtype=np.float64),
         np.array([offset for _, offset in steps], dtype=np.float64),
+        np.array([drifts_ppm.get(name, 0.0) * 1e-6 for name in REPORTED]),
+        LONGEST_DRIFT_S / step_s,
     )

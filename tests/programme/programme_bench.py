@@ -66,7 +66,7 @@ rig: {{manoeuvre: idle, realtime: false}}
             values = {
                 "WheelSpeedSetPoint": wanted.speed_rad_s * MODEL.sensor_to_rotor,
                 "RackForceSetPoint": wanted.force_n,
-                "MotorShare": 100.0,
+                "MotorShare": 0.0,
                 "CommandRequest": 1.0,
             }
             self.rig.hear(self.encoder.frame(values), self.ms * MS)

@@ -70,6 +70,10 @@ def test_the_projects_own_programmes(name: str) -> None:
         ("name: p\n  speeds_rad_s: [5, 5]\n  preloads_n: [0]", ["a value twice"]),
         ("name: p\n  speeds_rad_s: [400]\n  preloads_n: [0]", ["mm of rack", "rack_travel_m"]),
         ("name: p\n  speeds_rad_s: [5]\n  preloads_n: []", ["preloads_n"]),
+        (
+            "name: p\n  speeds_rad_s: [5]\n  preloads_n: [0]\n  motor_share: 0.5",
+            ["motor_share", "only an armed override commands one", "rig.motor_share"],
+        ),
         ("name: p\n  speed: 5\n  speeds_rad_s: [5]\n  preloads_n: [0]", ["not a known field"]),
     ],
 )

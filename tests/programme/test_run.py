@@ -9,17 +9,24 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from eps_hil.bus.codec import FrameEncoder
+from eps_hil.bus.config import load_bus_setup
 from eps_hil.bus.database import load_database
+from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import Port, open_port
 from eps_hil.cli.main import main
 from eps_hil.physics.model import load_model
+from eps_hil.programme.conductor import Wanted
+from eps_hil.programme.plan import Plan
+from eps_hil.programme.run import ProgrammeRun
 from eps_hil.recordings.read import read_recording
 
 ROOT = Path(__file__).parents[2]
+REFERENCE = ROOT / "configs" / "reference_rig.yaml"
 DBC, SIGNALS = ROOT / "dbc" / "eps_rig.dbc", ROOT / "configs" / "eps_rig_signals.yaml"
 CHANNEL, OPTIONS = "239.74.163.91", {"port": 43191, "hop_limit": 0}
 CONFIG = f"""bus: {{interface: udp_multicast, channel: {CHANNEL}, fd: true,
@@ -181,7 +188,7 @@ def test_two_programmes_do_not_share_a_rig(
     config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Somebody commands the rig already: not one frame of ours goes out."""
-    other = open_port("udp_multicast", CHANNEL, fd=True, options=OPTIONS)
+    other = open_port("udp_multicast", CHANNEL, fd=True, options=OPTIONS, never_send_ids=())
     encoder, stopped = FrameEncoder(DATABASE, "RIG_Command"), threading.Event()
     seen: list[int] = []
 
@@ -201,6 +208,26 @@ def test_two_programmes_do_not_share_a_rig(
         other.close()
     assert "another transmitter sends RIG_Command (0xA0)" in capsys.readouterr().err
     assert seen == []
+
+
+def test_no_set_point_holds_a_torque_of_the_motor(config: Path, tmp_path: Path) -> None:
+    """Whatever the plan says: a share of the preload for the motor is a torque without a guard."""
+    plan = Plan("p", (5.0,), (3000.0,), motor_share=1.0)
+    run = ProgrammeRun(load_bus_setup(config), load_model(REFERENCE), plan, tmp_path)
+    sent: list[Frame] = []
+
+    class PortThatKeeps:
+        def send(self, frame: Frame) -> bool:
+            sent.append(frame)
+            return True
+
+    stand_in: Any = PortThatKeeps()
+    run._port = stand_in
+    for force_n in (0.0, 3000.0, -3000.0):
+        run._send(Wanted(5.0, force_n))
+    told = [DATABASE.decode_message("RIG_Command", f.data, decode_choices=False) for f in sent]
+    assert [each["RackForceSetPoint"] for each in told] == [0.0, 3000.0, -3000.0]
+    assert {each["MotorShare"] for each in told} == {0.0}
 
 
 def test_another_programme_in_the_folder_is_refused(

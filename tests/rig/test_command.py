@@ -31,7 +31,7 @@ from eps_hil.rig.process import RigSimulation
 MS = 1_000_000
 TIMEOUT_MS = 100
 DATABASE = load_database([Path(__file__).parents[2] / "dbc" / "eps_rig.dbc"])
-MOVE = SetPoint(0, True, 1.0, 500.0, 1.0)
+MOVE = SetPoint(0, True, 1.0, 500.0, 0.0)
 
 
 @pytest.fixture
@@ -128,6 +128,17 @@ class TestControl:
         assert found is not None
         assert found[1][LOAD_FORCE] == 0.0
 
+    @pytest.mark.parametrize("share", [0.005, 1.0])
+    def test_a_share_for_the_motor_is_refused_and_none_is_taken_over(self, share: float) -> None:
+        """A torque of the motor is commanded by an armed override, which a guard judges."""
+        control = RigControl(TIMEOUT_MS * MS, 0.25)
+        control.hear(replace(MOVE, motor_share=share), 0, 0.0)
+        found = control.rows(0)
+        assert control.state is CommandState.REJECTED
+        assert found is not None
+        assert found[1][LOAD_FORCE] == 0.0
+        assert found[1][PRELOAD_COMPENSATION] == 0.25
+
     @given(
         st.lists(
             st.tuples(
@@ -169,7 +180,7 @@ def test_the_simulated_rig_follows(config_file: Path) -> None:
     simulation = RigSimulation(load_rig_setup(config_file))
     assert set(simulation.listens_to) == {0x80, 0xA0}
     encoder = FrameEncoder(DATABASE, RIG_COMMAND)
-    values = {"WheelSpeedSetPoint": 2.0, "RackForceSetPoint": 800.0, "MotorShare": 100.0}
+    values = {"WheelSpeedSetPoint": 2.0, "RackForceSetPoint": 800.0, "MotorShare": 0.0}
     speed, force = [], []
     for ms in range(1000):
         if ms % 10 == 0:

@@ -60,9 +60,12 @@ class TestReader:
         data[byte] ^= 0x10
         assert self.reader.read(Frame(0, self.reader.can_id, bytes(data))) is None
 
-    def test_a_short_frame_is_refused(self) -> None:
-        data = self.frame(1.0, 1).data[:7]
-        assert self.reader.read(Frame(0, self.reader.can_id, data)) is None
+    @pytest.mark.parametrize("length", [0, 1, 7, 12])
+    def test_a_wrong_length_is_refused_whatever_its_crc(self, length: int) -> None:
+        data = bytearray(self.frame(1.0, 1).data + bytes(4))[:length]
+        if data:
+            data[0] = self.reader._crc.expected(bytes(data))
+        assert self.reader.read(Frame(0, self.reader.can_id, bytes(data))) is None
 
 
 class TestOverride:

@@ -38,6 +38,19 @@ def setup(config_file: Path) -> RigSetup:
 
 
 class TestSimulation:
+    def test_a_mapping_that_reports_by_a_command_is_refused(
+        self, setup: RigSetup, tmp_path: Path
+    ) -> None:
+        """A simulated rig that reports its motor torque as a torque override would command one."""
+        text = (REPOSITORY / "configs" / "eps_rig_signals.yaml").read_text()
+        old = "{message: EPS_Torques, signal: MotorTorque}"
+        assert old in text
+        new = "{message: EPSHIL_TorqueOverride, signal: RequestedMotorTorque}"
+        signals = tmp_path / "s.yaml"
+        signals.write_text(text.replace(old, new))
+        with pytest.raises(InputError, match="EPSHIL_TorqueOverride commands a torque"):
+            RigSimulation(replace(setup, bus=replace(setup.bus, signals=signals)))
+
     def test_frames_hold_what_the_offline_simulation_holds(self, setup: RigSetup) -> None:
         """Frame by frame, decoded: equal to the quantised recording of the same seed."""
         simulation, decoder = RigSimulation(setup), FrameDecoder(DATABASE, MAPPING)
