@@ -40,7 +40,8 @@ from eps_hil.physics.chain import (
     rest_state,
 )
 from eps_hil.physics.chain_parameters import ChainParameters
-from eps_hil.physics.chain_step import advance, read_out
+from eps_hil.physics.chain_reading import read_out
+from eps_hil.physics.chain_step import advance
 from eps_hil.physics.model import Model
 
 ORDERS = (1, 2, 3, 4, 5)

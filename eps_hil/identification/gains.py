@@ -6,9 +6,9 @@ import numpy as np
 
 from eps_hil.identification import filters
 from eps_hil.identification.balance import Case
+from eps_hil.identification.extra_regressor import Column, Found, extra_regressor
 from eps_hil.identification.finding import Finding
 from eps_hil.identification.least_squares import Fit
-from eps_hil.identification.one_more import Column, Found, one_more
 from eps_hil.identification.state import State, get
 
 SMALLEST = 0.02
@@ -44,4 +44,4 @@ def gain(cases: Sequence[Case], state: State, fit: Fit, signal: str) -> Found:
         variance = factor**2 * case.recording.density.get(signal, 0.0) * share
         return Column(factor * filters.smooth(case.signal(signal, late)), variance, variance)
 
-    return one_more(cases, state, fit, column, 1.0 + _ABOVE_NOISE)
+    return extra_regressor(cases, state, fit, column, 1.0 + _ABOVE_NOISE)

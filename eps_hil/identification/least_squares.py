@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.identification.balance import Case
-from eps_hil.identification.state import Parameter, State, get, put
+from eps_hil.identification.state import POSITIVE, Parameter, State, get, put
 
 Floats = npt.NDArray[np.float64]
 
@@ -229,7 +229,7 @@ def _moved(state: State, parameters: Sequence[Parameter], step: Floats) -> State
         low, high = -np.inf, np.inf
         if parameter.name.startswith("delays_s."):
             low, high = -_DELAY_STEP_S, _DELAY_STEP_S
-        elif parameter.name == "inertia_kg_m2" or "sigma" in parameter.name:
+        elif parameter.name in POSITIVE:
             low, high = -0.6 * value, 1.5 * value
         state = put(state, parameter.name, value + min(max(wanted, low), high))
     return state

@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from eps_hil.identification import filters
 from eps_hil.identification.balance import Case
+from eps_hil.identification.extra_regressor import Column, extra_regressor
 from eps_hil.identification.kinematics import FREQUENCY
 from eps_hil.identification.least_squares import Fit
-from eps_hil.identification.one_more import Column, one_more
 from eps_hil.identification.result import Estimate
 from eps_hil.identification.state import State, get
 
@@ -65,7 +65,9 @@ def motor_lag(cases: Sequence[Case], state: State, fit: Fit) -> MotorLag:
     """τ² with all fitted parameters free; noise of the torque taken out of its column."""
     if _DELAY not in {p.name for p in fit.parameters}:
         return MotorLag(0.0, np.inf)
-    found = one_more(cases, state, fit, lambda case: Column(_bent(case, state), *_noise(case)))
+    found = extra_regressor(
+        cases, state, fit, lambda case: Column(_bent(case, state), *_noise(case))
+    )
     return MotorLag(found.value, found.sigma)
 
 

@@ -15,7 +15,7 @@ from eps_hil.identification.kinematics import kinematics
 from eps_hil.identification.least_squares import Fit
 from eps_hil.identification.prepare import Prepared
 from eps_hil.identification.stages import Found, estimate
-from eps_hil.identification.state import Parameter, State, get, put
+from eps_hil.identification.state import POSITIVE, Parameter, State, get, put
 
 EXTRA = 2.0
 _MOST = 0.5
@@ -66,14 +66,22 @@ def corrected(
     return Found(sliding, bristle, found.rough, found.weights)
 
 
+def _extrapolated(name: str, value: float, noisy: float) -> float:
+    """The value without noise; of what is only there above zero, along its logarithm."""
+    if name in POSITIVE and value > 0.0 and noisy > 0.0:
+        return float(value * (value / noisy) ** (1.0 / EXTRA))
+    return value - (noisy - value) / EXTRA
+
+
 def _taken_back(fit: Fit, moved: Fit, sure: bool = True) -> Fit:
     """``sure`` is whether a bias is as small as the straight extrapolation wants it."""
     state, unsure = fit.state, []
     for parameter in fit.parameters:
         value = get(fit.state, parameter.name)
-        bias = (get(moved.state, parameter.name) - value) / EXTRA
+        noisy = get(moved.state, parameter.name)
+        bias = (noisy - value) / EXTRA
         if abs(bias) < max(_MOST * abs(value), 3 * fit.sigma(parameter.name)):
-            state = put(state, parameter.name, value - bias)
+            state = put(state, parameter.name, _extrapolated(parameter.name, value, noisy))
         unsure.append(0.0 if sure else bias**2)
     covariance = fit.covariance * (1 + 1 / EXTRA) + np.diag(unsure)
     return Fit(state, fit.parameters, covariance, fit.rows, fit.blocks)

@@ -42,6 +42,9 @@ _SILENT = 2.0
 _MOST_OF_LOAD = 0.4
 """Friction that grows with the load, per load: a load that drives the rotor always opposes it, and
 friction of its size would be all that it does."""
+_LEAST_OF_FRICTION = 0.02
+"""Of the model's friction: a torque that is smaller in the unit that is tried moves nothing; nobody
+steers with 4 mNm, and no load cell of a rig reads 0.3 N."""
 _RIGHT = {"motor_torque_nm": "Nm", "torque_sensor_nm": "Nm", "rack_force_n": "N"}
 
 
@@ -70,6 +73,13 @@ class _Wrong:
     signal: str = ""
     problem: str = ""
     remedy: str = ""
+
+    def moves(self, sizes: Floats, least: float) -> bool:
+        """Whether the torques (rms at the rotor as given) are not made smaller than ``least``."""
+        return all(
+            times >= 1.0 or times * sizes[came] > least or times < 0.0
+            for times, came in zip(self.times, self.source, strict=True)
+        )
 
     def possible(self, recorded: Sequence[bool]) -> bool:
         """Whether it says something of channels that were ``recorded`` (of the three) only."""
@@ -109,6 +119,10 @@ def check_one(case: Case, state: State, sure: bool = False) -> float:
         return 0.0
     there = [_speaks(case, name) for name in _TORQUES]
     tried = [one for one in _everything(state) if one.possible(there)]
+    friction = state.model.friction
+    level = 0.5 * (friction.offset_pos_nm + friction.offset_neg_nm)
+    sizes = np.sqrt(np.mean(rows[0].torques ** 2, axis=1))
+    tried = [one for one in tried if one.moves(sizes, _LEAST_OF_FRICTION * level)]
     inertia = state.model.inertia_kg_m2
     if sure and _left([one.with_spring() for one in rows], tried[0], inertia)[0] < _CLOSED:
         as_is, apart = _left(rows, tried[0], inertia)

@@ -23,6 +23,8 @@ BRISTLE_UNITS = {
     "sigma1_nm_s_per_rad": "Nm s/rad",
     "sigma1_speed_rad_s": "rad/s",
 }
+POSITIVE = ("inertia_kg_m2", *(f"friction.{name}" for name in BRISTLE_UNITS))
+"""Parameters that a model holds above zero only."""
 DELAYS = ("motor_torque", "torque_sensor", "rack_force")
 """Signals whose delay is found against that of the motor speed."""
 

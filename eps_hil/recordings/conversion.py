@@ -34,8 +34,11 @@ def convert(
     ignore_unknown: bool = False,
     channel: str | None = None,
     on_progress: Callable[[float], None] | None = None,
+    say_written: Callable[[str], None] = lambda _what: None,
 ) -> tuple[str, ...]:
     """Convert ``source`` to the format that ``target``'s suffix names; return the notes.
+
+    ``say_written`` hears what was written ("6000 rows of motor_torque_nm", "39186 frames").
 
     Into a table the rows are the union of all time stamps, and a signal has an empty cell where it
     has no sample: read back, every signal has exactly the samples it had (but a frame that was
@@ -56,7 +59,7 @@ def convert(
         if not is_can_log(source):
             problem = "holds columns, which cannot become CAN frames"
             raise InputError(source, "", problem, "convert it to .csv, .parquet or .mf4")
-        return _log_to_log(source, target, channel, on_progress)
+        return _log_to_log(source, target, channel, on_progress, say_written)
     series, notes = read_columns(
         source,
         dbc=dbc,
@@ -70,6 +73,7 @@ def convert(
         raise InputError(source, "", "no signal has a value", "record at least one")
     t_ns, columns = from_series(series)
     write_table(target, columns, t_ns=t_ns)
+    say_written(f"{len(t_ns)} rows of {', '.join(columns)}")
     return (*notes, *_told(series, suffix))
 
 
@@ -89,8 +93,10 @@ def _log_to_log(
     target: Path,
     channel: str | None,
     on_progress: Callable[[float], None] | None,
+    say_written: Callable[[str], None],
 ) -> tuple[str, ...]:
     notes: list[str] = []
+    frames = 0
     tagged = read_tagged_frames(source, channel=channel, notes=notes, on_progress=on_progress)
     first = next(tagged)  # before anything is written: a broken log raises here
     with replacing(target) as temporary:
@@ -98,8 +104,10 @@ def _log_to_log(
         try:
             for name, frame in chain([first], tagged):
                 writer.on_message_received(_message(frame, name, source.suffix.lower()))
+                frames += 1
         finally:
             writer.stop()
+    say_written(f"{frames} frames")
     return tuple(notes)
 
 

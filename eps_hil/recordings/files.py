@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import importlib.util
 import os
 import tempfile
 from collections.abc import Iterator
@@ -41,14 +42,29 @@ def refused_by_system(path: Path) -> Iterator[None]:
         raise InputError(path, "", f"cannot be read: {reason}", "check the path") from None
 
 
+_EXTRAS = {".parquet": ("parquet", "pyarrow"), ".mf4": ("mf4", "asammdf")}
+"""Suffix -> extra of pyproject.toml, and the library that it brings."""
+
+
+def check_extra(path: Path) -> None:
+    """Refuse, before any work, a file whose format needs a library that is not installed."""
+    extra, library = _EXTRAS.get(path.suffix.lower(), ("", ""))
+    if library and importlib.util.find_spec(library) is None:
+        raise _extra_missing(path, extra)
+
+
 @contextlib.contextmanager
 def needs_extra(path: Path, extra: str) -> Iterator[None]:
     """Around the import of an optional library: says which extra brings it."""
     try:
         yield
     except ImportError:
-        problem = f"{path.suffix.lower()} files need the '{extra}' extra"
-        raise InputError(path, "", problem, f'pip install "eps_hil[{extra}]"') from None
+        raise _extra_missing(path, extra) from None
+
+
+def _extra_missing(path: Path, extra: str) -> InputError:
+    problem = f"{path.suffix.lower()} files need the '{extra}' extra"
+    return InputError(path, "", problem, f'pip install "eps_hil[{extra}]"')
 
 
 def make_folder(path: Path, option: str) -> None:

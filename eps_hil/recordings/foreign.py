@@ -27,6 +27,7 @@ from eps_hil.errors import InputError
 from eps_hil.recordings.files import needs_extra, read_bytes
 from eps_hil.recordings.read import is_can_log, read_recording
 from eps_hil.recordings.recording import Recording
+from eps_hil.recordings.table import Table, check_increasing, stamps_from_seconds, to_series
 from eps_hil.series import Series
 from eps_hil.signals import CANONICAL, TIME
 
@@ -52,11 +53,41 @@ def _canonical(name: str) -> str:
 @with_config(_STRICT)
 @dataclass(frozen=True, slots=True)
 class Column:
-    """Where one signal stands: canonical value = column · ``scale`` + ``offset``."""
+    """Where one signal stands: canonical value = column · ``scale`` + ``offset``.
 
-    column: str
+    ``sum`` names several columns in the place of one. With ``torque_constant_nm_per_a`` the result
+    is a current (A), and the torque is the constant times it. With ``counts_per_turn`` the column
+    counts an encoder's steps and begins anew after a turn: it becomes an unwrapped angle (rad),
+    before ``scale`` and ``offset``.
+    """
+
+    column: str = ""
     scale: Annotated[Finite, AfterValidator(_not_zero)] = 1.0
     offset: Finite = 0.0
+    sum: tuple[str, ...] = ()
+    torque_constant_nm_per_a: Annotated[Finite, AfterValidator(_not_zero)] | None = None
+    counts_per_turn: Annotated[float, Field(gt=1.0, allow_inf_nan=False)] | None = None
+
+    def __post_init__(self) -> None:
+        if bool(self.column) == bool(self.sum):
+            raise PydanticCustomError("mapping", "needs a column, or a sum of columns")
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The table's columns that it is made of."""
+        return self.sum or (self.column,)
+
+    def value(self, columns: Sequence[Floats]) -> Floats:
+        """The signal (n,), of those columns."""
+        found = np.sum(columns, axis=0)
+        if self.counts_per_turn is not None:
+            found, good = np.full(len(found), np.nan), np.isfinite(found)
+            counts = np.sum(columns, axis=0)[good]
+            turned = np.unwrap(counts, period=self.counts_per_turn)
+            found[good] = turned * (2.0 * np.pi / self.counts_per_turn)
+        found = found * self.scale + self.offset
+        constant = self.torque_constant_nm_per_a
+        return np.asarray(found if constant is None else found * constant)
 
 
 @with_config(_STRICT)
@@ -83,7 +114,7 @@ def read_foreign(path: Path, columns: Columns | None = None) -> Recording:
             return read_recording(path, gaps="mark", ignore_unknown=True)
         table = _mf4(path, columns)
     else:
-        table = _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path)
+        table = read_table(path)
     wanted = columns or Columns({name: Column(name) for name in CANONICAL if name in table})
     if not wanted.signals:
         raise InputError(
@@ -100,10 +131,45 @@ def read_foreign(path: Path, columns: Columns | None = None) -> Recording:
             series[name] = Series(t_ns[good], value[good])
     if not series:
         raise InputError(path, "", "no signal has a value", "export at least one")
-    left = [name for name in table if name not in {c.column for c in wanted.signals.values()}]
-    left = [name for name in left if name != wanted.time.column]
-    notes = (f"columns left out: {', '.join(left[:8])}",) if left else ()
-    return Recording(path.name, series, notes)
+    return Recording(path.name, series, _left_out(table, wanted))
+
+
+def _left_out(table: Mapping[str, Floats], wanted: Columns) -> tuple[str, ...]:
+    used = {name for one in (wanted.time, *wanted.signals.values()) for name in one.columns}
+    left = [name for name in table if name not in used]
+    return (f"columns left out: {', '.join(left[:8])}",) if left else ()
+
+
+def maps_columns(path: Path) -> bool:
+    """Whether a mapping (YAML) speaks of a table's columns, and not of a DBC's signals."""
+    content = yaml_file.read(path)
+    signals = content.get("signals") if isinstance(content, dict) else None
+    entries = signals.values() if isinstance(signals, dict) else ()
+    return any(isinstance(one, dict) and {"column", "sum"} & one.keys() for one in entries)
+
+
+def read_mapped(
+    path: Path, mapping: Path, *, gaps: str
+) -> tuple[Mapping[str, Series], tuple[str, ...]]:
+    """A recording's table (CSV, Parquet, MF4) by a mapping of its columns (``--signals``).
+
+    As strict as with canonical names: time that goes back and holes are refused (holes marked,
+    where ``gaps`` says so).
+    """
+    wanted = load_columns(mapping)
+    suffix = path.suffix.lower()
+    if suffix == ".mf4":
+        table = _mf4(path, wanted)
+    else:
+        table = _parquet(path) if suffix == ".parquet" else _csv(path)
+
+    def place(row: int) -> str:
+        return f"row {row + 1}"
+
+    t_ns = stamps_from_seconds(path, _column(path, table, wanted.time), place)
+    check_increasing(path, t_ns, place)
+    columns = {name: _column(path, table, one) for name, one in wanted.signals.items()}
+    return to_series(path, Table(t_ns, columns, place, _left_out(table, wanted)), gaps=gaps)
 
 
 def _last_of_each(time: Floats) -> npt.NDArray[np.bool_]:
@@ -114,10 +180,16 @@ def _last_of_each(time: Floats) -> npt.NDArray[np.bool_]:
 
 
 def _column(path: Path, table: Mapping[str, Floats], source: Column) -> Floats:
-    if source.column not in table:
-        known = ", ".join(list(table)[:8])
-        raise InputError(path, f"column '{source.column}'", "is missing", f"there are: {known}")
-    return table[source.column] * source.scale + source.offset
+    for name in source.columns:
+        if name not in table:
+            known = ", ".join(list(table)[:8])
+            raise InputError(path, f"column '{name}'", "is missing", f"there are: {known}")
+    return source.value([table[name] for name in source.columns])
+
+
+def read_table(path: Path) -> dict[str, Floats]:
+    """All columns of a text table or Parquet file by their names, as that tool wrote them."""
+    return _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path)
 
 
 def _csv(path: Path) -> dict[str, Floats]:
@@ -181,7 +253,7 @@ def _mf4(path: Path, columns: Columns) -> dict[str, Floats]:
     """The mapped channels on the time of the first one."""
     with needs_extra(path, "mf4"):
         import asammdf
-    names: Sequence[str] = [source.column for source in columns.signals.values()]
+    names = list(dict.fromkeys(n for one in columns.signals.values() for n in one.columns))
     with asammdf.MDF(path) as mdf:
         missing = [name for name in names if name not in mdf]
         if missing:

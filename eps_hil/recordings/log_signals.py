@@ -8,6 +8,7 @@ import numpy as np
 
 from eps_hil.bus.codec import FrameDecoder
 from eps_hil.bus.database import load_database
+from eps_hil.bus.frame import Frame
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_frames
@@ -57,6 +58,7 @@ def read_log(
     )
     notes: list[str] = []
     samples: dict[str, Samples] = {}
+    faults = _Faults(decoder)
     for frame in read_frames(
         path, ids=decoder.receive_ids, channel=channel, notes=notes, on_progress=on_progress
     ):
@@ -64,15 +66,49 @@ def read_log(
             times, values = samples.setdefault(name, (array("q"), array("d")))
             times.append(t_ns)
             values.append(value)
+        faults.after(frame)
     if not samples:
         ids = ", ".join(f"0x{i:X}" for i in decoder.receive_ids[:_MAX_SHOWN])
         more = ", ..." if len(decoder.receive_ids) > _MAX_SHOWN else ""
         problem = f"no mapped frame occurs (ids {ids}{more})"
         raise InputError(path, "", problem, "check the mapping, the DBC and the bus")
-    notes += [f"{count} {_FAULTS[fault]}" for fault, count in decoder.faults.items() if count]
+    notes += faults.notes()
     notes += _absent(mapping.signals, samples)
     series = {name: _series(name, *samples[name], notes) for name in samples}
     return series, tuple(notes)
+
+
+class _Faults:
+    """What the decoder found wrong, counted by message: a loss matters where it is read."""
+
+    def __init__(self, decoder: FrameDecoder) -> None:
+        self._decoder = decoder
+        self._told = dict(decoder.faults)
+        self._sum = 0
+        self._counts: dict[str, dict[str, int]] = {fault: {} for fault in _FAULTS}
+
+    def after(self, frame: Frame) -> None:
+        """Put what decoding this frame added down to its message."""
+        now = self._decoder.faults
+        total = sum(now.values())
+        if total == self._sum:
+            return
+        self._sum = total
+        message = self._decoder.message_of(frame)
+        for fault, counts in self._counts.items():
+            if now[fault] != self._told[fault]:
+                more = now[fault] - self._told[fault]
+                counts[message] = counts.get(message, 0) + more
+                self._told[fault] = now[fault]
+
+    def notes(self) -> list[str]:
+        """One line for each kind that occurred, with its messages."""
+        return [
+            f"{sum(counts.values())} {_FAULTS[fault]} "
+            f"({', '.join(f'{name} {count}' for name, count in counts.items())})"
+            for fault, counts in self._counts.items()
+            if counts
+        ]
 
 
 def _absent(mapped: Mapping[str, object], samples: Mapping[str, Samples]) -> list[str]:

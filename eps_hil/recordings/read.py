@@ -28,10 +28,11 @@ def read_recording(
 ) -> Recording:
     """Read one recording into canonical signals.
 
-    ``dbc``, ``signals``: databases and mapping (CONTRACT 5) that CAN logs need; ``channel``: the
-    one bus of a log to read. ``gaps``: what to do with NaN, infinity and holes in a filled column:
-    "refuse" them, or "mark" them as bad samples (value NaN). ``ignore_unknown``: leave out columns
-    without a canonical name, with a note. ``on_progress`` hears the fraction read of a long log.
+    ``dbc``, ``signals``: databases and mapping (CONTRACT 5) that CAN logs need; a mapping of
+    columns is for tables, whose columns have other names or units. ``channel``: the one bus of a
+    log to read. ``gaps``: what to do with NaN, infinity and holes in a filled column: "refuse"
+    them, or "mark" them as bad samples (value NaN). ``ignore_unknown``: leave out columns without
+    a canonical name, with a note. ``on_progress`` hears the fraction read of a long log.
     Raises :class:`InputError` for everything that is wrong with the file.
     """
     series, notes = read_columns(
@@ -64,6 +65,11 @@ def read_columns(
     if gaps not in GAPS:
         raise ValueError(f"gaps is one of {GAPS}, not {gaps!r}")
     suffix = path.suffix.lower()
+    if signals is not None and not is_can_log(path) and suffix in (*TABLES, ".mf4"):
+        from eps_hil.recordings.foreign import maps_columns, read_mapped
+
+        if maps_columns(signals):
+            return read_mapped(path, signals, gaps=gaps)
     if suffix in TABLES:
         table = _read_table(path, ignore_unknown=ignore_unknown)
         check_increasing(path, table.t_ns, table.place)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from eps_hil.errors import InputError
 from eps_hil.series import Series
-from eps_hil.signals import CANONICAL, TIME
+from eps_hil.signals import CANONICAL, PUBLISHED, TIME
 
 TIME_NS = "time_ns"
 """Optional exact companion of ``time_s`` (int64), written where a float cannot hold the stamp."""
@@ -29,7 +29,7 @@ VALID = "valid"
 EPOCH_S = 1e6
 """From here on t * 1e9 may miss the nanosecond that a decimal text names: parse the text."""
 
-ESTIMATES = ("rack_force_estimate_n", "friction_torque_nm")
+ESTIMATES = PUBLISHED
 _NS = 1_000_000_000
 _EXACT_S = 2**53 / _NS  # up to here a float of seconds names every nanosecond
 _RANGE_S = 9.2e9  # what fits into int64 nanoseconds

@@ -188,7 +188,7 @@ def test_frames_with_a_wrong_crc_become_bad_samples(
     recording = read_recording(write_log("a.log", frames), dbc=DBC, signals=SIGNALS)
     assert np.isnan(recording.series["motor_torque_nm"].value).sum() == 1
     assert not np.isnan(recording.series["motor_speed_rad_s"].value).any()
-    assert "1 frames with a wrong CRC: marked bad" in recording.notes
+    assert "1 frames with a wrong CRC: marked bad (EPS_Torques 1)" in recording.notes
     assert "motor_torque_nm: 1 of 300 samples are marked bad" in recording.notes
 
 

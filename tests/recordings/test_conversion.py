@@ -40,7 +40,7 @@ def test_lost_frame_is_a_hole_of_the_table(
     torques = [i for i, frame in enumerate(rig_frames) if frame.can_id == 0x101]
     log = write_log("a.log", [f for i, f in enumerate(rig_frames) if i != torques[150]])
     notes = convert(log, tmp_path / "a.csv", dbc=DBC, signals=SIGNALS)
-    assert "1 frames are missing, by their counter" in notes
+    assert "1 frames are missing, by their counter (EPS_Torques 1)" in notes
     with pytest.raises(InputError, match="column motor_torque_nm: is empty in a filled column"):
         read_recording(tmp_path / "a.csv")
     series = read_recording(tmp_path / "a.csv", gaps="mark").series

@@ -42,7 +42,7 @@ class Found:
 NOTHING = Found(0.0, float("inf"))
 
 
-def one_more(
+def extra_regressor(
     cases: Sequence[Case],
     state: State,
     fit: Fit,
