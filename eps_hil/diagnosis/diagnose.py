@@ -1,20 +1,22 @@
 """The whole way from recordings to a verdict (CONTRACT 7)."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.accept.borne_out import (
+from eps_hil.diagnosis.accept.as_written import under_any_force, under_written_load
+from eps_hil.diagnosis.accept.free_run import worse_free_run
+from eps_hil.diagnosis.accept.holdout_support import (
     augmented_by,
-    beside_unknown,
-    borne_out,
     bristle_of_unknown,
+    holdout_support,
     unjudged,
 )
 from eps_hil.diagnosis.accept.measured_ratio import settled
+from eps_hil.diagnosis.accept.nameless import nameless
 from eps_hil.diagnosis.accept.placebo import placebos
 from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
@@ -25,12 +27,21 @@ from eps_hil.diagnosis.accept.proof_of_fit import (
     still_left,
     worse_force,
 )
-from eps_hil.diagnosis.attribute.misread import Misread, misread, refined, with_misread
+from eps_hil.diagnosis.accept.standing import standing, worse
+from eps_hil.diagnosis.attribute.beside import not_whitened, selected_beside
+from eps_hil.diagnosis.attribute.channel_fault import (
+    ChannelFault,
+    channel_fault,
+    held_out_energy,
+    no_worse,
+    refined,
+    with_channel_fault,
+)
 from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Say, Selection, select
 from eps_hil.diagnosis.balance.baseline import HOLD
 from eps_hil.diagnosis.balance.excerpt import only_part
-from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, matters
+from eps_hil.diagnosis.balance.fit import BRISTLE, matters
 from eps_hil.diagnosis.balance.load import (
     FREE,
     Load,
@@ -45,10 +56,11 @@ from eps_hil.diagnosis.balance.load import (
 )
 from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, term_of
 from eps_hil.diagnosis.balance.spread import left_open
-from eps_hil.diagnosis.data.channels import check_channels
+from eps_hil.diagnosis.data.channels import channels_in_doubt
 from eps_hil.diagnosis.data.held import own_samples
 from eps_hil.diagnosis.data.intake import (
     RecordingError,
+    measured,
     prepared,
     same_load,
     split,
@@ -56,20 +68,25 @@ from eps_hil.diagnosis.data.intake import (
 )
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
+from eps_hil.diagnosis.data.size import size_of
 from eps_hil.diagnosis.direct.kinematics import small_ratio
-from eps_hil.diagnosis.direct.reversals import borne_out as reversals_agree
-from eps_hil.diagnosis.direct.reversals import bristle
+from eps_hil.diagnosis.direct.reversals import bristle, reversals_agree
 from eps_hil.diagnosis.direct.zero_reading import ZeroReadings
 from eps_hil.diagnosis.first_look import FirstLook, first_look
 from eps_hil.diagnosis.mismatch import locate, regions
 from eps_hil.diagnosis.mismatch.leftover import Leftover, how_held, late_torque, leftover
+from eps_hil.diagnosis.remainder.find import Remainder, with_remainder
 from eps_hil.diagnosis.verdict.finding import finding, unknown
+from eps_hil.diagnosis.verdict.modelled import modelled
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
 Floats = npt.NDArray[np.float64]
 
+EMPIRICAL = "empirical"
 SCHEMA = "eps-hil/diagnosis/1"
+MOST_LEFT = 0.5
+"""Of the hold-outs' energy: what names leave of a force that is no arbitrary one."""
 LEAST_JUDGED = 125
 """Sliding samples (of 8 ms) that hold-outs need to judge anything: 1 s."""
 
@@ -88,6 +105,12 @@ class Diagnosis:
     selection: Selection
     judged: Sequence[Holdout]
     accepted: Sequence[int]
+    remainder: Remainder | None = None
+    """The model of what no name stands for, where there is one."""
+    as_read: Sequence[Holdout] = ()
+    """The hold-outs as their files have them, where ``judged`` are put right."""
+    beside_load: Model | None = None
+    """``model`` without a load that nobody measured, which ``problem`` has as its rack force."""
 
 
 def diagnose(
@@ -97,41 +120,117 @@ def diagnose(
     say: Say | None = None,
     without: Collection[str] = (),
     unexplained_nm: float = 0.0,
+    *,
+    trust_channels: bool = False,
 ) -> Diagnosis:
     """Find what physics ``model`` lacks to explain the recordings.
 
     Without hold-outs the last recording (of several), or the last third (of one), is kept from
     the fit. Effects in ``without`` (ids) are not considered. ``unexplained_nm`` (rms, at the rotor)
     is known to be the model's own fault and no finding. :class:`RecordingError` (a ``ValueError``)
-    where a recording lacks what a diagnosis needs, or a channel is not what its name says.
+    where a recording lacks what a diagnosis needs, or a channel is not what its name says; with
+    ``trust_channels`` the latter is only said in ``limits``.
     """
+    recordings, holdouts = measured(recordings), measured(holdouts)
     fitted, kept = split(own_samples(recordings), own_samples(holdouts))
     series = [*fitted.items(), *kept.items()]
     every = each(
         lambda one: prepared(one[0], one[1], unexplained_nm, {} if holdouts else recordings), series
     )
+    size = size_of(every, model)
+    every = [one.changed(size=size) for one in every]
     ready = list(zip(every[: len(fitted)], fitted.values(), strict=True))
     spare = list(zip(every[len(fitted) :], kept.values(), strict=True))
     same_load(every)
-    check_channels({**recordings, **holdouts}, model)
+    doubts = channels_in_doubt({**recordings, **holdouts}, model, trust_channels)
+    found = _found(model, ready, spare, say, without)
+    if not doubts:
+        return found
+    return replace(found, content={**found.content, "limits": [*doubts, *found.content["limits"]]})
+
+
+def _found(
+    model: Model,
+    ready: Sequence[tuple[Prepared, Mapping[str, Series]]],
+    spare: Sequence[tuple[Prepared, Mapping[str, Series]]],
+    say: Say | None,
+    without: Collection[str],
+) -> Diagnosis:
+    """The diagnosis under the load that fits best, where nobody measured one."""
+    every = [one for one, _ in (*ready, *spare)]
     load = load_of(every, model) if missing(every) else None
 
     def under(load: Load | None) -> Diagnosis:
         return _under(load, model, ready, spare, say, without)
 
     first = under(load)
-    if load is None or (load.form == "spring" and not first.content["findings"]):
+    if load is None:
         return first
-    if load.form == "spring":  # beside the friction that was found it is another one
-        better = load_of(every, first.model)
-        if better.form == "spring" and wrong_in_friction(load, better, every, model):
-            first = under(better)
-        if not may_be_free(better, every, model):
-            return first
-    free = under(FREE)  # friction that grows with a load that is none looks like many things
+    base = load.in_model(model)
     if load.form == "arbitrary":  # which explains whatever there is
-        return free if free.content["verdict"] == "explained" else first
-    return min((first, free), key=_price)
+        form = FREE if may_be_free(load, every, model) else load.followed()
+        form = replace(form, doubtful=True)
+        told = _refitted(under(form), form, form.in_model(model), every)
+        believed = told.content["verdict"] == "explained" or _follows(told)
+        return told if believed else replace(first, content=under_any_force(first.content))
+    if not first.content["findings"]:
+        return _with_load(first, load, load, base)
+    better = load_of(every, first.model)  # beside the friction that was found it is another one
+    fitted = load
+    if better.form == "spring":
+        if wrong_in_friction(load, better, every, model):
+            first, fitted = under(better), better
+        load = better
+    if may_be_free(better, every, model):
+        free = under(FREE)  # friction that grows with a load that is none looks like many things
+        if _price(free) < _price(first):
+            return free
+    return _with_load(first, fitted, load, base)
+
+
+def _follows(told: Diagnosis) -> bool:
+    """Whether names explain most of the hold-outs' energy: that is no arbitrary force.
+
+    A model of what has no name would explain the force itself.
+    """
+    if all(one["effect"] == "unknown" for one in told.content["findings"]):
+        return False
+    before, after = (
+        told.content["fit"]["holdout"][one]["torque_nrmse"] for one in ("baseline", "augmented")
+    )
+    return bool(after**2 < MOST_LEFT * before**2)
+
+
+def _refitted(told: Diagnosis, form: Load, base: Model, every: Sequence[Prepared]) -> Diagnosis:
+    """With the load in the model, a spring as it is beside what was found."""
+    better = load_of(every, told.model) if form.form == "spring" else form
+    better = replace(better, doubtful=True) if better.form == "spring" else form
+    return _with_load(told, form, better, base)
+
+
+def _with_load(told: Diagnosis, fitted: Load, load: Load, base: Model) -> Diagnosis:
+    """With ``load`` in the model in place of the one ``fitted`` beside it, and with its figures.
+
+    ``base``: the given model with the load that was fitted beside nothing else.
+    """
+    written = load.in_model(told.model)
+    content = under_written_load(told.content, told.judged, told.as_read, base, written)
+    content["limits"] = [
+        load.sentence if one == fitted.sentence else one for one in content["limits"]
+    ]
+    content = without_nan(content)
+    return replace(told, model=written, content=content, beside_load=told.model)
+
+
+def without_nan(content: Any) -> Any:
+    """The same with null for every number that does not exist."""
+    if isinstance(content, float):
+        return content if np.isfinite(content) else None
+    if isinstance(content, Mapping):
+        return {key: without_nan(one) for key, one in content.items()}
+    if isinstance(content, list | tuple):
+        return [without_nan(one) for one in content]
+    return content
 
 
 def _price(told: Diagnosis) -> float:
@@ -150,6 +249,7 @@ def _under(
     without: Collection[str],
 ) -> Diagnosis:
     """The diagnosis where a load that nobody measured is taken to be ``load``."""
+    others = load_knobs(load)
     every = [one for one, _ in (*ready, *spare)]
     kept = {one.name: series for one, series in spare}
     if load is not None:
@@ -166,36 +266,42 @@ def _under(
             look.kept[-1].name, "kept from the fit to judge it, but slides for less than 1 s"
         )
     look, problem, selection = _searched(look, problem, load_knobs(load), judged, say, without)
-    wrong = misread(
-        selection.part, selection, set.intersection(*(set(series) for _, series in ready)), without
-    )
+    measured = set.intersection(*(set(series) for _, series in ready))
+    wrong = channel_fault(selection.part, selection, measured, without)
     if wrong is not None:
-        given, tied = look, load_knobs(load)
-        look, problem, selection = _beside(wrong, given, tied, say, without)
-        better = refined(wrong, selection.part, selection)
-        if better is not wrong:
-            wrong = better
-            look, problem, selection = _beside(wrong, given, tied, say, without)
-        judged = _holdouts(look, kept)
+        wrong, look, problem, selection, judged = _put_right(
+            wrong, (look, problem, selection, judged), load_knobs(load), say, without, kept
+        )
     findings, force = settled(
-        problem, selection, borne_out(problem, selection, judged), look.ratio_is_measured
+        problem, selection, holdout_support(problem, selection, judged), look.ratio_is_measured
     )
+    findings = standing(problem, selection, findings, judged)
     if say:
         say("looking at what is left", 0.9)
     hidden = load is not None and load.form == "arbitrary"  # what is left may be the load
     left = None if hidden else force or _left(problem, selection, judged)
-    if left is not None and findings:
-        findings = beside_unknown(problem, selection, findings)
-        left = force or _left(problem, selection, judged)
+    weighed, told = problem, selection
+    if left is not None:
+        weighed, told, selection, findings, left = _beside_left(
+            problem, selection, judged, look, force
+        )
     if left is not None and BRISTLE not in without and bristle_of_unknown(problem, selection.found):
         return _under(load, model, ready, spare, say, {*without, BRISTLE})
     if left is None and not hidden and HOLD in without:
         left = late_torque(problem, selection.found)
-    content = look.added_to(_content(problem, selection, findings, left, judged))
+    extra = None
+    if left is not None and (force is not None or not left.words) and EMPIRICAL not in without:
+        extra, findings = nameless(problem, selection, findings, judged, others, say)
+    written = with_remainder(augmented_by(problem, selection.found, findings, others), extra)
+    beside_load = augmented_by(problem, selection.found, findings) if extra is None else written
+    if worse(problem, beside_load, judged):
+        extra, findings, written = None, [], problem.model
+    content = look.added_to(_content(problem, selection, findings, left, judged, extra, written))
     if wrong is not None:
-        content = with_misread(content, wrong.finding(model))
+        content = with_channel_fault(content, wrong.finding(model))
     content["findings"] = doubted(content["findings"], load)
-    content["fit"]["placebo"] = placebos(problem, selection, findings, judged)
+    content["fit"]["placebo"] = placebos(weighed, told, findings, judged)
+    as_read: list[Holdout] = []
     if look.model is not model or look.put_right or wrong is not None:
         as_read = [
             Holdout(one.changed(barred=put_right.barred), series, data)
@@ -215,14 +321,38 @@ def _under(
             [] if left is not None or hidden else how_held(problem, selection.found),
         ),
         *beside_a_gap(judged, problem.model),
-        *unjudged(selection.found, findings, judged, problem.model),
+        *unjudged(told.found, findings, judged, weighed),
         *worse_force(content["fit"]["holdout"]),
-        *left_open(content["findings"]),
+        *worse_free_run(content["fit"]["holdout"]),
+        *left_open(content["findings"], problem.size),
         *small_ratio(content),
     ]
-    others = load_knobs(load)
-    augmented = look.in_model(augmented_by(problem, selection.found, findings, others))
-    return Diagnosis(content, augmented, problem, selection, judged, findings)
+    return Diagnosis(
+        without_nan(content),
+        look.in_model(written),
+        problem,
+        selection,
+        judged,
+        findings,
+        extra,
+        as_read,
+    )
+
+
+def _beside_left(
+    problem: Problem,
+    selection: Selection,
+    judged: Sequence[Holdout],
+    look: FirstLook,
+    force: Leftover | None,
+) -> tuple[Problem, Selection, Selection, Sequence[int], Leftover | None]:
+    """Names weighed beside what is unknown; as they were weighed, not whitened; what stays."""
+    weighed, told = selected_beside(selection)
+    named = holdout_support(weighed, told, judged)
+    findings, more = settled(weighed, told, named, look.ratio_is_measured)
+    findings = standing(weighed, told, findings, judged)
+    shown = not_whitened(problem, told, selection)
+    return weighed, told, shown, findings, force or more or _left(problem, shown, judged)
 
 
 def _searched(
@@ -260,8 +390,32 @@ def _searched(
     return look, problem, selection
 
 
+def _put_right(
+    wrong: ChannelFault,
+    given: tuple[FirstLook, Problem, Selection, list[Holdout]],
+    tied: Mapping[str, float],
+    say: Say | None,
+    without: Collection[str],
+    kept: Mapping[str, Mapping[str, Series]],
+) -> tuple[ChannelFault | None, FirstLook, Problem, Selection, list[Holdout]]:
+    """What is found beside a signal put right; what was ``given`` where hold-outs are worse so."""
+    found = _beside(wrong, given[0], tied, say, without)
+    better = refined(wrong, found[2].part, found[2])
+    if better is not wrong:
+        found = _beside(better, given[0], tied, say, without)
+    judged = _holdouts(found[0], kept)
+    before, after = (
+        held_out_energy(problem, selection.found, [one.prepared for one in these])
+        for problem, selection, these in ((*given[1:3], given[3]), (*found[1:3], judged))
+    )
+    spared = len(given[2].found.names) - len(found[2].found.names) - 1
+    samples = sum(int(np.sum(one.judging(given[0].model))) for one in given[3])
+    borne = no_worse(before, after, spared, samples)
+    return (better, *found, judged) if borne else (None, *given)
+
+
 def _beside(
-    wrong: Misread,
+    wrong: ChannelFault,
     look: FirstLook,
     tied: Mapping[str, float],
     say: Say | None,
@@ -314,7 +468,7 @@ def _not_explained(
 
 def _left(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Leftover | None:
     """What is left of the fitted recordings, on those themselves or on the hold-outs."""
-    test = Problem([one.prepared for one in judged], problem.model)
+    test = problem.over([one.prepared for one in judged])
     found = selection.found
     residual = test.residual(test.with_entries(found.entries, found.own))
     return leftover(problem, found.residual, (test, residual))
@@ -326,12 +480,15 @@ def _content(
     findings: Sequence[int],
     left: Leftover | None,
     judged: Sequence[Holdout],
+    extra: Remainder | None,
+    written: Model,
 ) -> dict[str, Any]:
     found = selection.found
     by_gain = sorted(findings, key=lambda k: -selection.gains[term_of(found.entries[k])])
     listed = [finding(problem, selection, k) for k in by_gain]
     if left is not None:
-        listed.append(unknown(left))
+        told = unknown(left)
+        listed.append(told if extra is None else modelled(told, extra, problem))
     verdict = {
         (False, False): "no_mismatch",
         (True, False): "explained",
@@ -351,27 +508,30 @@ def _content(
         ]
         if listed
         else [],
-        "location": _location(problem, selection.null.residual) if listed else {},
-        "fit": {"holdout": _proof(problem, found, findings, judged)},
+        "location": _location(problem, selection.null.residual, excess) if listed else {},
+        "fit": {"holdout": _proof(problem.model, written, judged)},
     }
 
 
-def _location(problem: Problem, residual: Floats) -> dict[str, Any]:
-    """Cells of one and two coordinates that hold more of the mismatch than of the time."""
+def _location(problem: Problem, residual: Floats, excess: Floats) -> dict[str, Any]:
+    """Cells of one and two coordinates that hold more of the mismatch than of the time, and what
+    each recording holds of both.
+    """
     cut = clipped(residual, knee(residual))
     found = regions.cells(problem, np.maximum(cut**2 - 1.0, 0.0))
-    return {"sentence": regions.sentence(found), "cells": [cell.content() for cell in found]}
+    return {
+        "sentence": regions.sentence(found),
+        "cells": [cell.content() for cell in found],
+        "recordings": locate.by_recording(problem, excess),
+    }
 
 
-def _proof(
-    problem: Problem, found: Fit, findings: Sequence[int], judged: Sequence[Holdout]
-) -> dict[str, Any]:
-    model = problem.model
-    augmented = augmented_by(problem, found, findings)
-    models = [model, augmented] if findings else [model]
-    told = each(lambda one: measures(judged, augmented, one), models)
+def _proof(model: Model, written: Model, judged: Sequence[Holdout]) -> dict[str, Any]:
+    """``fit.holdout`` of the model before and as it is written."""
+    models = [model] if written is model else [model, written]
+    told = each(lambda one: measures(judged, written, one), models)
     return {
         "baseline": told[0],
         "augmented": told[-1],
-        "noise_floor": noise_floor(judged, augmented),
+        "noise_floor": noise_floor(judged, written),
     }

@@ -15,10 +15,10 @@ from eps_hil.diagnosis.data.drift import Drift
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.direct import already, kinematics
-from eps_hil.diagnosis.direct.apart import Apart
 from eps_hil.diagnosis.direct.belt import belt_in, belt_of, with_belt
 from eps_hil.diagnosis.direct.reversals import Bristle
 from eps_hil.diagnosis.direct.seen import finding
+from eps_hil.diagnosis.direct.separation import Separation
 from eps_hil.diagnosis.direct.speed_and_angle import speed_and_angle
 from eps_hil.diagnosis.direct.zero_reading import ZeroReadings, zero_readings
 from eps_hil.physics.model import Model
@@ -48,7 +48,7 @@ class FirstLook:
     kinematics: Mapping[str, Any]
     kept_quality: tuple[quality.Quality, ...] = ()
     """Of each recording in ``kept``, where its data are bad."""
-    left: Apart | None = None
+    left: Separation | None = None
     """What of rotor against rack no name stands for."""
     zero: ZeroReadings = field(default_factory=ZeroReadings)
     """What the torque sensors read with nothing on them; ``model`` has the errors among it."""
@@ -148,7 +148,11 @@ def first_look(
     without: Collection[str] = (),
 ) -> FirstLook:
     """Look at recordings, each prepared and as it was read; those ``kept`` only judge."""
-    looks = each(lambda given: quality.look_at(given[0].name, given[1]), (*fitted, *kept))
+    ratio = model.rack_to_rotor_ratio_rad_per_m
+    looks = each(
+        lambda given: quality.look_at(given[0].name, given[1], ratio, given[0].size.angle),
+        (*fitted, *kept),
+    )
     ready = [
         one.changed(barred=look.barred(one))
         for look, (one, _) in zip(looks, (*fitted, *kept), strict=True)
@@ -173,7 +177,7 @@ def first_look(
         model = already.without(model, effect)
     for effect in seen.seen:
         name = effect.entry["effect"]
-        held = already.held(given, effect)
+        held = already.held(given, effect, ready[0].size)
         findings += [] if held else [finding(effect)]
         if name == "rack_ratio":
             model = replace(model, effects=(*model.effects, effect.entry))

@@ -221,6 +221,25 @@ def test_without_a_load_cell_a_free_rack_is_enough(
     assert "viscous_friction" in limit
 
 
+def test_missing_physics_is_no_arbitrary_force(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    """A torque that acts 25 ms late, with nothing on the rack, leaves far more than noise.
+
+    How late is known to a tenth: under a motor that holds as a spring does, a part of it looks like
+    the damper of a load.
+    """
+    words = {"torque_late_s": 0.025, "seconds": 20.0}
+    made = without_load_cell(record({}, ("free", "free2"), **words))
+    kept = without_load_cell(record({}, ("free",), seed=2, **words))
+    result = diagnose(reference_model, made, kept)
+    assert "motor_torque_delay" in names(result)
+    (late,) = (f for f in result.content["findings"] if f["effect"] == "motor_torque_delay")
+    assert late["parameters"]["delay_s"]["value"] == pytest.approx(0.025, rel=0.1)
+    proof = result.content["fit"]["holdout"]
+    assert proof["augmented"]["torque_nrmse"] < 0.5 * proof["baseline"]["torque_nrmse"]
+
+
 def test_an_unmeasured_force_of_no_form_leaves_only_ripples(
     record: Callable[..., Any], reference_model: Model, other_rig: Any
 ) -> None:
@@ -352,6 +371,24 @@ def test_what_the_catalogue_lacks_is_unknown(
     result = run(record, reference_model, plant)
     assert result.content["verdict"] in ("unknown_effect", "partly_explained")
     assert "unknown" in names(result)
+
+
+def test_a_known_effect_stands_beside_an_unknown_one(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    """The brake has four times the noise, the cogging under it less than the noise."""
+    plant = {
+        other_rig.EDDY: 0.06, other_rig.EDDY_W: 20.0, other_rig.COG: 0.006, other_rig.COG_N: 8,
+    }  # fmt: skip
+    result = run(record, reference_model, plant)
+    assert names(result) == ["cogging_torque", "unknown"]
+    assert result.content["verdict"] == "partly_explained"
+    found = result.content["findings"][0]["parameters"]
+    low, high = found["amplitude_nm"]["ci95"]
+    assert low <= 0.006 <= high
+    assert found["order"]["value"] == pytest.approx(8.0, abs=0.02)
+    # The brake has no name, and is modelled all the same.
+    assert [one["effect"] for one in result.model.effects] == ["cogging_torque", "empirical"]
 
 
 def test_what_is_not_to_be_considered_is_not_named_in_any_way(

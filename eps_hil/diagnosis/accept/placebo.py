@@ -46,7 +46,7 @@ def placebos(
     The same ``seed`` gives the same numbers.
     """
     found = selection.found
-    test = Problem([one.prepared for one in judged], problem.model)
+    test = problem.over([one.prepared for one in judged])
     full = test.residual(test.with_entries(found.entries, found.own))
     at = knee(full)
     told = []

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.accept.free_run import free_run
 from eps_hil.diagnosis.balance.problem import Problem, sliding
 from eps_hil.diagnosis.data.prepare import STEP_S, Prepared
 from eps_hil.diagnosis.data.quality import Quality
@@ -64,8 +66,8 @@ class Holdout:
         )
 
 
-def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[str, float]:
-    """torque_nrmse, speed_fit_percent, rack_force_rmse_n (CONTRACT 7) of ``model``.
+def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[str, Any]:
+    """torque_nrmse, speed_fit_percent, rack_force_rmse_n, free_run (CONTRACT 7) of ``model``.
 
     ``common`` decides which samples count as sliding and what torque the residual is divided by,
     so that before, after and the noise floor are parts of the same whole.
@@ -78,13 +80,14 @@ def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[s
         _, simulated, measured = free_runs(one.prepared, model, one.quality)
         error.append(simulated - measured)
         speed.append(measured - np.mean(measured) if len(measured) else measured)
-    result = {
+    result: dict[str, Any] = {
         "torque_nrmse": _rms(residual) / max(_rms(torque), 1e-12),
         "speed_fit_percent": 100.0 * (1.0 - _rms(error) / max(_rms(speed), 1e-12)),
     }
     force = rack_force_error_n(holdouts, common, model)
     if force is not None:
         result["rack_force_rmse_n"] = force
+    result["free_run"] = free_run(holdouts, model)
     return result
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.baseline import HOLD, HOLD_S, OFFSET, SIDES, TIMING, levels_of
 from eps_hil.diagnosis.balance.fit import Fit, ablated, fit, matters, own_column
-from eps_hil.diagnosis.balance.probes import Candidate, neutral_value
+from eps_hil.diagnosis.balance.probes import Candidate, neutral_value, probe_step
 from eps_hil.diagnosis.balance.problem import Problem, huber
 from eps_hil.diagnosis.mismatch.curve import has_curve
 from eps_hil.physics.effects.catalogue import catalogue
@@ -41,6 +41,8 @@ CONSTANTS = ("friction_asymmetry", "motor_torque_offset", "torque_sensor_offset"
 _FRICTION = frozenset({"coulomb_level", "viscous_friction", "load_dependent_friction"})
 _FORM = 0.1
 _FITTED_SETS = 3
+_START = 0.02
+"""Of an effect's small change: where a fit begins that knows nothing."""
 _SMALL_SETS = 2
 
 
@@ -167,7 +169,7 @@ def levels_first(
 def _with_constant(problem: Problem, without: Fit, name: str) -> Fit:
     probe = catalogue()[name].probe
     assert probe is not None
-    start = {"effect": name, probe.amplitude: 1e-4}
+    start = {"effect": name, probe.amplitude: _START * probe_step(catalogue()[name], problem)}
     return fit(problem, [*without.entries, start], own=without.own, like=without)
 
 
@@ -220,7 +222,7 @@ def _column(problem: Problem, one: Candidate) -> Floats:
     """
     if one.effect.id != "coulomb_level":
         return one.columns[:, 0]
-    sides = levels_of(problem.model).items()
+    sides = levels_of(problem.model, problem.size).items()
     return np.asarray(-sum(part * own_column(problem, name) for name, part in sides))
 
 

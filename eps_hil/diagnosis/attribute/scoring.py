@@ -58,7 +58,8 @@ def score(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> list[Score
     open_to = [
         one
         for one in pool
-        if one.effect.id not in taken and one.beside(found.entries, problem.model)
+        if one.effect.id not in taken
+        and one.beside(found.entries, problem.model, problem.size.angle)
     ]
     left = refitted(found.residual, found.jacobian)
     gains = cross_validated(

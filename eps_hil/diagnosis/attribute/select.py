@@ -63,6 +63,8 @@ class Selection:
     without: dict[str, Fit] = field(default_factory=dict)
     settled: frozenset[str] = frozenset()
     possible: frozenset[str] = frozenset()
+    least: float | None = None
+    """Gain that counts, where names were weighed beside a remainder."""
 
 
 def select(
@@ -147,7 +149,7 @@ def _search(
     found = levels_first(problem, found, least, considered, settled)
     found = _backward(problem, found)
     selection.found = selection.searched = timed(problem, found)
-    _rivals(problem, selection)
+    rivals_of(problem, selection)
     return selection
 
 
@@ -270,7 +272,7 @@ def _ablations(problem: Problem, selection: Selection) -> Iterator[tuple[Fit, Ma
         yield without, entry
 
 
-def _rivals(problem: Problem, selection: Selection) -> None:
+def rivals_of(problem: Problem, selection: Selection) -> None:
     """For each accepted effect: what others reach in its place, as a share of its gain."""
     for without, entry in _ablations(problem, selection):
         gain = selection.gains[term_of(entry)]

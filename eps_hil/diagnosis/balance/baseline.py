@@ -10,7 +10,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
+from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.physics.model import Friction, Model
+
+Width = Callable[[Model, Size], float]
 
 OFFSET, HOLD, SPRING = "motor_torque_offset", "motor_torque_delay", "unmodelled_spring"
 _SPRING_NM_PER_RAD = 1e-3
@@ -24,26 +27,26 @@ class Knob:
     """One number: where ``turn`` puts the model for a value, and what a small step of it is."""
 
     name: str
-    turn: Callable[[Model, float], Model]
+    turn: Callable[[Model, float, Size], Model]
     step: float = 0.05
 
 
-def _friction(name: str, width: Callable[[Model], float]) -> Knob:
+def _friction(name: str, width: Width) -> Knob:
     """A number that a model file holds only from zero up."""
 
-    def turn(model: Model, value: float) -> Model:
-        moved = max(getattr(model.friction, name) + value * width(model), 0.0)
+    def turn(model: Model, value: float, size: Size) -> Model:
+        moved = max(getattr(model.friction, name) + value * width(model, size), 0.0)
         return replace(model, friction=replace(model.friction, **{name: moved}))
 
     return Knob(name, turn)
 
 
-def _difference(name: str, width: Callable[[Model], float]) -> Knob:
+def _difference(name: str, width: Width) -> Knob:
     """Both directions of a number turned against each other: what their mean cannot do."""
     pos, neg = (name.replace("difference", side) for side in ("pos", "neg"))
 
-    def turn(model: Model, value: float) -> Model:
-        change = value * width(model)
+    def turn(model: Model, value: float, size: Size) -> Model:
+        change = value * width(model, size)
         moved = {
             pos: max(getattr(model.friction, pos) + change, 0.0),
             neg: max(getattr(model.friction, neg) - change, 0.0),
@@ -54,7 +57,7 @@ def _difference(name: str, width: Callable[[Model], float]) -> Knob:
 
 
 def _factor(name: str, log_width: float) -> Knob:
-    def turn(model: Model, value: float) -> Model:
+    def turn(model: Model, value: float, _size: Size) -> Model:
         factor = math.exp(max(-40.0, min(40.0, value)) * log_width)
         moved = getattr(model.friction, name) * factor
         return replace(model, friction=replace(model.friction, **{name: moved}))
@@ -62,39 +65,40 @@ def _factor(name: str, log_width: float) -> Knob:
     return Knob(name, turn)
 
 
-def _inertia(model: Model, value: float) -> Model:
+def _inertia(model: Model, value: float, _size: Size) -> Model:
     return replace(model, inertia_kg_m2=model.inertia_kg_m2 * math.exp(0.2 * value))
 
 
-def _raised(effect: str, parameter: str, width: float) -> Callable[[Model, float], Model]:
+def _raised(
+    effect: str, parameter: str, width: Callable[[Size], float]
+) -> Callable[[Model, float, Size], Model]:
     """A number that the model has only as an effect: a term more of it."""
 
-    def turn(model: Model, value: float) -> Model:
-        return replace(
-            model, effects=(*model.effects, {"effect": effect, parameter: value * width})
-        )
+    def turn(model: Model, value: float, size: Size) -> Model:
+        entry = {"effect": effect, parameter: value * width(size)}
+        return replace(model, effects=(*model.effects, entry))
 
     return turn
 
 
-def _hold(model: Model, value: float) -> Model:
+def _hold(model: Model, value: float, _size: Size = ORDINARY) -> Model:
     late = model.delays_s.motor_torque - value * HOLD_S
     return replace(model, delays_s=replace(model.delays_s, motor_torque=late))
 
 
-def _mean(kind: str, share: float, least: float) -> Callable[[Model], float]:
+def _mean(kind: str, share: float, least: Callable[[Size], float]) -> Width:
     """A share of the mean of both directions, and at least so much that zero can be mended."""
 
-    def width(model: Model) -> float:
+    def width(model: Model, size: Size) -> float:
         both = (getattr(model.friction, kind.format(side)) for side in ("pos", "neg"))
-        return share * sum(both) / 2 + least
+        return share * sum(both) / 2 + least(size)
 
     return width
 
 
-_LEVEL = _mean("offset_{}_nm", 0.3, 0.005)
-_DRAG = _mean("viscous_{}_nm_s_per_rad", 0.5, 2e-4)
-_LOAD = _mean("load_{}_nm_per_n", 0.4, 5e-6)
+_LEVEL = _mean("offset_{}_nm", 0.3, lambda size: 0.005 * size.torque)
+_DRAG = _mean("viscous_{}_nm_s_per_rad", 0.5, lambda size: 2e-4 * size.torque / size.angle)
+_LOAD = _mean("load_{}_nm_per_n", 0.4, lambda size: 5e-6 * size.place / size.angle)
 
 KNOBS: Sequence[Knob] = (
     _friction("offset_pos_nm", _LEVEL),
@@ -106,9 +110,16 @@ KNOBS: Sequence[Knob] = (
     _factor("sigma0_nm_per_rad", 0.4),
     _factor("sigma1_nm_s_per_rad", 0.5),
     Knob("inertia", _inertia),
-    Knob(OFFSET, _raised(OFFSET, "offset_nm", OFFSET_NM)),
+    Knob(OFFSET, _raised(OFFSET, "offset_nm", lambda size: OFFSET_NM * size.torque)),
     Knob(HOLD, _hold, 0.25),
-    Knob(SPRING, _raised(SPRING, "stiffness_nm_per_rad", _SPRING_NM_PER_RAD)),
+    Knob(
+        SPRING,
+        _raised(
+            SPRING,
+            "stiffness_nm_per_rad",
+            lambda size: _SPRING_NM_PER_RAD * size.torque / size.angle,
+        ),
+    ),
     _difference("viscous_difference_nm_s_per_rad", _DRAG),
     _difference("load_difference_nm_per_n", _LOAD),
 )
@@ -138,15 +149,15 @@ _BY_NAME = {knob.name: knob for knob in KNOBS}
 _TERMS = (OFFSET, SPRING)
 
 
-def levels_of(model: Model) -> dict[str, float]:
+def levels_of(model: Model, size: Size = ORDINARY) -> dict[str, float]:
     """Knobs of both directions' friction levels, each with how far it is to twice its own level."""
     return {
-        name: getattr(model.friction, name) / _LEVEL(model)
+        name: getattr(model.friction, name) / _LEVEL(model, size)
         for name in ("offset_pos_nm", "offset_neg_nm")
     }
 
 
-def turned(model: Model, values: Mapping[str, float]) -> Model:
+def turned(model: Model, values: Mapping[str, float], size: Size = ORDINARY) -> Model:
     """The model with its own numbers moved by ``values`` (knob name -> multiples of its width)."""
     if not values:
         return model
@@ -155,10 +166,10 @@ def turned(model: Model, values: Mapping[str, float]) -> Model:
         if name == HOLD:
             model = _hold(model, value)
         elif name not in _TERMS and value != 0.0:
-            model = _merged(model, nominal, _BY_NAME[name].turn(nominal, value))
+            model = _merged(model, nominal, _BY_NAME[name].turn(nominal, value, size))
     for name in _TERMS:
         if values.get(name, 0.0) != 0.0:
-            model = _BY_NAME[name].turn(model, values[name])
+            model = _BY_NAME[name].turn(model, values[name], size)
     return model
 
 

@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.baseline import ALL, KNOBS, SIDES
-from eps_hil.diagnosis.balance.probes import bounds, neutral_value
+from eps_hil.diagnosis.balance.probes import bounds, neutral_value, probe_step
 from eps_hil.diagnosis.balance.problem import Problem, huber, knee, term_of
 from eps_hil.diagnosis.balance.spread import Integers, half_widths
 from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.effects.effect import Effect
 
 Floats = npt.NDArray[np.float64]
 
@@ -22,10 +23,13 @@ _FIXED = ("belt_ratio", "pole_pairs", "harmonic", "curve")
 
 BRISTLE, _LOST_PATHS = "presliding_hysteresis", 1.25
 """A bristle stiffer by no more than so many lost paths is what the angle's noise makes of it."""
+_PLACE = ("centre_m", "width_m")
 _FARTHEST = 8.0
 """Usual errors beyond which the model's own numbers are not moved: it is another rig then."""
 _TRUSTED = 0.7
 """Share of the promised gain below which sensitivities are out of date."""
+_NO_PART = 1e-9
+"""Of a small change: an amplitude that is nothing."""
 _NEGLIGIBLE = 0.5
 """A fit ends where its next step would gain less than this part of a noise variance."""
 
@@ -47,13 +51,15 @@ class Fit:
     """Huber's loss, twice, at the problem's knee, and the price of ``own`` (its prior)."""
     knee: float = np.inf
     groups: tuple[Integers, ...] = ()
-    """Blocks and stretches (n,) whose residuals hang together."""
+    """Blocks and stretches (n,) within which residuals are correlated."""
+    told_half_width: Mapping[tuple[int, str], float] | None = None
+    """Half widths from a fit that was whitened, where this residual is not."""
 
     @cached_property
     def half_width(self) -> Mapping[tuple[int, str], float]:
         """Half widths of the 95 % intervals of the fitted numbers, by place and parameter name."""
-        if not self.names:
-            return {}
+        if self.told_half_width is not None or not self.names:
+            return self.told_half_width or {}
         weight = np.sqrt(huber(self.residual, self.knee))
         first, jacobian = len(self.own), self.jacobian * weight[:, None]
         wide = half_widths(jacobian, self.residual * weight, self.groups, first)[first:]
@@ -187,8 +193,11 @@ def _jacobian(
         effect = catalogue()[entries[k]["effect"]]
         (parameter,) = (p for p in effect.parameters if p.name == name)
         value = float(entries[k][name])
-        size = _step(effect, name, value, parameter.upper - parameter.lower)
-        step = size if value + size <= parameter.upper else -size
+        high = problem.size.bounds(parameter, effect)[1]
+        size = step_of(effect, name, value, problem)
+        if name in _PLACE:  # wherever a place counts from, it is as large as its width
+            size = 0.01 * float(entries[k]["width_m"])
+        step = size if value + size <= high else -size
         changed = [dict(entry) for entry in entries]
         changed[k][name] = value + step
         moved = problem.residual(problem.with_entries(changed, own))
@@ -196,11 +205,13 @@ def _jacobian(
     return np.hstack(columns)
 
 
-def _step(effect: Any, name: str, value: float, span: float) -> float:
-    probe = effect.probe
-    if probe is not None and name == probe.amplitude:
-        return float(probe.step)
-    return max(abs(value) * 0.01, min(span * 1e-4, 0.01))
+def step_of(effect: Effect, name: str, value: float, problem: Problem) -> float:
+    """A change of a parameter that is small, and large against rounding."""
+    if effect.probe is not None and name == effect.probe.amplitude:
+        return probe_step(effect, problem)
+    (parameter,) = (p for p in effect.parameters if p.name == name)
+    span = parameter.upper - parameter.lower
+    return max(abs(value) * 0.01, min(span * 1e-4, 0.01) * problem.size.of(parameter, effect))
 
 
 def _moved(
@@ -248,12 +259,13 @@ def deviation(entry: Mapping[str, Any], problem: Problem) -> float:
 
 def matters(entry: Mapping[str, Any], problem: Problem) -> bool:
     """Whether an entry is large enough to be a finding rather than how rigs are."""
-    probe = catalogue()[entry["effect"]].probe
+    effect = catalogue()[entry["effect"]]
+    probe = effect.probe
     assert probe is not None
     of = neutral_value(probe, problem.model) if np.isnan(probe.neutral) else 1.0
     if entry["effect"] == BRISTLE and not _beyond_lost_path(entry, problem):
         return False
-    return deviation(entry, problem) > max(probe.least * of, 1e-9)
+    return deviation(entry, problem) > max(probe.least * of, _NO_PART * probe_step(effect, problem))
 
 
 def _beyond_lost_path(entry: Mapping[str, Any], problem: Problem) -> bool:

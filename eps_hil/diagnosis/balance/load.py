@@ -7,13 +7,14 @@ faster, can be told from it.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.baseline import OFFSET, SPRING
+from eps_hil.diagnosis.balance.load_written import SpringLoad, written
 from eps_hil.diagnosis.balance.problem import sliding
 from eps_hil.diagnosis.data.prepare import SLOW_HZ, TAKEN_UP, Prepared
 from eps_hil.identification.butterworth import low_pass
@@ -36,6 +37,8 @@ LIKE_LOAD = (
     "load_dependent_friction",
 )
 """What a load of unknown spring, damper and constant cannot be told from."""
+LIKE_ANY_LOAD = ("motor_torque_gain", "motor_torque_saturation")
+"""A motor that holds against any force has a torque that is like it: less of both leaves less."""
 _ROUNDS = 6
 _WRONG = 0.05
 """Of the noise: friction under another load that is worth another look."""
@@ -50,6 +53,22 @@ class Load:
     stiffness_n_per_m: float
     damping_n_s_per_m: float
     constant_n: float
+    doubtful: bool = False
+    """Whether it leaves so much that the force may have another form (:data:`ARBITRARY_EXCESS`)."""
+    travel_m: float = 0.1
+    speed_rad_s: float = 100.0
+    """How far from its middle and how fast the rack went against it (at the rotor)."""
+
+    def followed(self) -> "Load":
+        """Of a force that may be arbitrary: the one that follows the motion, as far as it does."""
+        return replace(self, form="spring", doubtful=True)
+
+    def in_model(self, model: Model) -> Model:
+        """The model with this load as effects of its own, for inputs without a rack force."""
+        if self.form != "spring":
+            return model
+        numbers = (self.stiffness_n_per_m, self.damping_n_s_per_m, self.constant_n)
+        return written(model, SpringLoad(*numbers, self.travel_m, self.speed_rad_s))
 
     @property
     def sentence(self) -> str:
@@ -67,7 +86,10 @@ class Load:
         return (
             "The rack force was not measured; it is taken as a spring of "
             f"{self.stiffness_n_per_m:.3g} N/m, a damper of {self.damping_n_s_per_m:.3g} N s/m and "
-            f"{self.constant_n:.3g} N. {', '.join(LIKE_LOAD)} cannot be told from such a load."
+            f"{self.constant_n:.3g} N, which a written model holds as {SPRING}, viscous_friction "
+            f"and {OFFSET}, and the friction that grows with it as an empirical map. "
+            f"{', '.join(not_told_apart(self))} cannot be told from such a load."
+            + (" What stays unknown may be a load of another form." if self.doubtful else "")
         )
 
 
@@ -84,7 +106,7 @@ def not_told_apart(load: Load) -> Collection[str]:
     """Ids of effects that such a load hides."""
     if load.form == "arbitrary":
         return [name for name in catalogue() if name not in RIPPLES]
-    return LIKE_LOAD
+    return (*LIKE_LOAD, *LIKE_ANY_LOAD) if load.doubtful else LIKE_LOAD
 
 
 def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[dict[str, Any]]:
@@ -142,7 +164,13 @@ def load_of(recordings: Sequence[Prepared], model: Model) -> Load:
         numbers = numbers + np.linalg.solve(normal, (a / scale * weight[:, None]).T @ r) / scale
     excess = usual / model.rack_to_rotor_ratio_rad_per_m / float(np.mean(np.concatenate(sizes)))
     k, c, f = (float(number) for number in numbers[:3])
-    return Load("arbitrary" if excess > ARBITRARY_EXCESS else "spring", k, c, f)
+    motions = [one.motion(model) for one in bare]
+    travel_m, speed = (
+        max(float(np.max(np.abs(getattr(motion, name)))) for motion in motions)
+        for name in ("position_m", "speed_rad_s")
+    )
+    form: Literal["arbitrary", "spring"] = "arbitrary" if excess > ARBITRARY_EXCESS else "spring"
+    return Load(form, k, c, f, travel_m=travel_m, speed_rad_s=speed)
 
 
 def may_be_free(load: Load, recordings: Iterable[Prepared], model: Model) -> bool:
@@ -210,6 +238,6 @@ def _with_force(one: Prepared, force: Floats, model: Model) -> Prepared:
     late = model.delays_s.of("rack_force_n")
     reported = force if late == 0.0 else np.interp(one.time_s - late, one.time_s, force)
     raw = {**one.raw, "rack_force_n": np.asarray(reported)}
-    return Prepared(
-        one.name, one.time_s, raw, {**one.noise, "rack_force_n": 0.0}, one.speed_is_derived
-    )
+    noise = {**one.noise, "rack_force_n": 0.0}
+    filled = Prepared(one.name, one.time_s, raw, noise, one.speed_is_derived, load_is_assumed=True)
+    return replace(filled, size=one.size)

@@ -52,13 +52,18 @@ class Candidate:
         """Whether a rig may have several such terms: one for every order of a turn."""
         return self.effect.probe is not None and self.effect.probe.scan == "order"
 
-    def beside(self, entries: Sequence[Mapping[str, Any]], model: Model) -> bool:
-        """Whether this is one term more beside ``entries``, which may hold the effect already."""
+    def beside(
+        self, entries: Sequence[Mapping[str, Any]], model: Model, angle: float = 1.0
+    ) -> bool:
+        """Whether this is one term more beside ``entries``, which may hold the effect already.
+
+        ``angle``: how far the rotor turns beside that of an ordinary drive (``size.py``).
+        """
         same = [entry for entry in entries if entry["effect"] == self.effect.id]
         if not same or not self.repeats:
             return not same
         near = min(abs(float(entry["order"]) - self.shape["order"]) for entry in same)
-        return near > _APART and len(same) < _room(self.effect, model)
+        return near * angle > _APART and len(same) < _room(self.effect, model)
 
     def entry(self, coefficients: Floats, problem: Problem) -> dict[str, Any]:
         """A model file's entry for fitted coefficients, inside the parameters' bounds."""
@@ -76,7 +81,7 @@ class Candidate:
             values = {probe.amplitude: neutral + float(coefficients[0])}
         entry: dict[str, Any] = {"effect": self.effect.id, **self.shape, **values}
         if self.repeats:
-            entry[TERM] = f"{self.effect.id} {self.shape['order']:.2f}"
+            entry[TERM] = f"{self.effect.id} {self.shape['order'] * problem.size.angle:.2f}"
         for parameter in self.effect.parameters:
             if parameter.name in entry:
                 low, high = bounds(self.effect, parameter, problem)
@@ -91,6 +96,16 @@ def neutral_value(probe: Probe, model: Model) -> float:
     return probe.neutral
 
 
+def probe_step(effect: Effect, problem: Problem) -> float:
+    """The probe's small change of its amplitude, for a machine of this size."""
+    probe = effect.probe
+    assert probe is not None
+    for one in effect.parameters:
+        if one.name == probe.amplitude and one.name != "curve":
+            return probe.step * problem.size.of(one, effect)
+    return probe.step * problem.size.torque
+
+
 def _room(effect: Effect, model: Model) -> int:
     """How many terms of the effect the model has room for beside those that it holds."""
     return MOST_TERMS - sum(entry["effect"] == effect.id for entry in model.effects)
@@ -103,7 +118,7 @@ def bounds(effect: Effect, parameter: Parameter, problem: Problem) -> tuple[floa
     A place must have been visited, and be narrow beside the way that was: what is not is a slope.
     So is what takes many times longer than was recorded.
     """
-    low, high, probe = parameter.lower, parameter.upper, effect.probe
+    (low, high), probe = problem.size.bounds(parameter, effect), effect.probe
     if probe is None:
         return low, high
     held = any(entry["effect"] == effect.id for entry in problem.model.effects)
@@ -162,6 +177,27 @@ def candidates(
     return [one for one in each(look, jobs) if one is not None]
 
 
+def orders_of(
+    problem: Problem,
+    base: Base,
+    residual: Floats,
+    left: Floats,
+    effects: Collection[Effect],
+) -> list[Candidate]:
+    """Candidates of what repeats with the angle at the orders that stand out of ``left`` (n,).
+
+    ``residual`` is that of the model with the entries of ``base``; ``left`` what of it is looked
+    at, such as all that is faster than a discrepancy.
+    """
+    found = []
+    for effect in effects:
+        for order in _orders(problem, left):
+            columns = _columns(problem, base, effect, {"order": order}, residual)
+            if columns is not None:
+                found.append(Candidate(effect, {"order": order}, columns))
+    return found
+
+
 def _columns(
     problem: Problem,
     base: Base,
@@ -173,8 +209,8 @@ def _columns(
     assert probe is not None
     if probe.scan == "curve":
         return hats(problem, base, effect, list(shape.values()), residual)
-    neutral = neutral_value(probe, problem.model)
-    value = {probe.amplitude: neutral + probe.step}
+    neutral, step = neutral_value(probe, problem.model), probe_step(effect, problem)
+    value = {probe.amplitude: neutral + step}
     turns: list[dict[str, float]] = [{}]
     if probe.phase is not None:
         turns = [{probe.phase: 0.0}, {probe.phase: np.pi / 2}]
@@ -182,7 +218,7 @@ def _columns(
     for turn in turns:
         entry = {"effect": effect.id, **shape, **value, **turn}
         changed = problem.residual(problem.with_entries([*base[0], entry], base[1]))
-        columns.append((residual - changed) / probe.step)
+        columns.append((residual - changed) / step)
     found = np.column_stack(columns)
     return found if np.all(np.isfinite(found)) and np.any(found) else None
 
@@ -196,12 +232,12 @@ def hats(
     """
     probe = effect.probe
     assert probe is not None
-    columns = []
+    step, columns = probe_step(effect, problem), []
     for k in range(len(places)):
-        knots = [[x, probe.step if i == k else 0.0] for i, x in enumerate(places)]
+        knots = [[x, step if i == k else 0.0] for i, x in enumerate(places)]
         entry = {"effect": effect.id, probe.amplitude: knots}
         changed = problem.residual(problem.with_entries([*base[0], entry], base[1]))
-        columns.append(np.where(problem.sliding, (residual - changed) / probe.step, 0.0))
+        columns.append(np.where(problem.sliding, (residual - changed) / step, 0.0))
     return np.column_stack(columns)
 
 
@@ -212,24 +248,32 @@ def _shapes(effect: Effect, problem: Problem, residual: Floats) -> Sequence[Mapp
         return [{"order": order} for order in _orders(problem, residual)]
     if probe.scan in ("centre_m", "position_m", "curve"):
         return _places(probe.scan, problem)
-    return probe.shapes
+    return shapes_of(effect, problem)
+
+
+def shapes_of(effect: Effect, problem: Problem) -> Sequence[Mapping[str, float]]:
+    """The shapes that an effect's file gives, for a machine of this size."""
+    probe = effect.probe
+    assert probe is not None
+    of = {one.name: problem.size.of(one, effect) for one in effect.parameters}
+    return [{name: of[name] * value for name, value in shape.items()} for shape in probe.shapes]
 
 
 def _places(scan: str, problem: Problem) -> Sequence[Mapping[str, float]]:
     """Shapes over the rack positions that were visited (m): bumps, stops, or a curve's knots."""
     low, high = problem.visited_m
-    span = high - low
-    if span < 1e-3:
+    span, size = high - low, problem.size.place
+    if span < 1e-3 * size:
         return []
     if scan == "position_m":
         # by place, not by visits: a rig that leans on its stop is mostly beyond where it begins
         near, far = problem.farthest_m, problem.extreme_m
         places = [*(near * np.array((0.6, 0.7, 0.8, 0.9, 0.97))), near, 0.6 * near + 0.4 * far]
-        return [{"position_m": float(np.clip(place, 0.001, 0.2))} for place in places]
+        return [{"position_m": float(np.clip(place, 0.001 * size, 0.2 * size))} for place in places]
     if scan == "curve":
         return [{f"x{k}": float(x) for k, x in enumerate(np.linspace(low, high, _KNOTS))}]
     return [
-        {"centre_m": float(centre), "width_m": float(np.clip(width * span, 5e-4, 0.1))}
+        {"centre_m": float(centre), "width_m": float(width * span)}
         for width in (0.08, 0.25)
         for centre in np.linspace(low + 0.08 * span, high - 0.08 * span, 8)
     ]
@@ -248,8 +292,9 @@ def _orders(problem: Problem, residual: Floats) -> list[float]:
         angle.append(motion.angle_rad[index])
         speed.append(np.abs(motion.speed_rad_s[index]))
     use = problem.sliding
-    phi, omega = np.concatenate(angle)[use], np.concatenate(speed)[use]
-    return _clear_orders(residual[use], phi, omega)
+    turned = problem.size.angle
+    phi, omega = np.concatenate(angle)[use] / turned, np.concatenate(speed)[use] / turned
+    return [order / turned for order in _clear_orders(residual[use], phi, omega)]
 
 
 def _clear_orders(left: Floats, phi: Floats, omega: Floats) -> list[float]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ from eps_hil.compiled import njit
 from eps_hil.diagnosis.balance.baseline import turned
 from eps_hil.diagnosis.data.prepare import SMOOTH_HZ, STEP_S, THIN, Prepared
 from eps_hil.diagnosis.data.side_by_side import each
+from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -21,9 +22,9 @@ CLEAR_SIGMA = 8.0
 """Sliding means that the smoothed speed is this many deviations of its noise from zero."""
 SETTLED_RAD = 0.2
 """Path since the last rest or reversal after which the bristle's history is forgotten."""
-PRESLIDING_SIGMA_NM = 0.03
-"""What rest and presliding leave even in a right model, at 0.2 rad/s of speed noise or less and
-at 1 kHz: a reversal's instant is known no better than a sample."""
+PRESLIDING_SIGMA_NM, NOISY_RAD_S = 0.03, 0.2
+"""What rest and presliding leave even in a right model, at so much speed noise or less and at
+1 kHz: a reversal's instant is known no better than a sample."""
 _MANY = 20_000
 """Thinned samples from which it is worth while to work on several recordings at once."""
 TERM = "term"
@@ -33,7 +34,14 @@ NOTHING_NM = 1e3
 BLOCK_S = 2.0
 """Length of the blocks that take turns in fitting and judging."""
 STRETCH_S = 10.0
-"""Length over which errors hang together: a manoeuvre, in which the model is wrong in one way."""
+"""Length over which errors are correlated: a manoeuvre, in which the model is wrong in one way."""
+
+
+class Remainder(Protocol):
+    """A covariance that residuals have beyond the sensors' noise."""
+
+    def span(self, problem: "Problem") -> Floats:
+        """P (n, r): residuals are whitened by taking P Pᵀ of them off."""
 
 
 @dataclass
@@ -46,8 +54,12 @@ class Problem:
     """Own numbers of the model that are free in every fit, because nobody measured them."""
     either_sign: bool = False
     """Whether shapes may be found upside down, where what matters is the shape, not its name."""
+    remainder: Remainder | None = None
+    """What is unknown beside the model (``discrepancy.py``): residuals are whitened by it."""
     sliding: Masks = field(init=False)
     scale: Floats = field(init=False)
+    floor: float = field(init=False)
+    """The sliding samples' usual noise, Nm."""
     block: npt.NDArray[np.int64] = field(init=False)
     stretch: npt.NDArray[np.int64] = field(init=False)
     knee: float = field(init=False, default=0.0)
@@ -72,10 +84,12 @@ class Problem:
             mask &= ~barred
             floor = float(np.hypot(recording.floor_nm(self.model), recording.unexplained_nm))
             masks.append(mask)
-            noisy = max(1.0, recording.noise["motor_speed_rad_s"] / 0.2)
-            unsure = PRESLIDING_SIGMA_NM * max(noisy, float(np.sqrt(recording.interval_s / STEP_S)))
+            speed_noise = recording.noise["motor_speed_rad_s"] / self.size.angle
+            slower = float(np.sqrt(recording.interval_s / STEP_S))
+            unsure = PRESLIDING_SIGMA_NM * max(1.0, speed_noise / NOISY_RAD_S, slower)
+            unsure *= self.size.torque
             usable = np.where(mask, floor, np.hypot(floor, unsure))
-            floors.append(np.where(barred, NOTHING_NM, usable))
+            floors.append(np.where(barred, NOTHING_NM * self.size.torque, usable))
             index = (recording.thin_time_s - recording.thin_time_s[0]) // BLOCK_S
             blocks.append(number + index.astype(np.int64))
             number = int(blocks[-1][-1]) + 1
@@ -88,8 +102,23 @@ class Problem:
         self.extreme_m = float(np.max(np.abs(position)))
         self.sliding = np.concatenate(masks)
         self.scale = np.concatenate(floors)
+        self.floor = float(np.median(self.scale[self.sliding])) if self.sliding.any() else 1.0
         self.block = np.concatenate(blocks)
         self.stretch = np.concatenate(stretches)
+        self._span = None if self.remainder is None else self.remainder.span(self)
+
+    def over(self, recordings: Sequence[Prepared]) -> "Problem":
+        """The same for other recordings: hold-outs."""
+        return replace(self, recordings=recordings)
+
+    def beside(self, remainder: Remainder | None) -> "Problem":
+        """The same with another remainder."""
+        return replace(self, remainder=remainder)
+
+    @property
+    def size(self) -> Size:
+        """How large the machine is."""
+        return self.recordings[0].size if self.recordings else ORDINARY
 
     @property
     def independent(self) -> float:
@@ -106,9 +135,14 @@ class Problem:
         def left(one: Prepared) -> Floats:
             return one.left_over(model) * (one.floor_nm(self.model) / one.floor_nm(model))
 
-        if len(self.scale) < _MANY:
-            return np.concatenate([left(one) for one in self.recordings]) / self.scale
-        return np.concatenate(each(left, self.recordings)) / self.scale
+        few = len(self.scale) < _MANY
+        parts = [left(one) for one in self.recordings] if few else each(left, self.recordings)
+        residual = np.concatenate(parts) / self.scale
+        return self.whitened(residual)
+
+    def whitened(self, values: Floats) -> Floats:
+        """Residuals (n,) or sensitivities (n, k) beside the remainder; themselves without one."""
+        return values if self._span is None else values - self._span @ (self._span.T @ values)
 
     def cost(self, residual: Floats) -> float:
         """Twice Huber's loss at the common knee: the sum of squares but for outliers."""
@@ -122,7 +156,7 @@ class Problem:
         """The model with effects added to its own, and its ``own`` numbers moved (see baseline)."""
         entries = [plain(entry) for entry in entries]
         model = replace(self.model, effects=(*self.model.effects, *entries))
-        return turned(model, own or {})
+        return turned(model, own or {}, self.size)
 
 
 def term_of(entry: Mapping[str, Any]) -> str:
@@ -159,7 +193,9 @@ def sliding(recording: Prepared, model: Model) -> Masks:
     speed = motion.speed_rad_s
     since = _since_reversal(speed, motion.slip_rad)
     noise = recording.noise["motor_speed_rad_s"] * np.sqrt(2 * SMOOTH_HZ * STEP_S)
-    good = (np.abs(speed) > max(SLIDING_RAD_S, CLEAR_SIGMA * noise)) & (since > SETTLED_RAD)
+    angle = recording.size.angle
+    slides = np.abs(speed) > max(SLIDING_RAD_S * angle, CLEAR_SIGMA * noise)
+    good = slides & (since > SETTLED_RAD * angle)
     # the filter spreads what happens at a reversal over its own length
     wide = np.convolve(~good, np.ones(2 * THIN + 1), mode="same") > 0
     edge = (len(speed) - len(recording.thin_time_s) * THIN) // 2

@@ -1,4 +1,4 @@
-"""How sure fitted numbers are, where residuals hang together and few places say anything.
+"""How sure fitted numbers are, where residuals are correlated and few places say anything.
 
 A sandwich over groups of samples takes the residuals of one group for one observation. Which
 groups are right nobody knows (an error of form lasts as long as a manoeuvre does), so samples,
@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Parameter, Probe
 
 Floats = npt.NDArray[np.float64]
+Ends = tuple[float, float]
 Integers = npt.NDArray[np.int64]
 
 _IN_STRETCH = 5
@@ -83,7 +85,7 @@ def parts(
     return np.asarray(stdtrit(degrees, 0.975) * sigma), sigma, degrees
 
 
-def left_open(findings: Sequence[Mapping[str, Any]]) -> list[str]:
+def left_open(findings: Sequence[Mapping[str, Any]], size: Size = ORDINARY) -> list[str]:
     """A sentence (CONTRACT 7, ``limits``) for each finding with a number that is hardly known.
 
     That is one whose 95 % interval goes beyond what the effect can be, or whose fit ended on the
@@ -96,9 +98,10 @@ def left_open(findings: Sequence[Mapping[str, Any]]) -> list[str]:
             continue
         found = finding["parameters"]
         open_ones = [
-            _range(found[one.name], one)
+            _range(found[one.name], one, size.bounds(one, effect))
             for one in effect.parameters
-            if one.name in found and _open(found[one.name], one, effect.probe)
+            if one.name in found
+            and _open(found[one.name], one, effect.probe, size.bounds(one, effect))
         ]
         if open_ones:
             said.append(
@@ -109,29 +112,29 @@ def left_open(findings: Sequence[Mapping[str, Any]]) -> list[str]:
     return said
 
 
-def _open(told: Mapping[str, Any], one: Parameter, probe: Probe | None) -> bool:
+def _open(told: Mapping[str, Any], one: Parameter, probe: Probe | None, ends: Ends) -> bool:
     """What turns round has no bound; intervals are of the torque balance's own effects only."""
     if told["ci95"] is None or one.closed or (probe is not None and one.name == probe.phase):
         return False
-    return _on_bound(told, one) or (probe is not None and _beyond(told, one))
+    return _on_bound(told, ends) or (probe is not None and _beyond(told, ends))
 
 
-def _beyond(told: Mapping[str, Any], one: Parameter) -> bool:
+def _beyond(told: Mapping[str, Any], ends: Ends) -> bool:
     low, high = told["ci95"]
-    return bool(low < one.lower or high > one.upper)
+    return bool(low < ends[0] or high > ends[1])
 
 
-def _on_bound(told: Mapping[str, Any], one: Parameter) -> bool:
-    return bool(np.any(np.isclose(told["value"], (one.lower, one.upper), rtol=1e-6, atol=0.0)))
+def _on_bound(told: Mapping[str, Any], ends: Ends) -> bool:
+    return bool(np.any(np.isclose(told["value"], ends, rtol=1e-6, atol=0.0)))
 
 
-def _range(told: Mapping[str, Any], one: Parameter) -> str:
+def _range(told: Mapping[str, Any], one: Parameter, ends: Ends) -> str:
     low, high = told["ci95"]
     unit = "" if one.unit == "1" else f" {one.unit}"
-    if _on_bound(told, one):
+    if _on_bound(told, ends):
         return f"{one.name} (it ended at {told['value']:.3g}{unit}, the bound of what it can be)"
-    if low < one.lower and high > one.upper:
+    if low < ends[0] and high > ends[1]:
         return one.name
-    if low < one.lower:
+    if low < ends[0]:
         return f"{one.name} (anything up to {high:.3g}{unit})"
     return f"{one.name} ({low:.3g}{unit} or more)"

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from eps_hil.diagnosis.data.intake import refusing
+from eps_hil.diagnosis.data.far_off import check_clocks
+from eps_hil.diagnosis.data.intake import RecordingError, refusing
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.errors import InputError
 from eps_hil.identification import kinematics, plausibility
@@ -45,6 +46,17 @@ def check_channels(recordings: Mapping[str, Signals], model: Model) -> None:
     each(lambda one: _check(one[0], one[1], model, most_s), recordings.items())
 
 
+def channels_in_doubt(recordings: Mapping[str, Signals], model: Model, trusted: bool) -> list[str]:
+    """:func:`check_channels`; where channels are ``trusted``, what it refuses as a sentence."""
+    try:
+        check_channels(recordings, model)
+    except RecordingError as error:
+        if not trusted:
+            raise
+        return [f"{error.recording}: {error}. The channels were trusted all the same."]
+    return []
+
+
 def _check(name: str, series: Signals, model: Model, most_s: float) -> None:
     used: Signals = {
         key: one for key, one in series.items() if np.isfinite(one.value).sum() >= _FEWEST
@@ -57,6 +69,7 @@ def _check(name: str, series: Signals, model: Model, most_s: float) -> None:
         if _shared_s(used) < SHORTEST_S:
             return
         ready = prepare(name, used)
+        check_clocks(ready)
         _motion(ready, model)
         _torques(ready, model)
 

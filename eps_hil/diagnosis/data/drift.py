@@ -3,7 +3,7 @@
 A drift of 100 ppm is 6 ms after a minute: more than any delay of the model file. Speed and angle
 are looked at against the rack position (``rotor_and_rack.py``) and each other
 (``speed_and_angle.py``), where a delay that grows with time shows directly; a torque's only in the
-torque balance (``misread.py``).
+torque balance (``channel_fault.py``).
 """
 
 from collections.abc import Sequence

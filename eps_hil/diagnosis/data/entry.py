@@ -68,9 +68,12 @@ def unknown(
     }
 
 
-def place(signal: str, low: float, high: float, share: float) -> dict[str, Any]:
-    """A stretch of a signal, and the share of the mismatch's excess that is there."""
-    return {"signal": signal, "from": low, "to": high, "share_of_excess": share}
+def place(
+    signal: str, low: float, high: float, share: float, time: float | None = None
+) -> dict[str, Any]:
+    """A stretch of a signal, the share of the mismatch's excess that is there, and of the time."""
+    told = {"signal": signal, "from": low, "to": high, "share_of_excess": share}
+    return told if time is None else {**told, "share_of_time": round(time, 4)}
 
 
 def around(value: float, half: float) -> Ends:

@@ -10,6 +10,7 @@ from eps_hil.diagnosis.data.prepare import Prepared, prepare
 from eps_hil.errors import InputError
 from eps_hil.identification.prepare import check_rate
 from eps_hil.series import Series
+from eps_hil.signals import PUBLISHED
 
 BELIEVABLE = {
     "motor_torque_nm": 1e4,
@@ -39,6 +40,14 @@ def refusing() -> Iterator[None]:
     except InputError as error:
         place = "" if error.problem.startswith(error.place) else f"{error.place}: "
         raise RecordingError(error.file, f"{place}{error.problem}; {error.remedy}") from None
+
+
+def measured(recordings: Mapping[str, Mapping[str, Series]]) -> dict[str, dict[str, Series]]:
+    """Recordings without what the service published: a bus log has it from before the rig began."""
+    return {
+        name: {signal: one for signal, one in series.items() if signal not in PUBLISHED}
+        for name, series in recordings.items()
+    }
 
 
 def check_rates(recordings: Mapping[str, Mapping[str, Series]]) -> None:

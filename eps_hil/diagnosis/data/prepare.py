@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
+from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.identification.filters import between, shifted
 from eps_hil.physics.balance import Motion, residual_nm
@@ -33,7 +34,7 @@ SMOOTH_HZ = 100.0
 """Low-pass of the speed that friction is evaluated at."""
 SLOW_HZ, TAKEN_UP = 4.0, 6
 """Below this an arbitrary force takes up what the balance lacks, in so many rounds."""
-REST_WINDOW_S = 0.03
+REST_WINDOW_S, REST_RAD_S = 0.03, 0.02
 CREEP_HZ = 20.0
 """Low-pass of the angle that shows how a resting rotor creeps."""
 _LOST_SIGMAS = 5.0
@@ -47,6 +48,8 @@ _MOST_SHIFTED, _LEAST_SHIFTED = 40, 8
 _MOST_SHIFTED_BYTES = 200_000_000
 """An hour's signals are 29 MB each: what is remembered of them has to end somewhere."""
 _TAIL = 10.0
+_ROUNDING = 1e-7
+"""Of the motor torque's rms: as exact as signals of single precision are."""
 _NEEDED = ("motor_torque_nm",)
 
 
@@ -69,8 +72,12 @@ class Prepared:
     """Where its own time is 0, since the start of a recording of which it is the last part."""
     taken_from: Floats | None = None
     """Balance (n,), Nm, from which an unmeasured force was taken that takes up whatever is slow."""
+    load_is_assumed: bool = False
+    """Whether ``raw``'s rack force is a load that was fitted, where nobody measured one."""
     slack_rad_s2: Floats | None = None
     """What a belt that gives adds to the acceleration of all inertia (``belt.py``), (n,)."""
+    size: Size = ORDINARY
+    """How large the machine is by all recordings."""
     _shifted: dict[tuple[int, float], Floats] = field(default_factory=dict)
 
     def changed(self, **values: Any) -> "Prepared":
@@ -104,6 +111,14 @@ class Prepared:
         moving = {"speed": smooth, "travel": travel, "slip": np.abs(travel)}
         copy.__dict__["_kinematics"] = {**self._kinematics, **moving}
         return copy
+
+    def as_measured(self) -> "Prepared":
+        """The same without a load that was only assumed: what a simulation is driven by."""
+        if not self.load_is_assumed:
+            return self
+        raw = {name: values for name, values in self.raw.items() if name != "rack_force_n"}
+        noise = {name: size for name, size in self.noise.items() if name != "rack_force_n"}
+        return self.changed(raw=raw, noise=noise, load_is_assumed=False, taken_from=None)
 
     def cut(self, first: int, last: int) -> "Prepared":
         """The window of samples ``first`` (a multiple of THIN) to ``last``, with their time."""
@@ -199,7 +214,13 @@ class Prepared:
             + (load * self.noise.get("rack_force_n", 0.0)) ** 2 * share
             + worked_in.inertia_kg_m2**2 * self._acceleration_variance()
         )
-        return float(np.sqrt(squared))
+        return float(np.hypot(np.sqrt(squared), self._rounding_nm))
+
+    @cached_property
+    def _rounding_nm(self) -> float:
+        """What arithmetic leaves of a recording without any noise, Nm: no floor is nothing."""
+        torque = self.raw["motor_torque_nm"]
+        return max(_ROUNDING * float(np.sqrt(np.mean(torque**2))), 1e-15)
 
     @property
     def lost_path_rad(self) -> float:
@@ -288,7 +309,7 @@ class Prepared:
         window = np.ones(n) / n
         mean = np.convolve(np.pad(speed, n // 2, mode="edge"), window, mode="valid")
         sigma = self.noise["motor_speed_rad_s"] / np.sqrt(n)
-        return np.asarray(np.abs(mean) < max(4.0 * sigma, 0.02))
+        return np.asarray(np.abs(mean) < max(4.0 * sigma, REST_RAD_S * self.size.angle))
 
 
 def _behind_lag(model: Model) -> float:
@@ -379,6 +400,8 @@ def _noise_of(bends: Floats, order: int) -> float:
     if np.count_nonzero(bends) < 0.2 * len(bends):
         return float(np.sqrt(np.mean(bends**2) / scale))
     usual = float(np.median(bends)) / 0.6745
+    if usual == 0.0:  # of a value that is held for some rows, now more, now fewer
+        usual = float(np.median(bends[bends > 0.0])) / 0.6745
     return float(np.sqrt(np.mean(np.minimum(bends, _TAIL * usual) ** 2) / scale))
 
 

@@ -26,6 +26,8 @@ GAP = 5.0
 """So many usual steps without a good sample (none at all, or NaN) are a gap…"""
 GAP_S = 0.02
 """…if it is also longer than this."""
+_SURE = 4.0
+"""Deviations of what jitter adds up to: there are many channels."""
 LOST = 1.5
 """A step of so many usual ones is no jitter."""
 CLIPPED_SAMPLES = 8
@@ -110,10 +112,16 @@ class Quality:
 
     @property
     def lost(self) -> tuple[int, float]:
-        """(lost frames of the signal that lost most, the largest share that any of them lost)."""
-        counts = [one.lost_frames for one in self.channels]
-        shares = [one.lost_frames / max(one.frames + one.lost_frames, 1) for one in self.channels]
+        """(lost frames of the input that lost most, the largest share that any of them lost)."""
+        inputs = self.inputs
+        counts = [one.lost_frames for one in inputs]
+        shares = [one.lost_frames / max(one.frames + one.lost_frames, 1) for one in inputs]
         return max(counts, default=0), max(shares, default=0.0)
+
+    @property
+    def inputs(self) -> tuple[Channel, ...]:
+        """What the diagnosis reads: a loss of anything else is nobody's mismatch."""
+        return tuple(one for one in self.channels if one.signal in _USED)
 
     def barred(self, one: Prepared) -> Flags:
         """Thinned samples (m,) of the prepared recording that nothing may be concluded from."""
@@ -130,18 +138,24 @@ class Quality:
         return bad
 
 
-def look_at(name: str, series: Mapping[str, Series]) -> Quality:
-    """Stage 0 for one recording as it was read."""
+def look_at(
+    name: str, series: Mapping[str, Series], rad_per_m: float = 2500.0, angle: float = 1.0
+) -> Quality:
+    """Stage 0 for one recording as it was read; ``angle``: how far its rotor turns (``size.py``).
+
+    ``rad_per_m``: rotor turn per rack travel.
+    """
     start = min((int(one.t_ns[0]) for one in series.values() if len(one.t_ns) > 1), default=0)
-    speed = _speed(series)
+    speed = _speed(series, rad_per_m / angle, 1.0 / angle)
     channels = [
         _channel(signal, one, start, speed) for signal, one in series.items() if len(one.t_ns) > 10
     ]
     return Quality(name, tuple(channels), start)
 
 
-def _speed(series: Mapping[str, Series]) -> Mapping[str, Series]:
-    """Speeds of the rotor (rad/s) by what they come from; differences where only a place is."""
+def _speed(series: Mapping[str, Series], of_rack: float, of_rotor: float) -> Mapping[str, Series]:
+    """Speeds (rad/s) as of a rotor of ordinary size, by what they come from; differences where only
+    a place is."""
     found = {}
     for name in _MOTION:
         if name not in series:
@@ -152,11 +166,11 @@ def _speed(series: Mapping[str, Series]) -> Mapping[str, Series]:
             continue
         one = Series(one.t_ns[good], one.value[good])
         if name == "motor_speed_rad_s":
-            found[name] = one
+            found[name] = Series(one.t_ns, of_rotor * one.value)
             continue
         seconds = (one.t_ns - one.t_ns[0]) * 1e-9
         grid = np.arange(0.0, seconds[-1], 0.02)
-        scale = 2500.0 if name == "rack_position_m" else 1.0
+        scale = of_rack if name == "rack_position_m" else of_rotor
         rate = np.gradient(np.interp(grid, seconds, one.value), 0.02) * scale
         found[name] = Series(one.t_ns[0] + np.round(grid * 1e9).astype(np.int64), rate)
     return found
@@ -170,13 +184,14 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
     value = one.value[good]
     at = seconds[good]
     regular = steps[steps < LOST * usual]
+    jitter = float(np.std(regular)) if len(regular) else 0.0
     runs = _equal_runs(value)
     quantum = _quantum(value)
     return Channel(
         signal=signal,
         rate_hz=1.0 / usual if usual > 0 else 0.0,
-        jitter_s=float(np.std(regular)) if len(regular) else 0.0,
-        lost_frames=_lost(seconds, usual) if usual > 0 else 0,
+        jitter_s=jitter,
+        lost_frames=_surely_lost(seconds, usual, jitter) if usual > 0 else 0,
         frames=len(steps) + 1,
         gaps=_gaps(seconds, good),
         clipped=_clipped(value, at, runs, quantum),
@@ -185,6 +200,12 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
         noise=noise_of(value) if len(value) > 10 else 0.0,
         bad_samples=int(np.sum(~good)),
     )
+
+
+def _surely_lost(seconds: Floats, usual: float, jitter: float) -> int:
+    """Frames that are missing, where more are than jitter of every step by itself may add up to."""
+    lost = _lost(seconds, usual)
+    return lost if lost > _SURE * jitter / usual * np.sqrt(len(seconds)) else 0
 
 
 @njit
@@ -289,10 +310,12 @@ def finding(qualities: list[Quality]) -> dict[str, Any] | None:
 
     effect = catalogue()["dropped_frames"]
     count = sum(one.lost[0] for one in qualities)
-    places = [place("time_s", a, b, 0.0) for channel in worst.channels for a, b in channel.gaps[:2]]
+    losing = [channel for channel in worst.inputs if channel.lost_frames]
+    places = [place("time_s", a, b, 0.0) for channel in losing for a, b in channel.gaps[:2]]
+    signals = ", ".join(channel.signal for channel in losing)
     return known(
         effect.id,
-        effect.sentence.format(count=count),
+        f"{effect.sentence.format(count=count)} They carry {signals}.",
         {"count": around(float(count), 0.0)},
         0.99,
         "time stamps",

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from eps_hil.diagnosis.direct.rotor_and_rack import LEAST_COMPLIANCE, LEAST_GAP_RAD
+from eps_hil.diagnosis.data.size import Size
+from eps_hil.diagnosis.direct.rotor_and_rack import LEAST_GAP_RAD, least_compliance
 from eps_hil.diagnosis.direct.seen import Seen
 from eps_hil.diagnosis.direct.torsion_bar import LEAST_PLAY_NM
 from eps_hil.physics.model import Model
@@ -23,16 +24,17 @@ _WIDE = 2.0
 """Half widths of its interval that a number may be from the model's and still be it."""
 
 
-def held(model: Model, seen: Seen) -> dict[str, Any] | None:
+def held(model: Model, seen: Seen, size: Size) -> dict[str, Any] | None:
     """The model's own entry, if it has this effect in this size."""
     name = str(seen.entry["effect"])
     entries = [dict(one) for one in model.effects if one["effect"] == name]
     if name not in MEASURED_WHOLE or not entries:
         return None
     number, least = MEASURED_WHOLE[name]
+    least *= size.angle if name == "backlash" else 1.0
     value, known = float(seen.entry[number]), float(entries[-1][number])
     if name == "belt_compliance":
-        least = LEAST_COMPLIANCE * value * known  # as little as is no belt at all
+        least = least_compliance(model) * value * known  # as little as is no belt at all
     wide = _WIDE * seen.half_width.get(number, 0.0)
     return entries[-1] if abs(value - known) <= max(wide, least) else None
 

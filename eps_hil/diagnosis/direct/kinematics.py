@@ -17,7 +17,6 @@ import numpy.typing as npt
 from eps_hil.diagnosis.balance.excerpt import evenly
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
-from eps_hil.diagnosis.direct.apart import Apart, apart, shown
 from eps_hil.diagnosis.direct.rotor_and_rack import (
     LEAST_RATIO,
     Rows,
@@ -27,6 +26,7 @@ from eps_hil.diagnosis.direct.rotor_and_rack import (
     transmitted,
 )
 from eps_hil.diagnosis.direct.seen import Seen
+from eps_hil.diagnosis.direct.separation import Separation, separation, shown
 from eps_hil.diagnosis.direct.torsion_bar import (
     Law,
     has_twist,
@@ -57,7 +57,7 @@ class Kinematics:
     content: dict[str, Any] = field(default_factory=dict)
     twist: Law | None = None
     gap_rad: float = 0.0
-    left: Apart | None = None
+    left: Separation | None = None
     """What of rotor against rack no name stands for."""
 
     def corrected(self, one: Prepared, model: Model) -> Prepared:
@@ -81,10 +81,10 @@ class Kinematics:
         n = len(one.thin_time_s)
         if self.gap_rad == 0.0 or "rack_position_m" not in one.raw:
             return np.zeros(n, dtype=bool)
-        return may_be_open(one.thin(transmitted(one, model)))
+        return may_be_open(one.thin(transmitted(one, model)), one)
 
 
-def _beside(left: Apart, found: Sequence[Seen]) -> list[Seen]:
+def _beside(left: Separation, found: Sequence[Seen]) -> list[Seen]:
     """Names that may stand beside something unknown; those of its kind only if they do better."""
     kept = [one for one in found if one.gain > BESIDE_UNKNOWN * left.energy]
     joints = ("belt_compliance", "backlash")
@@ -114,7 +114,7 @@ def examine(
     rows, kept = rows_of(fitted), rows_of(judged)
     if rows:
         found, content, accepted = rotor_against_rack(rows, kept, without)
-        left = apart(rows, accepted, without)
+        left = separation(rows, accepted, without)
         left = left if left is None or shown(left, kept, accepted) else None
         seen += found if left is None else _beside(left, found)
         gap = next((s.entry["gap_rad"] for s in found if s.entry["effect"] == "backlash"), 0.0)

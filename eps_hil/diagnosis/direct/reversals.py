@@ -119,7 +119,7 @@ def bristle(problem: Problem, found: Fit) -> Bristle | None:
     return best if best is not None and best.times_noise < _AS_NOISE else None
 
 
-def borne_out(one: Bristle, problem: Problem, found: Fit, judged: Sequence[Holdout]) -> bool:
+def reversals_agree(one: Bristle, problem: Problem, found: Fit, judged: Sequence[Holdout]) -> bool:
     """Whether reversals of the hold-outs say the same, and are nearer to the model with it."""
     model = _without_it(problem, found)
     kept = [each.prepared for each in judged]
@@ -255,7 +255,8 @@ def _rows(one: Prepared, instant_s: float) -> Integers:
 
 def _way(one: Prepared, model: Model) -> Floats:
     """Which way the rotor slides, −1 to 1, at the thinned samples."""
-    return np.asarray(np.tanh(one.thin(one.motion(model).speed_rad_s) / _SPEED_RAD_S))
+    speed = one.thin(one.motion(model).speed_rad_s) / one.size.angle
+    return np.asarray(np.tanh(speed / _SPEED_RAD_S))
 
 
 def _less_levels(values: Floats, way: Floats) -> Floats:
@@ -344,7 +345,8 @@ def _reversals(one: Prepared, model: Model) -> Floats:
     start, end = np.concatenate([[moving[0]], first]), np.concatenate([last, [moving[-1]]])
     way_rad = path[end + 1] - path[start]
     at = 0.5 * (last + first)
-    full = (way_rad[:-1] > 2 * SETTLED_RAD) & (way_rad[1:] > SETTLED_RAD)
+    settled = SETTLED_RAD * one.size.angle
+    full = (way_rad[:-1] > 2 * settled) & (way_rad[1:] > settled)
     full &= first - last < _REST_SAMPLES
     room = round(HALF_WINDOW_S / STEP_S) + THIN
     edge = (len(speed) - len(one.thin_time_s) * THIN) // 2

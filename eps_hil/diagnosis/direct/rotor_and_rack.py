@@ -26,8 +26,8 @@ Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 BLOCK_S = 2.0
-LEAST_COMPLIANCE = 1.0 / 60.0
-"""rad/Nm; a stiffer drive resonates above 150 Hz, where no torque balance sees it."""
+STIFF_HZ = 152.0
+"""A drive whose belt resonates above this is stiff: no torque balance sees it."""
 LEAST_GAP_RAD = 0.005
 """Beside a belt that is free to give, noise alone shows gaps of less than a tenth of this."""
 LEAST_RATIO = 0.004
@@ -65,9 +65,9 @@ class Rows:
     def __init__(self, one: Prepared, model: Model) -> None:
         motion = one.motion(model)
         ratio = with_model_effects(model).rack_to_rotor_ratio_rad_per_m
-        self.one = one
+        self.one, self.model = one, model
         torque = transmitted(one, model)
-        usable = ~may_be_open(one.thin(torque))
+        usable = ~may_be_open(one.thin(torque), one)
         if one.barred is not None:
             usable &= ~one.barred
 
@@ -88,22 +88,28 @@ class Rows:
             "drift": -thin(motion.speed_rad_s * one.since_start_s) * 1e-6,
             "compliance": self.torque,
             "inertia": thin(model.inertia_kg_m2 * motion.acceleration_rad_s2),
-            "friction": thin(np.tanh(motion.speed_rad_s / _TURNS_RAD_S)),
-            "half_gap": np.tanh(self.torque / _CONTACT_NM),
+            "friction": thin(np.tanh(motion.speed_rad_s / (_TURNS_RAD_S * one.size.angle))),
+            "half_gap": np.tanh(self.torque / (_CONTACT_NM * one.size.torque)),
             "ratio_slope": ratio * self.x * self.x,
             "ratio_bend": ratio * self.x**3,
         }
         sigma = np.hypot(
             one.noise.get("motor_angle_rad", 0.0), ratio * one.noise["rack_position_m"]
         )
-        self.sigma = max(float(sigma) * np.sqrt(passed(CUTOFF_HZ, 0)), 1e-6)
+        self.sigma = max(float(sigma) * np.sqrt(passed(CUTOFF_HZ, 0)), 1e-6 * one.size.angle)
         block = (one.thin_time_s - one.thin_time_s[0]) // BLOCK_S
         self.block = block[usable].astype(np.int64)
 
 
-def may_be_open(torque: Floats) -> Flags:
+def least_compliance(model: Model) -> float:
+    """Compliance (rad/Nm at the rotor) of a belt that is just as stiff as shows no more."""
+    behind = _INERTIA_SHARE * model.inertia_kg_m2
+    return 1.0 / (behind * (2.0 * np.pi * STIFF_HZ) ** 2)
+
+
+def may_be_open(torque: Floats, one: Prepared) -> Flags:
     """Where the transmitted torque is about to change its sign: a gap may be open there."""
-    small = np.abs(torque) < _OPEN_NM
+    small = np.abs(torque) < _OPEN_NM * one.size.torque
     small |= np.append(np.diff(np.sign(torque)) != 0, False)
     return np.asarray(np.convolve(small, np.ones(_WIDE), mode="same") > 0)
 
@@ -115,7 +121,7 @@ def has_rack(one: Prepared, model: Model) -> bool:
     apart = one.raw["motor_angle_rad"] - (
         model.rack_to_rotor_ratio_rad_per_m * one.raw["rack_position_m"]
     )
-    return float(np.std(np.diff(apart))) > _ONE_SOURCE
+    return float(np.std(np.diff(apart))) > _ONE_SOURCE * one.size.angle
 
 
 def transmitted(one: Prepared, model: Model) -> Floats:
@@ -250,7 +256,7 @@ def _judged(
 ) -> Seen | None:
     """The finding, if its numbers make sense, are large enough, and help on the hold-outs."""
     group = ("ratio",) if constant else _GROUPS[effect]
-    entry = _entry(effect, values, constant=constant)
+    entry = _entry(rows, effect, values, constant=constant)
     if entry is None:
         return None
     if not constant and not _matters(effect, rows, values):
@@ -278,7 +284,9 @@ def _judged(
     return Seen(entry, _own(effect, values, half), gain, min(1.0, gain / total), (place,))
 
 
-def _entry(effect: str, values: Mapping[str, float], *, constant: bool) -> dict[str, Any] | None:
+def _entry(
+    rows: Sequence[Rows], effect: str, values: Mapping[str, float], *, constant: bool
+) -> dict[str, Any] | None:
     if effect == "rack_ratio":
         return {"effect": effect, "scale": values["ratio"]} if constant else {
             "effect": effect, "scale": values["ratio"],
@@ -288,9 +296,13 @@ def _entry(effect: str, values: Mapping[str, float], *, constant: bool) -> dict[
         return {"effect": effect, "ppm": values["drift"]}
     if effect == "backlash":
         gap = 2.0 * values["half_gap"]
-        return {"effect": effect, "gap_rad": gap} if gap > LEAST_GAP_RAD else None
+        return (
+            {"effect": effect, "gap_rad": gap}
+            if gap > LEAST_GAP_RAD * rows[0].one.size.angle
+            else None
+        )
     compliance = values["compliance"]
-    if compliance < LEAST_COMPLIANCE:
+    if compliance < least_compliance(rows[0].model):
         return None
     return {"effect": effect, "stiffness_nm_per_rad": 1.0 / compliance}
 

@@ -187,8 +187,10 @@ def sensor_play(
     slope = float(np.std(torque) / np.std(twist))
     sigma = float(np.sqrt(np.mean([one.sigma_nm(slope) ** 2 for one in rows])))
 
+    middle = float(np.mean(twist))  # where an angle or a place counts from is nobody's torque
+
     def law(p: Floats) -> Law:
-        return Law(slope * p[0], slope * p[1], slope * p[2], p[3])
+        return Law(slope * p[0], slope * p[1], slope * p[2], p[3] - slope * p[0] * middle)
 
     def residual(p: Floats) -> Floats:
         return np.concatenate(each(lambda one: one.left(law(p), float(p[4])), rows))

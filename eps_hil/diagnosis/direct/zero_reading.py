@@ -157,10 +157,7 @@ def zero_readings(
     known any better.
     """
     floor = float(np.sqrt(np.mean([one.floor_nm(model) ** 2 for one in recordings])))
-    sliding = sum(
-        int(np.sum(np.abs(one.thin(one.raw["motor_speed_rad_s"])) > _SLIDING_RAD_S))
-        for one in recordings
-    )
+    sliding = sum(np.count_nonzero(_speed(one) > _SLIDING_RAD_S) for one in recordings)
     seen = []
     for signal, effect in SENSORS.items():
         if effect in without or not all(signal in one.raw for one in recordings):
@@ -178,6 +175,11 @@ def zero_readings(
         if one.clear or per_nm * reading.half**2 < _LEAST_GAIN:
             seen.append(one)
     return ZeroReadings(tuple(seen))
+
+
+def _speed(one: Prepared) -> Floats:
+    """Of a rotor of ordinary size, rad/s, at the thinned samples."""
+    return np.abs(one.thin(one.raw["motor_speed_rad_s"])) / one.size.angle
 
 
 def told_apart(

@@ -216,7 +216,7 @@ def levelled(problem: Problem, found: Fit) -> Fit | None:
     Where a curve is zero is a matter of how it is drawn. A curve that keeps clear of zero by a
     part of its height holds a constant torque besides.
     """
-    constant_nm = OFFSET_NM * found.own.get(OFFSET, 0.0)
+    constant_nm = OFFSET_NM * problem.size.torque * found.own.get(OFFSET, 0.0)
     (curve,) = (entry["curve"] for entry in found.entries if entry["effect"] == ID)
     raised = [[x, y - constant_nm] for x, y in curve]
     low, high = min(y for _, y in raised), max(y for _, y in raised)

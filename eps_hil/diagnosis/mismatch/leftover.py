@@ -81,23 +81,6 @@ def leftover(
     return None
 
 
-def alone(problem: Problem, null: Floats, named: Floats) -> Leftover | None:
-    """One unknown curve that explains, by itself, more than all names together; None if none does.
-
-    ``null``, ``named``: residuals (n,) without and with the names.
-    """
-    use, at = problem.sliding, knee(null)
-    cut = clipped(null, at)
-    total = float(np.sum(cut[use] ** 2))
-    excess = total / float(np.sum(use)) - 1.0
-    views = ((name, values) for name, values in _views(problem).items() if name != "time_s")
-    curves = [_curve(problem, name, values, cut, excess) for name, values in views]
-    best = max((one for one in curves if one is not None), key=lambda one: one.share, default=None)
-    if best is None or (1.0 - best.share) * total > float(np.sum(clipped(named, at)[use] ** 2)):
-        return None
-    return best
-
-
 def late_torque(problem: Problem, found: Fit) -> Leftover | None:
     """A motor torque that is later than holding it explains, where no name for that is allowed."""
     late_s = HOLD_S * found.own.get(HOLD, 0.0)

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.balance.coordinates import coordinates_of
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import THIN
 from eps_hil.diagnosis.mismatch.binned import places
@@ -31,22 +33,7 @@ class Region:
 
 def coordinates(problem: Problem) -> Mapping[str, Floats]:
     """Canonical signals at the thinned samples, physical instants, all shape (n,)."""
-    rows: dict[str, list[Floats]] = {}
-    for recording in problem.recordings:
-        motion = recording.motion(problem.model)
-        edge = (len(recording.time_s) - len(recording.thin_time_s) * THIN) // 2
-        take = slice(edge, edge + len(recording.thin_time_s) * THIN, THIN)
-        signals = {
-            "motor_speed_rad_s": motion.speed_rad_s,
-            "rack_position_m": motion.position_m,
-            "rack_force_n": motion.rack_force_n,
-            "motor_torque_nm": motion.motor_torque_nm,
-            "torque_sensor_nm": motion.torque_sensor_nm,
-            "time_s": recording.time_s,
-        }
-        for name, values in signals.items():
-            rows.setdefault(name, []).append(values[take])
-    return {name: np.concatenate(parts) for name, parts in rows.items()}
+    return coordinates_of(problem.recordings, problem.model)
 
 
 def where(problem: Problem, energy: Floats, over_time: bool = True) -> list[Region]:
@@ -61,13 +48,13 @@ def where(problem: Problem, energy: Floats, over_time: bool = True) -> list[Regi
     for name, values in coordinates(problem).items():
         if name == "time_s" and not over_time:
             continue
-        region = _interval(name, values, energy / total)
+        region = interval(name, values, energy / total)
         if region is not None and region.share - region.occupancy > 0.1:
             found.append(region)
     return sorted(found, key=lambda one: one.occupancy - one.share)[:2]
 
 
-def _interval(name: str, values: Floats, share: Floats) -> Region | None:
+def interval(name: str, values: Floats, share: Floats) -> Region | None:
     """The interval of fewest samples that holds most of the energy."""
     edges = np.unique(np.quantile(values, np.linspace(0, 1, BINS + 1)))
     if len(edges) < 4:
@@ -106,6 +93,24 @@ def time_segments(problem: Problem, excess: Floats) -> Sequence[tuple[str, float
             last = float(recording.thin_time_s[min(j * per, n) - 1])
             found.append((recording.name, first, last, share))
     return sorted(found, key=lambda one: -one[3])[:_MOST_SEGMENTS]
+
+
+def by_recording(problem: Problem, excess: Floats) -> list[dict[str, Any]]:
+    """Of each recording the share of ``excess`` (n,) and of the time that slides."""
+    energy = np.where(problem.sliding, np.maximum(excess, 0.0), 0.0)
+    total, time = max(float(np.sum(energy)), 1e-300), max(int(np.sum(problem.sliding)), 1)
+    told, start = [], 0
+    for recording in problem.recordings:
+        part = slice(start, start + len(recording.thin_time_s))
+        start = part.stop
+        told.append(
+            {
+                "recording": recording.name,
+                "share_of_excess": round(float(np.sum(energy[part])) / total, 4),
+                "share_of_time": round(int(np.sum(problem.sliding[part])) / time, 4),
+            }
+        )
+    return told
 
 
 def _runs(high: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -1,7 +1,7 @@
 """Where a mismatch sits, in one and two coordinates, with a test that counts every cell looked at.
 
 Energy is averaged in cells of equal occupancy over each coordinate and each pair of them. A cell's
-standard error treats the samples of one block as one (they hang together), and of all cells of all
+standard error treats the samples of one block as one (they are correlated), and of all cells of all
 maps only those stand that survive a false discovery rate of 1 %.
 """
 
@@ -27,6 +27,8 @@ LEAST_SAMPLES, LEAST_BLOCKS = 15, 6
 LEAST_RATIO = 1.5
 """A cell worth naming holds this many times its share of the time."""
 MOST_CELLS = 8
+LEAST_REST_S = 0.1
+"""A shorter rest is a rotor that turns round: no place by itself."""
 UNITS = {
     "motor_speed_rad_s": "rad/s",
     "abs_motor_speed_rad_s": "rad/s",
@@ -131,6 +133,8 @@ def cells(problem: Problem, energy: Floats) -> list[Cell]:
     best: dict[tuple[str, ...], Cell] = {}
     for (names, cell), corrected in zip(looked, accepted, strict=True):
         if corrected > FALSE_DISCOVERIES or cell.share < LEAST_RATIO * cell.time:
+            continue
+        if any(name == "dwell_s" and high < LEAST_REST_S for name, _, high in cell.sides):
             continue
         kept = Cell(cell.sides, cell.share, cell.time, corrected)
         if names not in best or _telling(kept) > _telling(best[names]):

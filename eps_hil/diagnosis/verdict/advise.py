@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.baseline import ALL, HOLD, turned
+from eps_hil.diagnosis.balance.probes import probe_step, shapes_of
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.direct.zero_reading import told_apart
@@ -108,7 +109,7 @@ def _others(model: Model, entry: Mapping[str, Any]) -> tuple[Mapping[str, Any], 
 def _own(problem: Problem, base: Floats) -> Floats:
     columns = []
     for name in ALL:
-        moved = turned(problem.model, {name: _KNOB_STEP})
+        moved = turned(problem.model, {name: _KNOB_STEP}, problem.size)
         columns.append((problem.residual(moved) - base) / _KNOB_STEP)
     return np.column_stack(columns)
 
@@ -124,13 +125,13 @@ def _copies(problem: Problem, effect: Effect, base: Floats) -> list[Floats]:
     turns: list[dict[str, float]] = [{}]
     if probe.phase is not None:
         turns = [{probe.phase: 0.0}, {probe.phase: np.pi / 2}]
-    found = []
+    found, step = [], probe_step(effect, problem)
     for shape in _shapes(problem, effect):
         columns = []
         for turn in turns:
-            entry = {"effect": effect.id, **shape, probe.amplitude: neutral + probe.step, **turn}
+            entry = {"effect": effect.id, **shape, probe.amplitude: neutral + step, **turn}
             changed = problem.residual(problem.with_entries([entry]))
-            columns.append((changed - base) / probe.step)
+            columns.append((changed - base) / step)
         found.append(np.column_stack(columns))
     return found
 
@@ -139,15 +140,17 @@ def _shapes(problem: Problem, effect: Effect) -> Sequence[Mapping[str, Any]]:
     probe = effect.probe
     assert probe is not None
     if not probe.scan:
-        return probe.shapes
+        return shapes_of(effect, problem)
     position = coordinates(problem)["rack_position_m"]
     low, high = (float(v) for v in np.percentile(position, [3, 97]))
     if probe.scan == "order":
-        return [{"order": order} for order in (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 24.0)]
+        turned_by = problem.size.angle
+        return [{"order": n / turned_by} for n in (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 24.0)]
     if probe.scan == "position_m":
-        return [{"position_m": max(1e-3, part * max(-low, high))} for part in (0.7, 0.9)]
+        near = 1e-3 * problem.size.place
+        return [{"position_m": max(near, part * max(-low, high))} for part in (0.7, 0.9)]
     if probe.scan == "centre_m":
-        width = max(5e-4, 0.15 * (high - low))
+        width = max(5e-4 * problem.size.place, 0.15 * (high - low))
         centres = np.linspace(low, high, _PLACES)
         return [{"centre_m": float(centre), "width_m": width} for centre in centres]
     return []

@@ -46,6 +46,7 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
         twins += [name for name in CONSTANTS if name in pool]
         near = dict(rivals)
         rivals = [(name, max(near.get(name, 0.0), 1.0)) for name in twins]
+    least = selection.least or threshold(problem, found.residual, FINAL_SHARE)
     others = [e for i, e in enumerate(found.entries) if i != k]
     without = problem.residual(problem.with_entries(others, found.own))
     share = (without - found.residual) ** 2
@@ -54,17 +55,12 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     return {
         "effect": effect.id,
         "kind": str(effect.kind),
-        "confidence": _confidence(gain, threshold(problem, found.residual, FINAL_SHARE), rivals),
+        "confidence": _confidence(gain, least, rivals),
         "equation": effect.equation,
         "summary": sentence.format(**values),
         "parameters": _parameters(problem, found, k, effect),
         "where": [
-            {
-                "signal": region.signal,
-                "from": region.low,
-                "to": region.high,
-                "share_of_excess": region.share,
-            }
+            place(region.signal, region.low, region.high, region.share, region.occupancy)
             for region in places
         ],
         "confusable_with": twins,

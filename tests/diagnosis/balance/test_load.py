@@ -6,11 +6,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.balance.load import Load, doubted, load_of
+from eps_hil.diagnosis.balance.load import Load, doubted, load_of, not_told_apart
 from eps_hil.diagnosis.data.prepare import Prepared, prepare
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.identification.butterworth import low_pass
 from eps_hil.physics.model import Model
+from eps_hil.physics.simulate import simulate
 from eps_hil.proof import sensors
 from eps_hil.proof.manoeuvres import column
 from eps_hil.proof.programmes import programme
@@ -37,6 +38,54 @@ def test_friction_at_a_place_may_be_friction_of_a_springs_load() -> None:
 def test_without_a_spring_it_stands(load: Load | None) -> None:
     one = finding("position_dependent_friction")
     assert doubted([one], load) == [one]
+
+
+def test_the_written_model_pulls_as_the_load_did(reference_model: Model) -> None:
+    """In the place of a force that no input holds: the same torque at the rotor, and friction."""
+    load = Load("spring", 4e4, 300.0, 50.0)
+    written = load.in_model(reference_model)
+    time_s = np.arange(2000, dtype=np.float64) * 1e-3
+    motor_nm = np.asarray(0.8 * np.sin(6.0 * time_s), dtype=np.float64)
+    none = np.zeros(len(time_s))
+    with_it = simulate(written, time_s, motor_nm, none, none)
+    ratio = reference_model.rack_to_rotor_ratio_rad_per_m
+    force = none
+    for _ in range(40):  # the same load as an input, which follows the motion that it makes
+        run = simulate(reference_model, time_s, motor_nm, none, force)
+        wanted = (4e4 * run.angle_rad + 300.0 * run.speed_rad_s) / ratio + 50.0
+        force = 0.7 * force + 0.3 * wanted
+    assert np.std(run.angle_rad) > 1.0
+    assert with_it.angle_rad == pytest.approx(
+        run.angle_rad, abs=0.02 * float(np.std(run.angle_rad))
+    )
+
+
+def test_a_weight_is_written_with_its_friction(reference_model: Model) -> None:
+    """1,500 N is 0.6 Nm at the rotor, more than a motor's offset usually is."""
+    weight = Load("spring", 0.0, 0.0, 1500.0)
+    time_s = np.arange(2000, dtype=np.float64) * 1e-3
+    motor_nm = np.asarray(0.6 + 0.3 * np.sin(6.0 * time_s), dtype=np.float64)
+    none = np.zeros(len(time_s))
+    expected = simulate(reference_model, time_s, motor_nm, none, none + 1500.0).angle_rad
+    told = simulate(weight.in_model(reference_model), time_s, motor_nm, none, none).angle_rad
+    assert np.std(expected) > 0.5
+    assert told == pytest.approx(expected, abs=0.02 * float(np.std(expected)))
+
+
+def test_a_force_that_may_have_any_form_hides_the_motors_scale_too() -> None:
+    """A motor that holds against it has a torque that is like it, less of which leaves less."""
+    arbitrary = Load("arbitrary", 4e4, 300.0, 50.0)
+    assert "stribeck" in not_told_apart(arbitrary)
+    followed = arbitrary.followed()
+    assert {"motor_torque_gain", "unmodelled_spring"} <= set(not_told_apart(followed))
+    assert not {"stribeck", "motor_torque_delay"} & set(not_told_apart(followed))
+    assert "may be a load of another form" in followed.sentence
+    assert "motor_torque_gain" not in not_told_apart(replace(followed, doubtful=False))
+
+
+def test_a_load_that_no_model_can_hold_is_not_written(reference_model: Model) -> None:
+    assert Load("spring", 1e9, 0.0, 0.0).in_model(reference_model) is reference_model
+    assert Load("arbitrary", 1e4, 0.0, 0.0).in_model(reference_model) is reference_model
 
 
 STIFFNESS, DAMPING = 4e4, 300.0
@@ -122,7 +171,7 @@ def test_a_free_rack_is_none_where_a_load_explains_less(reference_model: Model) 
 
 @pytest.mark.slow
 def test_the_load_is_fitted_beside_the_friction_that_was_found(reference_model: Model) -> None:
-    """Friction a fifth too small is no force: neither in its size nor in the model written."""
+    """Friction a fifth too small is no force: neither in its size nor in the load written."""
     hidden = {"coulomb_scale": 1.2}
     first, second, kept = driven("free_rack", hidden, 6, springs=True)
     told = diagnose(reference_model, {"a": first, "b": second}, {"kept": kept})
@@ -130,5 +179,12 @@ def test_the_load_is_fitted_beside_the_friction_that_was_found(reference_model: 
     assert finding_["effect"] == "coulomb_level"
     scale = finding_["parameters"]["scale"]
     assert scale["ci95"][0] < 1.2 < scale["ci95"][1]
-    assert [entry["effect"] for entry in told.model.effects] == ["coulomb_level"]
+    (level, *load, rubbing) = told.model.effects
+    assert level["effect"] == "coulomb_level"
+    assert rubbing["where"] == "friction"
+    written = {str(one["effect"]): next(v for k, v in one.items() if k != "effect") for one in load}
+    squared = reference_model.rack_to_rotor_ratio_rad_per_m**2
+    assert written["unmodelled_spring"] * squared == pytest.approx(STIFFNESS, rel=0.1)
+    assert written["viscous_friction"] * squared == pytest.approx(DAMPING, abs=200.0)
+    assert abs(written["motor_torque_offset"]) < 5e-3
     assert told.model.friction == reference_model.friction

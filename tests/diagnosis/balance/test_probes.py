@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.probes import Candidate, _clear_orders, bounds, candidates, hats
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
@@ -107,3 +108,20 @@ def test_what_fades_many_times_more_slowly_than_was_recorded_is_another_level(
     model = replace(problem.model, effects=(known,))
     held = Problem(problem.recordings, model)
     assert bounds(effect, time, held) == (time.lower, time.upper)
+
+
+def test_a_place_may_count_from_anywhere(problem: Problem) -> None:
+    """Half a metre away it is looked for where the rack was, and moved by parts of its width."""
+    moved = [
+        one.changed(raw={**one.raw, "rack_position_m": one.raw["rack_position_m"] + 0.5})
+        for one in problem.recordings
+    ]
+    far = Problem(moved, problem.model)
+    place = catalogue()["position_dependent_friction"]
+    (centre,) = (one for one in place.parameters if one.name == "centre_m")
+    low, high = bounds(place, centre, far)
+    assert (low, high) == pytest.approx(far.visited_m)
+    entry = {"effect": place.id, "level_nm": 0.02, "centre_m": 0.503, "width_m": 2e-3}
+    here = {**entry, "centre_m": 0.003}
+    one, other = fit(far, [entry], 0), fit(problem, [here], 0)
+    assert one.jacobian == pytest.approx(other.jacobian, rel=1e-3, abs=1e-3 * np.max(one.jacobian))

@@ -9,7 +9,7 @@ import pytest
 
 from eps_hil.diagnosis.against import diagnose_against
 from eps_hil.diagnosis.data import channels
-from eps_hil.diagnosis.data.channels import check_channels
+from eps_hil.diagnosis.data.channels import channels_in_doubt, check_channels
 from eps_hil.diagnosis.data.intake import RecordingError
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.physics.model import Model
@@ -233,3 +233,25 @@ def test_of_a_long_recording_the_liveliest_stretch_is_looked_at(
     check_channels({"long": long}, reference_model)
     with pytest.raises(RecordingError, match="torque_sensor_nm has the wrong sign"):
         check_channels({"long": times(long, {SENSOR: -1.0})}, reference_model)
+
+
+def test_trusted_channels_are_doubted_in_words_only(weave: Signals, reference_model: Model) -> None:
+    wrong = {"weave": times(weave, {SENSOR: 1e3})}
+    with pytest.raises(RecordingError, match="in mNm"):
+        channels_in_doubt(wrong, reference_model, trusted=False)
+    (said,) = channels_in_doubt(wrong, reference_model, trusted=True)
+    assert said.startswith("weave: torque_sensor_nm: is about 1000 times too large: in mNm")
+    assert channels_in_doubt({"weave": weave}, reference_model, trusted=True) == []
+
+
+@pytest.mark.parametrize("plant", ["SAT", "STOP_X"])
+def test_strong_physics_elsewhere_makes_no_channel_too_large(
+    record: Record, reference_model: Model, other_rig: Any, plant: str
+) -> None:
+    """Nobody steers with some mNm, whatever else would then balance."""
+    strong = {
+        "SAT": {other_rig.SAT: 2.0},
+        "STOP_X": {other_rig.STOP_X: 2e-3, other_rig.STOP_K: 3e5},
+    }
+    made = record({**strong[plant], other_rig.HAND: 3.0}, ("weave", "sweep"), seconds=12.0)
+    check_channels(made, reference_model)

@@ -12,6 +12,7 @@ from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.data.quality import look_at
 from eps_hil.series import Series
 
+Jittered = tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]
 N = 20_000
 T_NS = np.arange(N, dtype=np.int64) * 1_000_000 + 1_700_000_000_000_000_000
 
@@ -51,17 +52,48 @@ def test_lost_rows_and_bad_samples_do_not_hide_it() -> None:
     assert np.count_nonzero(np.isnan(one.value)) == 23
 
 
+def with_jitter(values: npt.NDArray[np.float64], usual: float, spread: float) -> Jittered:
+    """(each value until the next read, rows at which it was read: about every ``usual``-th)."""
+    steps = np.random.default_rng(3).normal(usual, spread, N)
+    read = np.cumsum(np.maximum(np.round(steps), 1)).astype(int)
+    read = np.concatenate([[0], read[read < N]])
+    return values[read[np.searchsorted(read, np.arange(N), side="right") - 1]], read
+
+
+@pytest.mark.parametrize(("usual", "spread"), [(10.0, 1.0), (10.0, 2.0), (5.0, 0.8)])
+def test_repeats_of_a_signal_read_with_jitter_are_taken_out(usual: float, spread: float) -> None:
+    values, read = with_jitter(force(), usual, spread)
+    one = own_sampled(Series(T_NS, values))
+    assert (
+        np.mean(np.isin(one.t_ns, T_NS[read])) > 0.9
+    )  # of those with the value before it is guessed
+    assert len(one.t_ns) == pytest.approx(len(read), rel=0.02)
+    np.testing.assert_array_equal(one.value, values[np.searchsorted(T_NS, one.t_ns)])
+    assert all(found.flags == [] for found in look_at("r", {"rack_force_n": one}).channels)
+
+
 @pytest.mark.parametrize(
     "values",
     [
         force(),
+        np.round(3.3e-3 * np.arange(N) / 0.03) * 0.03,
+        np.round(np.sin(2e-3 * np.arange(N)) / 0.03) * 0.03,
         held(force(), 2),
         force(noise=1.0, quantum=20.0),
         np.where(np.arange(N) < 10_000, held(force(), 10), force()),
         np.zeros(N),
         np.where(np.arange(N) < 9000, 1.0, 2.0),
     ],
-    ids=["fast", "every other row", "coarse", "half of it", "constant", "a switch"],
+    ids=[
+        "fast",
+        "coarse ramp",
+        "coarse swing",
+        "every other row",
+        "coarse",
+        "half of it",
+        "constant",
+        "a switch",
+    ],
 )
 def test_other_signals_stay_as_they_are(values: npt.NDArray[np.float64]) -> None:
     one = Series(T_NS, values)

@@ -140,3 +140,25 @@ def test_noise_of_the_load_cell_rubs_nothing(form: str, rubs: float) -> None:
     expected = model.friction.load_pos_nm_per_n * rubs
     noise = model.friction.load_pos_nm_per_n * 12.0
     assert float(np.mean(friction)) == pytest.approx(expected, abs=0.1 * noise)
+
+
+def test_values_held_for_rows_now_more_now_fewer_have_noise() -> None:
+    """Most third differences are nothing then, and their median too."""
+    rng = np.random.default_rng(5)
+    rows = np.cumsum(rng.integers(5, 9, 2000))
+    held = np.repeat(rng.normal(size=len(rows)), np.diff(rows, append=rows[-1] + 6))
+    bends = np.diff(held, n=3)
+    assert 0.2 < np.count_nonzero(bends) / len(bends) < 0.5
+    assert noise_of(held) > 0.1
+
+
+def test_a_recording_without_any_noise_has_a_floor_all_the_same(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    ((name, series),) = record({}, ("weave",), seconds=5.0).items()
+    one = prepare(name, series)
+    silent = replace(one, noise=dict.fromkeys(one.noise, 0.0), _shifted={})
+    floor = silent.floor_nm(reference_model)
+    assert 0.0 < floor < 1e-3 * one.floor_nm(reference_model)
+    residual = Problem([silent], reference_model).residual(reference_model)
+    assert np.all(np.isfinite(residual))

@@ -122,6 +122,29 @@ def test_dropped_frames_become_a_finding_where_they_matter() -> None:
     assert found is None
 
 
+def test_what_we_published_ourselves_before_the_rig_began_is_no_loss() -> None:
+    """As in a demo's log: the service says once a second that it has no input, then estimates."""
+    t_ns = np.round(T * 1e9).astype(np.int64)
+    before_ns = t_ns[0] - np.arange(22, 0, -1) * 1_000_000_000
+    ours_ns = np.concatenate([before_ns, t_ns])
+    ours = Series(ours_ns, np.sin(1e-9 * ours_ns))
+    series = {
+        "motor_torque_nm": Series(t_ns, torque()),
+        "rack_force_estimate_n": ours,
+        "friction_torque_nm": ours,
+    }
+    look = look_at("bus.log", series)
+    assert look.channels[1].lost_frames > 20_000  # the same counting, of what nobody reads
+    assert finding([look]) is None
+    lossy = np.arange(len(T)) % 40 != 0
+    series["motor_torque_nm"] = Series(t_ns[lossy], torque()[lossy])
+    found = finding([look_at("bus.log", series)])
+    assert found is not None
+    assert "motor_torque_nm" in found["summary"]
+    assert "estimate" not in found["summary"]
+    assert found["parameters"]["count"]["value"] == pytest.approx(np.sum(~lossy), abs=2)
+
+
 def test_what_is_wrong_is_barred(record: Callable[..., Any]) -> None:
     (series,) = record({}, ("weave",), seconds=10.0).values()
     force = series["rack_force_n"]

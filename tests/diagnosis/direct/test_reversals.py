@@ -13,7 +13,7 @@ from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import Prepared, prepare
 from eps_hil.diagnosis.diagnose import diagnose
-from eps_hil.diagnosis.direct.reversals import Bristle, _power, _Window, borne_out, bristle
+from eps_hil.diagnosis.direct.reversals import Bristle, _power, _Window, bristle, reversals_agree
 from eps_hil.physics.model import Model
 from eps_hil.proof import manoeuvres, sensors
 from eps_hil.proof.programmes import programme
@@ -123,11 +123,11 @@ def test_holdouts_have_the_last_word(reference_model: Model) -> None:
     assert seen is not None
     for ratio, agrees in ((0.45, True), (1.0, False), (1.3, False)):
         kept = [Holdout(one, {}) for one in ready(world(True, ratio), 5)]
-        assert borne_out(seen, problem, found, kept) is agrees
+        assert reversals_agree(seen, problem, found, kept) is agrees
     none = [Holdout(one, {}) for one in ready(world(True, 0.45), 5, seconds=3.0)[1:]]
-    assert borne_out(seen, problem, found, none)  # it is beyond doubt without them
+    assert reversals_agree(seen, problem, found, none)  # it is beyond doubt without them
     faint = replace(seen, log_ratio=0.3 * seen.log_ratio)
-    assert not borne_out(faint, problem, found, none)
+    assert not reversals_agree(faint, problem, found, none)
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ import pytest
 
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.data.quality import look_at
-from eps_hil.diagnosis.direct.apart import apart, shown
 from eps_hil.diagnosis.direct.kinematics import examine
 from eps_hil.diagnosis.direct.rotor_and_rack import Rows, _held_out_gain, rotor_against_rack, solved
 from eps_hil.diagnosis.direct.seen import robust_cost
+from eps_hil.diagnosis.direct.separation import separation, shown
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -100,7 +100,7 @@ def test_what_no_name_stands_for_shows_in_the_hold_outs_too(
     for one in (*fitted, *kept):
         wave = np.sin(2500.0 * one.x) if again or one in fitted else 0.0
         one.e = one.sigma * (2.0 * wave + rng.standard_normal(len(one.e)))
-    left = apart(fitted, [], ())
+    left = separation(fitted, [], ())
     assert left is not None
     assert shown(left, kept, []) is told
     assert shown(left, [], [])
@@ -132,7 +132,7 @@ def test_friction_of_the_rack_goes_through_a_belt_that_gives(
         if stiffness is not None:
             parted[-1].e = parted[-1].e + one.torque / stiffness
     accepted = ["belt_compliance"] if stiffness is not None else []
-    assert (apart(parted, accepted, ()) is not None) == left
+    assert (separation(parted, accepted, ()) is not None) == left
 
 
 def test_bad_stretches_are_left_out(record: Callable[..., Any], reference_model: Model) -> None:

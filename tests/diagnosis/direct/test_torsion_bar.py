@@ -75,3 +75,18 @@ def test_play_is_seen_through_the_same_noise(reference_model: Model, noise_rad: 
     assert seen.entry["play_nm"] == pytest.approx(0.13, abs=0.03)
     assert seen.entry["play_nm"] == pytest.approx(0.13, abs=seen.half_width["play_nm"])
     assert law.gain == pytest.approx(BAR_NM_PER_RAD, rel=0.01)
+
+
+def test_where_the_rack_counts_from_is_no_torque(reference_model: Model) -> None:
+    """A rack's zero 0.4 m away is 50 rad of twist, and nothing else."""
+    some = [recording(reference_model, torque(2.0, k), 0.2, 1.5e-4, k) for k in (1, 2, 3)]
+    moved = [
+        one.changed(raw={**one.raw, "rack_position_m": one.raw["rack_position_m"] + 0.4})
+        for one in some
+    ]
+    found, other = (sensor_play(each[:2], each[2:], reference_model) for each in (some, moved))
+    assert found is not None
+    assert other is not None
+    play = found[0].entry["play_nm"]
+    assert play == pytest.approx(0.2, rel=0.1)
+    assert other[0].entry["play_nm"] == pytest.approx(play, rel=1e-3)

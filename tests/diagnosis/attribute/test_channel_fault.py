@@ -7,7 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.attribute.misread import with_misread
+from eps_hil.diagnosis.attribute.channel_fault import (
+    ChannelFault,
+    held_out_energy,
+    with_channel_fault,
+)
+from eps_hil.diagnosis.balance.fit import fit
+from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -85,14 +91,17 @@ def test_a_late_motor_torque_keeps_its_name(
 
 def test_the_verdict_beside_names_and_alone() -> None:
     late = {"effect": "unknown"}
-    alone = with_misread({"verdict": "no_mismatch", "findings": []}, late)
+    alone = with_channel_fault({"verdict": "no_mismatch", "findings": []}, late)
     assert (alone["verdict"], alone["findings"]) == ("unknown_effect", [late])
-    named = with_misread({"verdict": "explained", "findings": [{"effect": "stribeck"}]}, late)
+    named = with_channel_fault({"verdict": "explained", "findings": [{"effect": "stribeck"}]}, late)
     assert named["verdict"] == "partly_explained"
     assert [one["effect"] for one in named["findings"]] == ["stribeck", "unknown"]
     drift = {"effect": "clock_drift"}
-    assert with_misread({"verdict": "no_mismatch", "findings": []}, drift)["verdict"] == "explained"
-    beside = with_misread({"verdict": "unknown_effect", "findings": [late]}, drift)
+    assert (
+        with_channel_fault({"verdict": "no_mismatch", "findings": []}, drift)["verdict"]
+        == "explained"
+    )
+    beside = with_channel_fault({"verdict": "unknown_effect", "findings": [late]}, drift)
     assert beside["verdict"] == "partly_explained"
 
 
@@ -145,3 +154,19 @@ def test_a_delay_without_a_name_is_no_drift(
     without = {"speed_sensor_delay", "motor_torque_delay"}
     told = diagnose(reference_model, train, holdout, without=without).content
     assert "clock_drift" not in [one["effect"] for one in told["findings"]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("gain", "helps"), [(1.05, True), (0.95, False)])
+def test_a_signal_is_put_right_only_where_that_helps_what_was_kept(
+    problem: Problem, gain: float, helps: bool
+) -> None:
+    """One that reads 5 % too much: dividing it by 1.05 lowers the energy, by 0.95 raises it."""
+    read = ChannelFault("rack_force_n", gain=1.0 / 1.05)  # puts it wrong
+    fitted = problem.over([read.put_right(one) for one in problem.recordings])
+    wrong = ChannelFault("rack_force_n", gain=gain)
+    right = problem.over([wrong.put_right(one) for one in fitted.recordings])
+    before, after = (
+        held_out_energy(one, fit(one, [], 0), one.recordings[1:]) for one in (fitted, right)
+    )
+    assert (after < before) is helps

@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
-from eps_hil.diagnosis.accept import borne_out
-from eps_hil.diagnosis.accept.borne_out import _clear, augmented_by
+from eps_hil.diagnosis.accept import holdout_support
+from eps_hil.diagnosis.accept.holdout_support import _clear, augmented_by
 from eps_hil.diagnosis.attribute.select import Selection
+from eps_hil.diagnosis.balance.discrepancy import Discrepancy
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.physics.model import Model
@@ -49,6 +50,18 @@ def test_one_number_that_may_as_well_be_nothing_is_no_finding(
     assert _clear(problem, found, 0) is expected
 
 
+def test_beside_something_unknown_a_name_has_to_be_clearer(problem: Problem) -> None:
+    """Names that stand in for a part of what is unknown were up to 3.2 half widths from nothing."""
+    found = fit(problem, [{"effect": "inertia", "scale": 1.1}], 0)
+    found.__dict__["half_width"] = {(0, "scale"): 0.03}
+    assert _clear(problem, found, 0)
+    told = Discrepancy(problem, found.residual)
+    remainder = told.whitening(told.evidence(found.residual, found.jacobian))
+    assert not _clear(problem.beside(remainder), found, 0)
+    found.__dict__["half_width"] = {(0, "scale"): 0.02}
+    assert _clear(problem.beside(remainder), found, 0)
+
+
 def test_what_only_made_up_for_another_is_no_finding_without_it(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -59,9 +72,9 @@ def test_what_only_made_up_for_another_is_no_finding_without_it(
     gains = {"stribeck": 1e3, "viscous_friction": 1e3}
     selection = Selection(found, found, [], problem, found, gains=gains)
     vanished = fit(problem, [{**stribeck, "level_nm": 0.0}], 0)
-    monkeypatch.setattr(borne_out, "fit", lambda *_args, **_named: vanished)
-    monkeypatch.setattr(borne_out, "timed", lambda _problem, found: found)
-    assert borne_out._only_clear(problem, selection, [0, 1]) == []
+    monkeypatch.setattr(holdout_support, "fit", lambda *_args, **_named: vanished)
+    monkeypatch.setattr(holdout_support, "timed", lambda _problem, found: found)
+    assert holdout_support._only_clear(problem, selection, [0, 1]) == []
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -80,8 +93,8 @@ def test_a_stiffness_beside_far_more_that_is_unknown_is_a_part_of_it(
     )
     at = Problem(problem.recordings, replace(soft, effects=(*soft.effects, bristle)))
     found = fit(at, [], 0)
-    assert not borne_out.bristle_of_unknown(Problem(problem.recordings, soft), found)
-    assert borne_out.bristle_of_unknown(at, found) is not known
+    assert not holdout_support.bristle_of_unknown(Problem(problem.recordings, soft), found)
+    assert holdout_support.bristle_of_unknown(at, found) is not known
 
 
 def test_the_model_with_findings_holds_no_other_entry_and_no_negative_delay(
@@ -93,8 +106,12 @@ def test_the_model_with_findings_holds_no_other_entry_and_no_negative_delay(
     ]
     found = replace(fit(problem, entries, 0), own={"motor_torque_delay": 100.0})
     with_one = augmented_by(problem, found, [0])
-    assert with_one.effects == ({"effect": "stribeck", "level_nm": 0.0301235, "speed_rad_s": 10.0},)
+    stribeck, later = with_one.effects
+    assert stribeck == {"effect": "stribeck", "level_nm": 0.0301235, "speed_rad_s": 10.0}
+    # reported before it acts: a model file has an effect for that, and no negative delay
     assert with_one.delays_s.motor_torque == 0.0
+    given = problem.model.delays_s.motor_torque
+    assert later == {"effect": "motor_torque_delay", "delay_s": pytest.approx(0.04 - given)}
     assert augmented_by(problem, found, []) is problem.model
 
 
@@ -122,6 +139,6 @@ def test_a_bristle_that_spoils_the_rack_force_is_no_finding(
         changed = any(one["effect"] == "presliding_hysteresis" for one in model.effects)
         return with_it if changed else without
 
-    monkeypatch.setattr(borne_out, "rack_force_error_n", error)
-    left = borne_out._without_spoiling_bristle(problem, selection, [0, 1], [])
+    monkeypatch.setattr(holdout_support, "rack_force_error_n", error)
+    left = holdout_support._without_spoiling_bristle(problem, selection, [0, 1], [])
     assert left == ([0, 1] if kept else [0])

@@ -19,7 +19,7 @@ from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, refitted, threshold
 from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.baseline import ALL, HOLD
 from eps_hil.diagnosis.balance.fit import Fit, fit
-from eps_hil.diagnosis.balance.problem import Problem, huber
+from eps_hil.diagnosis.balance.problem import Problem, huber, knee
 from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.data.drift import IN_BALANCE, MOTION, Drift, drift_matters
 from eps_hil.diagnosis.data.entry import place, unknown
@@ -59,7 +59,7 @@ _GRID = 26
 
 
 @dataclass(frozen=True)
-class Misread:
+class ChannelFault:
     """A signal, how much later (s), larger (factor) or adrift (ppm) it is, what that explains.
 
     ``ppm`` is None where its clock is not what is asked for; ``low`` to ``high`` is what
@@ -119,12 +119,12 @@ class Misread:
         )
 
 
-def misread(
+def channel_fault(
     problem: Problem,
     selection: Selection,
     measured: Collection[str],
     without: Collection[str] = (),
-) -> Misread | None:
+) -> ChannelFault | None:
     """The signal of which one number does as well as all such numbers that were named, or None.
 
     And it has to explain most of what the model's own numbers, refitted, leave over. ``measured``:
@@ -133,15 +133,15 @@ def misread(
     found = selection.searched
     names = [str(entry["effect"]) for entry in found.entries]
     excess = float(np.mean(found.residual[problem.sliding] ** 2)) - 1.0
-    tried: list[tuple[Misread, Sequence[str]]] = []
+    tried: list[tuple[ChannelFault, Sequence[str]]] = []
     much = excess > LARGE_EXCESS
     if set(names) & set(_TIMING) or much:
-        tried += [(Misread(name), _TIMING) for name in CHANNELS if name in measured]
+        tried += [(ChannelFault(name), _TIMING) for name in CHANNELS if name in measured]
         if "clock_drift" not in without:
             clocks = [name for name in CLOCKS if name in measured]
-            tried += [(Misread(name, ppm=0.0), _TIMING) for name in clocks]
+            tried += [(ChannelFault(name, ppm=0.0), _TIMING) for name in clocks]
     if LOAD_CELL in measured and (len(set(names) & set(SCALES)) > 1 or much):
-        tried.append((Misread(LOAD_CELL, gain=1.0 + LEAST_GAIN), SCALES))
+        tried.append((ChannelFault(LOAD_CELL, gain=1.0 + LEAST_GAIN), SCALES))
     compared = {instead: _Compared(problem, found, instead) for _, instead in tried}
     told = [compared[instead].to(start) for start, instead in tried]
     best = _best([one for one in told if one is not None], problem)
@@ -152,7 +152,7 @@ def misread(
     return replace(best, low=float(low), high=float(high))
 
 
-def _best(told: Sequence[tuple[Misread, Fit]], problem: Problem) -> Misread | None:
+def _best(told: Sequence[tuple[ChannelFault, Fit]], problem: Problem) -> ChannelFault | None:
     """What leaves least; no clock at all where the clock that leaves least is a delay."""
     if not told:
         return None
@@ -162,7 +162,24 @@ def _best(told: Sequence[tuple[Misread, Fit]], problem: Problem) -> Misread | No
     return _best([each for each in told if each[0].ppm is None], problem)
 
 
-def refined(wrong: Misread, problem: Problem, selection: Selection) -> Misread:
+def held_out_energy(problem: Problem, found: Fit, kept: Sequence[Prepared]) -> float:
+    """Mean energy (noise variances, outliers cut) that a fit leaves of recordings kept from it."""
+    test = problem.over(kept)
+    left = test.residual(test.with_entries(found.entries, found.own))[test.sliding]
+    return float(np.mean(np.minimum(left**2, (2.0 * knee(found.residual)) ** 2)))
+
+
+def no_worse(before: float, after: float, spared: int, samples: int) -> bool:
+    """Whether one number for a signal does on hold-outs what ``spared`` numbers more did.
+
+    Mean energies of :func:`held_out_energy`. A wrong ratio and two gains are the very same as a
+    load cell's gain, to what noise makes of each; so numbers have Schwarz's price, ln n, as they
+    have everywhere. Where none is spared, it has to do better.
+    """
+    return after < before + max(spared, 0) * float(np.log(max(samples, 1))) / max(samples, 1)
+
+
+def refined(wrong: ChannelFault, problem: Problem, selection: Selection) -> ChannelFault:
     """The same once more, beside what is found now that it is known.
 
     ``problem`` has it put right. What was found before may have made up for a part of it. The very
@@ -170,7 +187,7 @@ def refined(wrong: Misread, problem: Problem, selection: Selection) -> Misread:
     """
     others = [e for e in selection.searched.entries if e["effect"] not in SPANNED]
     bare = fit(problem, others, own={**ALL, **problem.tied})
-    still = Misread(
+    still = ChannelFault(
         wrong.signal,
         gain=1.0 if wrong.gain == 1.0 else 1.0 + LEAST_GAIN,
         ppm=None if wrong.ppm is None else 0.0,
@@ -194,7 +211,7 @@ class _Compared:
         self.bare = fit(problem, self.others, own={**ALL, **problem.tied})
         self.named = fit(problem, [*self.others, *named], own=self.bare.own) if named else self.bare
 
-    def to(self, start: Misread) -> tuple[Misread, Fit] | None:
+    def to(self, start: ChannelFault) -> tuple[ChannelFault, Fit] | None:
         """The one number and the fit with it; None where it does not do as well."""
         problem, bare = self.problem, self.bare
         one, after = _followed(problem, bare, self.others, start)
@@ -209,15 +226,15 @@ class _Compared:
         return replace(one, share=min(gain / over, 1.0)), after
 
 
-def _matters(one: Misread, problem: Problem) -> bool:
+def _matters(one: ChannelFault, problem: Problem) -> bool:
     if one.ppm is not None:
         return abs(one.ppm) > 2.0 * one.half_ppm and drift_matters(one.ppm, problem.recordings)
     return abs(one.late_s) > LEAST_S or abs(one.gain - 1.0) > LEAST_GAIN
 
 
 def _followed(
-    problem: Problem, bare: Fit, others: Sequence[Mapping[str, Any]], start: Misread
-) -> tuple[Misread, Fit]:
+    problem: Problem, bare: Fit, others: Sequence[Mapping[str, Any]], start: ChannelFault
+) -> tuple[ChannelFault, Fit]:
     """What fits best of the signal's one number, and the fit with that.
 
     The numbers that the wrong signal bent come back while it is found, so it takes a few rounds.
@@ -225,7 +242,7 @@ def _followed(
     best = _best_delay if start.gain == 1.0 else _best_gain
     if start.ppm is not None:
         best = _best_ppm
-    one, after = Misread(start.signal, ppm=start.ppm), bare
+    one, after = ChannelFault(start.signal, ppm=start.ppm), bare
     for _ in range(_ROUNDS):
         before = one
         one = best(problem, after, one)
@@ -235,20 +252,20 @@ def _followed(
     return one, after
 
 
-def _same(one: Misread, other: Misread) -> bool:
+def _same(one: ChannelFault, other: ChannelFault) -> bool:
     late, gain = abs(one.late_s - other.late_s), abs(one.gain - other.gain)
     ppm = abs((one.ppm or 0.0) - (other.ppm or 0.0))
     return late < _RESOLUTION_S and gain < _RESOLUTION and ppm < _RESOLUTION_PPM
 
 
-def _right(problem: Problem, one: Misread) -> Problem:
+def _right(problem: Problem, one: ChannelFault) -> Problem:
     recordings = [one.put_right(each) for each in problem.recordings]
     right = replace(problem, recordings=recordings, model=one.in_model(problem.model))
     right.knee = problem.knee
     return right
 
 
-def with_misread(content: Mapping[str, Any], finding: Mapping[str, Any]) -> dict[str, Any]:
+def with_channel_fault(content: Mapping[str, Any], finding: Mapping[str, Any]) -> dict[str, Any]:
     """The JSON (CONTRACT 7) with this finding beside the others."""
     findings = [*content["findings"], dict(finding)]
     nameless = [one["effect"] == "unknown" for one in findings]
@@ -257,7 +274,7 @@ def with_misread(content: Mapping[str, Any], finding: Mapping[str, Any]) -> dict
     return {**content, "verdict": verdict, "findings": findings}
 
 
-def _best_delay(problem: Problem, fitted: Fit, one: Misread) -> Misread:
+def _best_delay(problem: Problem, fitted: Fit, one: ChannelFault) -> ChannelFault:
     model = problem.with_entries(fitted.entries, fitted.own)
 
     def cost(late_s: float) -> float:
@@ -268,7 +285,7 @@ def _best_delay(problem: Problem, fitted: Fit, one: Misread) -> Misread:
     return replace(one, late_s=_least(cost, least, MOST_S, _RESOLUTION_S))
 
 
-def _best_gain(problem: Problem, fitted: Fit, one: Misread) -> Misread:
+def _best_gain(problem: Problem, fitted: Fit, one: ChannelFault) -> ChannelFault:
     model = problem.with_entries(fitted.entries, fitted.own)
 
     def cost(gain: float) -> float:
@@ -281,14 +298,14 @@ def _best_gain(problem: Problem, fitted: Fit, one: Misread) -> Misread:
     return replace(one, gain=_least(cost, low, high, _RESOLUTION))
 
 
-def _best_ppm(problem: Problem, fitted: Fit, one: Misread) -> Misread:
+def _best_ppm(problem: Problem, fitted: Fit, one: ChannelFault) -> ChannelFault:
     """One step towards less: what a drift moves is nearly linear in it."""
     step, half = _clock_step(problem, fitted, one, 0.0)
     ppm = float(np.clip((one.ppm or 0.0) + step[0], -_MOST_PPM, _MOST_PPM))
     return replace(one, ppm=ppm, half_ppm=float(half[0]))
 
 
-def _is_a_delay(problem: Problem, fitted: Fit, one: Misread) -> bool:
+def _is_a_delay(problem: Problem, fitted: Fit, one: ChannelFault) -> bool:
     """Whether a drift, once a delay of the same signal is free beside it, becomes that delay."""
     if one.ppm is None:
         return False
@@ -303,7 +320,7 @@ def _is_a_delay(problem: Problem, fitted: Fit, one: Misread) -> bool:
 
 
 def _clock_step(
-    problem: Problem, fitted: Fit, one: Misread, late_s: float, *, delay: bool = False
+    problem: Problem, fitted: Fit, one: ChannelFault, late_s: float, *, delay: bool = False
 ) -> tuple[Floats, Floats]:
     """(step of ppm and, if ``delay``, of late_s; half widths): one of least squares."""
     model = problem.with_entries(fitted.entries, fitted.own)

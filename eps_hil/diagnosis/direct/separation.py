@@ -1,6 +1,6 @@
 """Rotor and rack apart, and no name for it: a reproducible curve that the second residual shows."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,31 +9,32 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.data.entry import place, unknown
 from eps_hil.diagnosis.direct.rotor_and_rack import (
-    LEAST_COMPLIANCE,
     LEAST_RATIO,
     USUAL,
     Rows,
     columns_of,
+    least_compliance,
     solved,
 )
 from eps_hil.diagnosis.direct.seen import LEAST_GAIN
 from eps_hil.diagnosis.mismatch.binned import gain_elsewhere, means, places, points
 from eps_hil.diagnosis.mismatch.locate import BINS
+from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
 
 LEAST_SHARE = 0.05
 """Least share of the residual's energy that a curve explains on blocks it was not drawn from."""
 _FEWEST_BINS = 5
-_BEYOND = {
-    "compliance": ("belt_compliance", LEAST_COMPLIANCE),
-    "ratio": ("rack_ratio", LEAST_RATIO),
+_BEYOND: Mapping[str, tuple[str, Callable[[Model], float]]] = {
+    "compliance": ("belt_compliance", least_compliance),
+    "ratio": ("rack_ratio", lambda _model: LEAST_RATIO),
 }
 """Columns that every drive has a little of, the name of more of it, and where more begins."""
 
 
 @dataclass(frozen=True)
-class Apart:
+class Separation:
     """A curve (x, rad at the rotor, band) over one signal; its share of the residual's energy."""
 
     signal: str
@@ -57,7 +58,9 @@ class Apart:
         )
 
 
-def apart(rows: Sequence[Rows], accepted: Sequence[str], without: Collection[str]) -> Apart | None:
+def separation(
+    rows: Sequence[Rows], accepted: Sequence[str], without: Collection[str]
+) -> Separation | None:
     """What is left once the accepted effects are taken out, if it is clear; None if nothing is.
 
     A little of what gives, and of a ratio that is off, is how drives are. More of it counts as
@@ -70,7 +73,7 @@ def apart(rows: Sequence[Rows], accepted: Sequence[str], without: Collection[str
     beyond = [
         column
         for column, (effect, least) in _BEYOND.items()
-        if effect in without and abs(values[column]) > least
+        if effect in without and abs(values[column]) > least(rows[0].model)
     ]
     if beyond:
         left = solved(rows, [name for name in names if name not in beyond])[1]
@@ -83,7 +86,7 @@ def apart(rows: Sequence[Rows], accepted: Sequence[str], without: Collection[str
     return replace(curve, alone=True) if curve is not None and alone else best
 
 
-def shown(one: Apart, kept: Sequence[Rows], accepted: Sequence[str]) -> bool:
+def shown(one: Separation, kept: Sequence[Rows], accepted: Sequence[str]) -> bool:
     """Whether the curve lowers what the hold-outs leave of the same fit; yes, where there is none.
 
     Among many recordings one has such a curve by chance.
@@ -102,7 +105,7 @@ def _energy(left: Floats) -> float:
     return float(np.sum(np.clip(left, -_far(left), _far(left)) ** 2))
 
 
-def _best(rows: Sequence[Rows], left: Floats) -> Apart | None:
+def _best(rows: Sequence[Rows], left: Floats) -> Separation | None:
     """The curve that explains most of what is left."""
     cut = np.clip(left, -_far(left), _far(left))
     views = ("rack_force_n", "rack_position_m", "motor_speed_rad_s")
@@ -114,7 +117,7 @@ def _far(left: Floats) -> float:
     return max(5.0, 6.0 * 1.4826 * float(np.median(np.abs(left))))
 
 
-def _curve(rows: Sequence[Rows], name: str, left: Floats) -> Apart | None:
+def _curve(rows: Sequence[Rows], name: str, left: Floats) -> Separation | None:
     """The mean of what is ``left`` (noise deviations) over a signal, judged on other blocks."""
     x = np.concatenate([one.at[name] for one in rows])
     block = np.concatenate([one.block for one in rows])
@@ -129,4 +132,4 @@ def _curve(rows: Sequence[Rows], name: str, left: Floats) -> Apart | None:
     band = 2.0 * np.sqrt(np.maximum(square - mean**2, 0.0) / count)
     total = float(np.sum(left**2))
     share = gain_elsewhere(place, left, block, n) / max(total, 1e-300)
-    return Apart(name, points(edges, mean, band), share, total - len(left))
+    return Separation(name, points(edges, mean, band), share, total - len(left))

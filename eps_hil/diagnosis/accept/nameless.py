@@ -1,0 +1,116 @@
+"""The model of what no name stands for, beside the findings, beside none, or beside a refit.
+
+Names that were found first may be parts of what has none. And where much is unknown, no name is
+given to a number of the model's own that is off (a free curve over speed does what a drag does):
+such numbers are then fitted beside the remainder, without a name, and a law is looked for only in
+what they cannot do (a discrepancy orthogonal to the model's sensitivities: Plumlee, J. Am. Stat.
+Assoc. 112, 2017). Recordings kept from the fit choose.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from eps_hil.diagnosis.accept.holdout_support import augmented_by
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout
+from eps_hil.diagnosis.attribute.select import Say, Selection
+from eps_hil.diagnosis.balance.baseline import ALL, HOLD, OFFSET
+from eps_hil.diagnosis.balance.fit import Fit, fit
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.remainder.find import (
+    LEAST_LOWER,
+    Floats,
+    Remainder,
+    find,
+    share_removed,
+)
+from eps_hil.diagnosis.remainder.sight import Sight
+from eps_hil.physics.model import Model
+
+_MORE = 0.04
+"""Share of the excess by which refitted numbers have to be better than those of the model file."""
+
+
+def nameless(
+    problem: Problem,
+    selection: Selection,
+    findings: Sequence[int],
+    judged: Sequence[Holdout],
+    tied: Mapping[str, float],
+    say: Say | None = None,
+) -> tuple[Remainder | None, Sequence[int]]:
+    """A model of what no name stands for, and the findings that go with it.
+
+    ``tied``: numbers that stand for a load that nobody measured; nothing is refitted beside one.
+    """
+    kept = Problem([one.prepared for one in judged], problem.model)
+    part = (lambda done: say("modelling what has no name", done)) if say else None
+    given = augmented_by(problem, selection.found, findings, tied)
+
+    def beside(model: Model, jacobian: Floats) -> Remainder | None:
+        return find(problem, kept, model, jacobian, part)
+
+    def energy(model: Model) -> float:
+        return float(np.sum(kept.residual(model)[kept.sliding] ** 2))
+
+    best, named = beside(given, _columns(selection.found, findings)), list(findings)
+    if findings:
+        alone = beside(problem.model, _columns(selection.found, []))
+        after = given if best is None else best.model
+        if alone is not None and energy(alone.model) < energy(after):
+            best, named = alone, []
+    if tied or (best is not None and best.share > 1.0 - _MORE):
+        return best, named
+    start = augmented_by(problem, selection.found, named)
+    free = _refitted(problem, selection, named)
+    again = beside(*free)
+    if again is None:
+        return best, named
+    again = replace(again, model=_settled(problem, again.model, kept))
+    before = Sight(kept, start if best is None else best.model)
+    gone, (low, _) = share_removed(before, kept.residual(again.model))
+    if gone < _MORE or low < LEAST_LOWER:
+        return best, named
+    share, ends = share_removed(Sight(kept, start), kept.residual(again.model))
+    return replace(
+        again,
+        share=share,
+        ci95=ends,
+        before=problem.residual(start),
+        after=problem.residual(again.model),
+        refitted=True,
+    ), named
+
+
+def _columns(found: Fit, findings: Sequence[int]) -> Floats:
+    """Sensitivities to the model's own numbers and to those of the findings: none refused."""
+    own = len(found.own)
+    named = [own + i for i, (k, _) in enumerate(found.names) if k in findings]
+    return np.asarray(found.jacobian[:, [*range(own), *named]])
+
+
+def _refitted(
+    problem: Problem, selection: Selection, findings: Sequence[int]
+) -> tuple[Model, Floats]:
+    """The model with its own numbers fitted beside the findings, and all their sensitivities."""
+    found = selection.found
+    entries = [found.entries[k] for k in findings]
+    own = {**ALL, **{name: value for name, value in found.own.items() if name in ALL}}
+    if any(entry["effect"] == HOLD for entry in entries):
+        own.pop(HOLD)
+    free = fit(problem, entries, own=own)
+    model = augmented_by(problem, free, range(len(free.entries)), moved=True)
+    return model, free.jacobian
+
+
+def _settled(problem: Problem, model: Model, kept: Problem) -> Model:
+    """The model's own numbers once more, now beside the laws, where hold-outs agree."""
+    beside = replace(problem, model=model)
+    done = {"sigma0_nm_per_rad", "sigma1_nm_s_per_rad"}  # of which sliding says nothing more
+    done |= {OFFSET} if any(entry["effect"] == OFFSET for entry in model.effects) else set()
+    own = {name: 0.0 for name in ALL if name not in done}
+    free = fit(beside, [], own=own)
+    moved = augmented_by(beside, free, (), moved=True)
+    before, after = (np.sum(kept.residual(one)[kept.sliding] ** 2) for one in (model, moved))
+    return moved if after < before else model

@@ -1,0 +1,248 @@
+"""A model of what no name stands for: laws first, a curve or map where none will do, each gated.
+
+A term counts only where it improves hold-outs, by a share of their excess whose interval is clear
+of zero, and, unless that share is most of it, by more than any of the null searches reached.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.balance.reference import torque_is_referenced
+from eps_hil.diagnosis.data.repeated import repeated
+from eps_hil.diagnosis.remainder.grammar import Law
+from eps_hil.diagnosis.remainder.refine import refine
+from eps_hil.diagnosis.remainder.screen import Screened, Screening, screen
+from eps_hil.diagnosis.remainder.sight import Sight
+from eps_hil.diagnosis.remainder.table import tables
+from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
+Ranges = dict[str, tuple[float, float]]
+Entry = dict[str, Any]
+
+MOST_TERMS = 3
+LEAST_SHARE, LEAST_LOWER = 0.10, 0.02
+"""Of the hold-outs' excess that a term has to take off; the same of its 95 % interval's end."""
+MOST_OF_IT = 0.5
+"""A term that takes off so much of recordings it never saw needs no null search beside it."""
+LAW_MARGIN = 0.05
+"""Share of the excess by which a curve or map has to be better than a law to be written."""
+_LEFT, _MORE = 0.08, 0.04
+"""Excess of the hold-outs in noise variances, and as a share of what it was, below which nothing
+more is looked for; no further term is worth less than the latter."""
+_REFINED, _SIMPLE = 6, 4
+_BEYOND = 0.02
+_DRAWS = 400
+
+
+@dataclass(frozen=True)
+class Term:
+    """One part of the model of the remainder: the entry, and what made it (None: a table)."""
+
+    entry: Entry
+    law: Law | None
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What was found: its terms, and the share of the hold-outs' excess that they take off."""
+
+    terms: tuple[Term, ...]
+    model: Model
+    share: float
+    ci95: tuple[float, float]
+    before: Floats
+    after: Floats
+    """Residuals (n,) of the fitted problem without and with it, noise deviations."""
+    refitted: bool = False
+    """Whether ``model`` has own numbers that were fitted beside the terms."""
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """As a model file holds them."""
+        return tuple(term.entry for term in self.terms)
+
+
+@dataclass(frozen=True)
+class _Trial:
+    term: Term
+    kept: Floats
+    fitted: Floats
+    worth: float
+
+
+def find(
+    problem: Problem,
+    kept: Problem,
+    model: Model,
+    jacobian: Floats,
+    say: Callable[[float], None] | None = None,
+) -> Remainder | None:
+    """Terms that ``model`` lacks to explain ``problem``, as far as ``kept`` confirms them.
+
+    ``jacobian`` (n, p): sensitivities of the residual to what was fitted beside; see ``screen``.
+    """
+    start = model
+    known = torque_is_referenced(problem)
+    maps = not repeated(problem.recordings, kept.recordings)
+    before, first = (Sight(one, model, referenced=known) for one in (problem, kept))
+    ranges = _ranges(before)
+    terms: list[Term] = []
+    fitted, judged = before, first
+    whole = _excess(first, first.residual)
+    for step in range(MOST_TERMS):
+        if say is not None:
+            say(step / MOST_TERMS)
+        left = _excess(first, judged.residual)
+        if left < max(_LEFT * np.sum(first.weight**2), _MORE * whole * bool(terms)):
+            break
+        if np.sum(fitted.use) < 500 or np.sum(judged.use) < 100:
+            break
+        best = _best(fitted, judged, jacobian, ranges, maps=maps)
+        if best is None or left - _excess(first, best.kept) < _MORE * whole:
+            break
+        terms.append(best.term)
+        model = _with(model, [best.term.entry])
+        fitted, judged = (Sight(one, model, referenced=known) for one in (problem, kept))
+    if not terms:
+        return None
+    share, ends = share_removed(first, judged.residual)
+    return Remainder(
+        tuple(terms),
+        _with(start, [term.entry for term in terms]),
+        share,
+        ends,
+        before.residual,
+        fitted.residual,
+    )
+
+
+def _best(
+    fitted: Sight, kept: Sight, jacobian: Floats, ranges: Ranges, *, maps: bool
+) -> _Trial | None:
+    """The term that takes most off, if the gate lets it through."""
+    screening = screen(fitted, kept, jacobian)
+    trials = [_law(fitted, kept, one.law, ranges) for one in _shortlist(screening.best)]
+    law = max((one for one in trials if one is not None), key=_worth, default=None)
+    others = [_table(fitted, kept, one.entry(ranges)) for one in tables(fitted, kept, maps=maps)]
+    table = max(others, key=_worth, default=None)
+    chosen = law
+    if table is not None and (law is None or table.worth > law.worth + LAW_MARGIN):
+        chosen = table
+    if chosen is None or not _passes(chosen, kept, screening):
+        return None
+    return chosen
+
+
+def _worth(trial: _Trial) -> float:
+    return trial.worth
+
+
+def _passes(trial: _Trial, kept: Sight, screening: Screening) -> bool:
+    share, (low, _) = share_removed(kept, trial.kept)
+    if share < LEAST_SHARE or low < LEAST_LOWER:
+        return False
+    return share > MOST_OF_IT or screening.most > float(np.max(screening.null))
+
+
+def _shortlist(best: Sequence[Screened]) -> list[Screened]:
+    """The best laws of different families, and among them the best simple ones."""
+    chosen: dict[Any, Screened] = {}
+    for one in best:
+        if len(chosen) < _REFINED:
+            chosen.setdefault(one.law.family, one)
+    simple = [one for one in best if len(one.law.inputs) == 1]
+    for one in simple:
+        if sum(len(other.law.inputs) == 1 for other in chosen.values()) >= _SIMPLE:
+            break
+        chosen.setdefault(one.law.family, one)
+    return list(chosen.values())
+
+
+def _law(fitted: Sight, kept: Sight, law: Law, ranges: Ranges) -> _Trial | None:
+    found = refine(fitted.problem, fitted.model, law, ranges)
+    if not np.isfinite(found.law.size) or found.law.size == 0.0:
+        return None
+    entry = _rounded(found.law.entry(ranges))
+    trial = _table(fitted, kept, entry)
+    return replace(
+        trial, term=Term(entry, found.law), worth=trial.worth - found.law.price * abs(trial.worth)
+    )
+
+
+def _table(fitted: Sight, kept: Sight, entry: Entry) -> _Trial:
+    entry = _rounded(entry)
+    here, there = (one.problem.residual(_with(one.model, [entry])) for one in (fitted, kept))
+    worth = min(_share(fitted, here), _share(kept, there))
+    return _Trial(Term(entry, None), there, here, worth)
+
+
+def _share(sight: Sight, after: Floats) -> float:
+    """Share of the excess that is gone, by the weights of what was there before."""
+    excess = max(_excess(sight, sight.residual), 1e-300)
+    return 1.0 - _excess(sight, after) / excess
+
+
+def _excess(sight: Sight, residual: Floats) -> float:
+    return float(np.sum(sight.weight**2 * (residual**2 - 1.0)))
+
+
+def share_removed(sight: Sight, after: Floats) -> tuple[float, tuple[float, float]]:
+    """Share of the excess that is gone, with a 95 % interval over blocks of time."""
+    block = sight.block
+    n = int(np.max(block)) + 1
+    use = sight.use.astype(np.float64)
+    sums = np.array(
+        [
+            np.bincount(block, use * one, minlength=n)
+            for one in (sight.residual**2 - after**2, sight.residual**2 - 1.0)
+        ]
+    )
+    rng = np.random.default_rng(20)
+    drawn = rng.integers(0, n, (_DRAWS, n))
+    gone, there = (np.sum(row[drawn], axis=1) for row in sums)
+    shares = gone / np.maximum(there, 1e-300)
+    whole = float(np.sum(sums[0]) / max(float(np.sum(sums[1])), 1e-300))
+    low, high = np.percentile(np.clip(shares, -10.0, 1.5), [2.5, 97.5])
+    return whole, (float(low), float(high))
+
+
+def _ranges(sight: Sight) -> Ranges:
+    """What every input was between in the fitted recordings, and a little more."""
+    found = {}
+    for name, values in sight.inputs.items():
+        if name.endswith("_sign") or name == "since_reversal_s":
+            continue
+        low, high = float(np.min(values)), float(np.max(values))
+        more = _BEYOND * (high - low)
+        found[name] = (0.0 if name.startswith("abs_") else low - more, high + more)
+    return found
+
+
+def with_remainder(model: Model, found: Remainder | None) -> Model:
+    """The model with the terms that were found among its effects, and what was fitted beside."""
+    return model if found is None else found.model
+
+
+def _with(model: Model, entries: Sequence[Mapping[str, Any]]) -> Model:
+    return replace(model, effects=(*model.effects, *entries))
+
+
+def _rounded(entry: Entry) -> Entry:
+    """Numbers with the digits that a model file is written with."""
+
+    def short(value: Any) -> Any:
+        if isinstance(value, float):
+            return float(f"{value:.6g}")
+        if isinstance(value, list):
+            return [short(one) for one in value]
+        if isinstance(value, dict):
+            return {key: short(one) for key, one in value.items()}
+        return value
+
+    return {key: short(value) for key, value in entry.items()}

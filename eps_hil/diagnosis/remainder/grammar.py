@@ -1,0 +1,296 @@
+"""The laws that are tried: where × what it depends on × shape × memory, each a column.
+
+Not a list of effects: every product that makes sense in the units of the place. One input through
+any shape (and memory), by itself, as a relative change, or times a second input that makes it a
+drag (speed), a flank's friction (torque, load) or a centrifugal force (speed squared).
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.remainder.sight import STEP, Sight
+
+Floats = npt.NDArray[np.float64]
+
+ORDERS = np.arange(0.05, 40.01, 0.05)
+MOST_ORDERS = 3
+_FILTER_HZ, _FEWEST, _APART = 30.0, 100, 0.15
+_LAGS_S = (0.05, 0.2, 0.8, 3.0, 12.0)
+_HEATS_S = (1.5, 4.0, 10.0, 25.0, 60.0)
+_WAYS = (0.02, 0.06, 0.2, 0.5)
+"""Of an input's span: half widths of play, lengths over which a hysteresis turns."""
+_LAGGED = (
+    "motor_speed_rad_s",
+    "abs_motor_speed_rad_s",
+    "abs_motor_torque_nm",
+    "abs_rack_force_n",
+    "abs_torque_sensor_nm",
+)
+_HEATED = ("motor_torque_nm", "motor_speed_rad_s")
+_WAYED = ("motor_angle_rad", "rack_force_n", "motor_torque_nm", "torque_sensor_nm")
+_FADING = ("exponential", "saturating", "rational")
+_SIGNS = ("motor_power_sign", "load_power_sign", "torque_sensor_power_sign")
+_BASES: Mapping[tuple[str, str], tuple[tuple[str, str], ...]] = {
+    ("rotor", "sum"): (
+        ("motor_speed_rad_s", "linear"),
+        ("motor_speed_rad_s", "square"),
+        ("rack_force_n", "linear"),
+        ("torque_sensor_nm", "linear"),
+    ),
+    ("friction", "sum"): (
+        ("abs_motor_speed_rad_s", "linear"),
+        ("abs_rack_force_n", "linear"),
+        ("abs_motor_torque_nm", "linear"),
+        ("abs_torque_sensor_nm", "linear"),
+    ),
+}
+"""Second inputs beside a place's own."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """One factor of a law: an input, its memory, its shape and their numbers."""
+
+    name: str
+    shape: str
+    memory: str = "none"
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law of the grammar; ``size`` as fitted to the column of its place."""
+
+    where: str
+    how: str
+    inputs: tuple[Input, ...]
+    size: float = 0.0
+
+    @property
+    def price(self) -> float:
+        """Share of its gain that a law has to be better by than the simplest one."""
+        memory = sum(one.memory != "none" for one in self.inputs)
+        numbers = sum(len(one.numbers) for one in self.inputs)
+        return 0.02 * (len(self.inputs) - 1) + 0.01 * memory + 0.004 * numbers
+
+    @property
+    def family(self) -> tuple[Any, ...]:
+        """What makes it another law than one with other numbers or shapes."""
+        return (self.where, self.how, *((one.name, one.memory) for one in self.inputs))
+
+    def entry(self, ranges: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
+        """The law as a model file holds it (``effects/empirical.py``)."""
+        dynamic = any(one.memory != "none" or one.name == "since_reversal_s" for one in self.inputs)
+        found: dict[str, Any] = {
+            "effect": "empirical",
+            "form": "dynamic" if dynamic else "law",
+            "where": self.where,
+            "how": self.how,
+            "inputs": [one.name for one in self.inputs],
+            "memory": [one.memory for one in self.inputs],
+            "shapes": [one.shape for one in self.inputs],
+            "size": self.size,
+        }
+        for i, one in enumerate(self.inputs, 1):
+            found |= {f"{name}_{i}": value for name, value in one.numbers.items()}
+        seen = {
+            one.name: list(ranges[one.name])
+            for one in self.inputs
+            if one.name in ranges and one.shape != "sine"
+        }
+        return found | ({"range": seen} if seen else {})
+
+    def with_numbers(self, numbers: Mapping[tuple[int, str], float]) -> "Law":
+        """The same with other numbers, by (input, name)."""
+        inputs = tuple(
+            replace(
+                one,
+                numbers={n: numbers.get((i, n), value) for n, value in one.numbers.items()},
+            )
+            for i, one in enumerate(self.inputs)
+        )
+        return replace(self, inputs=inputs)
+
+
+def laws(sight: Sight, left: Floats) -> Iterator[list[Law]]:
+    """All laws, in groups by place; orders are looked for in ``left`` (n,), Nm."""
+    factors = list(_factors(sight))
+    for where, how in sight.places:
+        own = [Law(where, how, (one,)) for one in factors if not _says_nothing(where, how, one)]
+        if where == "load":  # the same everywhere: rotor against rack may know that no ratio is off
+            own.append(Law(where, how, (Input("rack_force_n", "one"),)))
+        if where in ("rotor", "motor"):
+            own += _waves(sight, left, Law(where, how, ()))
+        yield own
+        for name, shape in _BASES.get((where, how), ()):
+            if name not in sight.inputs:
+                continue
+            base = Input(name, shape)
+            group = [] if (where, shape) == ("rotor", "linear") else [Law(where, how, (base,))]
+            group += [
+                Law(where, how, (base, one))
+                for one in factors
+                if not (one.name == name and one.shape in ("linear", "square"))
+            ]
+            if where == "rotor":
+                group += _waves(sight, left, Law(where, how, (base,)))
+            yield group
+
+
+def _says_nothing(where: str, how: str, one: Input) -> bool:
+    """What the baseline's own numbers are, or what is the same as at another place."""
+    if one.name in _SIGNS and where != "friction":  # |T| times it is friction
+        return True
+    if where == "friction" and how == "sum" and one.memory == "none":
+        return one.shape == "linear" and one.name in ("motor_speed_rad_s", "motor_angle_rad")
+    return where == "motor" and how == "sum" and "torque" not in one.name
+
+
+def _factors(sight: Sight) -> Iterator[Input]:
+    """Every input, remembered or not, through every shape."""
+    use = sight.use
+    for name, values in sight.inputs.items():
+        if name in _SIGNS:
+            yield Input(name, "linear")
+            yield Input(name, "above", numbers={"centre": 0.0})
+            yield Input(name, "below", numbers={"centre": 0.0})
+            continue
+        for shape, numbers in _shapes(values[use]):
+            if name == "since_reversal_s" and shape not in _FADING:
+                continue  # anything else is a place in the programme, not a memory
+            if name == "motor_angle_rad" and shape not in ("linear", "square"):
+                continue
+            yield Input(name, shape, numbers=numbers)
+    for name, memory, number in _memories(sight):
+        values = sight.remembered(name, memory, number)
+        if np.ptp(values[use]) < 1e-9:
+            continue
+        own = {"memory": number}
+        yield Input(name, "linear", memory, own)
+        if memory in ("lag", "heat", "play"):
+            few = [one for one in _shapes(values[use]) if one[0] in ("saturating", "exponential")]
+            for shape, numbers in few[:3]:
+                yield Input(name, shape, memory, {**own, **numbers})
+
+
+def _memories(sight: Sight) -> Iterator[tuple[str, str, float]]:
+    rows = sight.inputs
+    longest = max(part.stop - part.start for part in sight.parts) * STEP
+    for name in _LAGGED:
+        yield from ((name, "lag", t) for t in _LAGS_S if name in rows and t < longest)
+    for name in _HEATED:
+        yield from ((name, "heat", t) for t in _HEATS_S if name in rows and t < longest)
+    for name in _WAYED:
+        if name not in rows:
+            continue
+        span = float(np.ptp(np.percentile(rows[name][sight.use], [2, 98])))
+        for share in _WAYS:
+            yield name, "stop", share * span
+            yield name, "hysteresis", share * span
+
+
+def _shapes(values: Floats) -> Iterator[tuple[str, dict[str, float]]]:
+    """Shapes with starting numbers that between them cover what values (k,) do."""
+    low, q1, middle, q3, high = np.percentile(values, [2, 25, 50, 75, 98]).tolist()
+    span = max(high - low, 1e-9)
+    yield "linear", {}
+    yield "square", {}
+    far = max(abs(low), abs(high))
+    for share in (0.05, 0.2, 0.6):
+        yield "saturating", {"width": share * far}
+        yield "rational", {"width": share * far}
+    for centre in (q1, middle, q3):
+        yield "above", {"centre": centre}
+        yield "below", {"centre": centre}
+        yield "step", {"centre": centre, "width": 0.03 * span}
+    for centre in (low, q1, middle, q3, high):
+        for share in (0.1, 0.3):
+            yield "gaussian", {"centre": centre, "width": share * span}
+    if low < 0.0 < high:
+        for share in (0.05, 0.15):
+            yield "gaussian", {"centre": 0.0, "width": share * span}
+    for share in (0.1, 0.3, 1.0):
+        yield "exponential", {"centre": low, "width": share * span}
+
+
+_SHAPED: Mapping[str, Callable[[Floats, float, float], Any]] = {
+    "one": lambda x, _c, _w: np.ones_like(x),
+    "linear": lambda x, _c, _w: x,
+    "square": lambda x, _c, _w: x * x,
+    "saturating": lambda x, _c, w: np.tanh(x / w),
+    "above": lambda x, c, _w: np.maximum(x - c, 0.0),
+    "below": lambda x, c, _w: np.maximum(c - x, 0.0),
+    "gaussian": lambda x, c, w: np.exp(-np.minimum(((x - c) / w) ** 2, 60.0)),
+    "exponential": lambda x, c, w: np.exp(np.clip(-(x - c) / w, -60.0, 20.0)),
+    "step": lambda x, c, w: 1.0 / (1.0 + np.exp(-np.clip((x - c) / w, -40.0, 40.0))),
+    "rational": lambda x, _c, w: 1.0 / (1.0 + (x / w) ** 2),
+}
+
+
+def shaped(x: Floats, shape: str, numbers: Mapping[str, float]) -> Floats:
+    """The shapes of ``empirical.py`` over (n,) values, but for waves, whose phase is open."""
+    return np.asarray(_SHAPED[shape](x, numbers.get("centre", 0.0), numbers.get("width", 1.0)))
+
+
+def columns_of(law: Law, sight: Sight) -> Floats | None:
+    """What a law of size one does to the residual (Nm) at ``sight.rows``, (k, 1).
+
+    (k, 2) for the quadratures of a wave; None if the recordings lack an input.
+    """
+    place = sight.places.get((law.where, law.how))
+    if place is None or any(one.name not in sight.inputs for one in law.inputs):
+        return None
+    column, wave = place.effect[sight.rows], None
+    for one in law.inputs:
+        if one.shape == "sine":
+            angle = sight.inputs[one.name][sight.rows]
+            wave = one.numbers["order"] * angle
+            rate = one.numbers["order"] * sight.inputs["abs_motor_speed_rad_s"][sight.rows]
+            column = column * np.clip(1.5 - rate / (2 * np.pi * _FILTER_HZ), 0.0, 1.0)
+            continue
+        key = (one.name, one.memory, one.shape, *one.numbers.items())
+        column = column * sight.once(key, partial(_at, one, sight))
+    if wave is None:
+        return column[:, None]
+    return np.column_stack([np.sin(wave), np.cos(wave)]) * column[:, None]
+
+
+def _at(one: Input, sight: Sight) -> Floats:
+    values = sight.remembered(one.name, one.memory, one.numbers.get("memory", 1.0))
+    return shaped(values[sight.rows], one.shape, one.numbers)
+
+
+def _waves(sight: Sight, left: Floats, law: Law) -> list[Law]:
+    """Sines of the rotor's angle at the orders that stand out of what is left."""
+    effect = columns_of(law, sight)
+    if "motor_angle_rad" not in sight.inputs or effect is None:
+        return []
+    rows = sight.rows
+    angle = sight.inputs["motor_angle_rad"][rows]
+    angle = angle - np.mean(angle)
+    rate = sight.inputs["abs_motor_speed_rad_s"][rows]
+    scaled = effect[:, 0] / sight.scale[rows]
+    seen = left[rows] / sight.scale[rows] * scaled
+    power = np.zeros(len(ORDERS))
+    for k, order in enumerate(ORDERS):
+        slow = rate * order < 2 * np.pi * _FILTER_HZ
+        norm = float(np.sum(scaled[slow] ** 2))
+        if np.count_nonzero(slow) > _FEWEST and norm > 0.0:
+            power[k] = abs(np.exp(-1j * order * angle[slow]) @ seen[slow]) ** 2 / norm
+    found: list[float] = []
+    for k in np.argsort(-power):
+        order = float(ORDERS[k])
+        if len(found) == MOST_ORDERS or power[k] <= 0.0:
+            break
+        if all(abs(order - other) > _APART * max(order, 1.0) for other in found):
+            found.append(order)
+    return [
+        replace(law, inputs=(*law.inputs, Input("motor_angle_rad", "sine", numbers={"order": order,
+                                                                                "phase": 0.0})))
+        for order in found
+    ]  # fmt: skip

@@ -1,0 +1,154 @@
+"""Curves and maps for what follows no law: straight between knots, as smooth as hold-outs ask for.
+
+Values at the knots are linear in the residual. A penalty on their bends is chosen by what one half
+of the blocks says of the other.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.remainder.sight import Sight
+
+Floats = npt.NDArray[np.float64]
+
+KNOTS, SIDE = 20, 8
+_PENALTIES = (1e-5, 1e-3, 1e-1, 10.0)
+_NO_AXIS = ("time_s", "motor_angle_rad")
+_BEST = 6
+_RIDGE = 1e-6
+Ranges = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A curve or map with its gains on the fitted recordings and the hold-outs."""
+
+    where: str
+    how: str
+    inputs: tuple[str, ...]
+    knots: tuple[tuple[float, ...], ...]
+    values: tuple[float, ...]
+    fitted: float
+    judged: float
+
+    def entry(self, ranges: Ranges) -> dict[str, Any]:
+        """As a model file holds it (``effects/empirical.py``)."""
+        values: list[Any] = list(self.values)
+        if len(self.inputs) == 2:
+            wide = len(self.knots[1])
+            values = [values[k : k + wide] for k in range(0, len(values), wide)]
+        return {
+            "effect": "empirical",
+            "form": "map" if len(self.inputs) == 2 else "curve",
+            "where": self.where,
+            "how": self.how,
+            "inputs": list(self.inputs),
+            "memory": ["none"] * len(self.inputs),
+            "knots": [list(axis) for axis in self.knots],
+            "values": values,
+            "range": {name: list(ranges[name]) for name in self.inputs if name in ranges},
+        }
+
+
+def tables(fitted: Sight, kept: Sight, *, maps: bool = True) -> list[Table]:
+    """The best curve and, with ``maps``, the best map, better one first."""
+    names = [
+        name
+        for name in fitted.inputs
+        if name in kept.inputs and name not in _NO_AXIS and not name.endswith("_sign")
+    ]
+    places = [key for key in fitted.places if key in kept.places]
+    curves = sorted(
+        (_table(fitted, kept, key, (name,), KNOTS) for key in places for name in names),
+        key=lambda one: -one.judged - one.fitted,
+    )
+    if not maps:
+        return curves[:1]
+    axes = list(dict.fromkeys(one.inputs[0] for one in curves))[:_BEST]
+    best = list(dict.fromkeys((one.where, one.how) for one in curves))[:3]
+    over_two = [_table(fitted, kept, key, pair, SIDE) for key, pair in _pairs(best, axes)]
+    found = [*curves[:1], *sorted(over_two, key=lambda one: -one.judged - one.fitted)[:1]]
+    return sorted(found, key=lambda one: -one.judged)
+
+
+def _pairs(
+    places: Sequence[tuple[str, str]], axes: Sequence[str]
+) -> Iterator[tuple[tuple[str, str], tuple[str, str]]]:
+    for key in places:
+        for one, other in combinations(axes, 2):
+            if one.removeprefix("abs_") != other.removeprefix("abs_"):
+                yield key, (one, other)
+
+
+def _table(
+    fitted: Sight, kept: Sight, key: tuple[str, str], names: tuple[str, ...], most: int
+) -> Table:
+    rows = fitted.rows
+    knots = tuple(_knots(fitted.inputs[name][rows], most) for name in names)
+    x, left = _columns(fitted, key, names, knots)
+    y, other = _columns(kept, key, names, knots)
+    bends = _bends([len(axis) for axis in knots])
+    even = fitted.block[rows] % 2 == 0
+    gram = [x[half].T @ x[half] for half in (even, ~even)]
+    slope = [x[half].T @ left[half] for half in (even, ~even)]
+    scale = float(np.trace(gram[0] + gram[1])) / len(bends)
+    ridge = _RIDGE * scale * np.eye(len(bends))
+
+    def solved(g: Floats, s: Floats, penalty: float) -> Floats:
+        return np.asarray(-np.linalg.solve(g + penalty * scale * bends + ridge, s))
+
+    def gain(g: Floats, s: Floats, v: Floats) -> float:
+        return float(-2.0 * s @ v - v @ g @ v)
+
+    def held(penalty: float) -> float:
+        return sum(
+            gain(gram[1 - k], slope[1 - k], solved(gram[k], slope[k], penalty)) for k in (0, 1)
+        )
+
+    penalty = max(_PENALTIES, key=held)
+    values = solved(gram[0] + gram[1], slope[0] + slope[1], penalty)
+    judged = gain(y.T @ y, y.T @ other, values)
+    return Table(*key, names, knots, tuple(values.tolist()), held(penalty), judged)
+
+
+def _knots(values: Floats, most: int) -> tuple[float, ...]:
+    """Half by where samples are, half at even distances; with a knot at zero inside the range."""
+    low, high = np.percentile(values, [0.2, 99.8])
+    share = np.linspace(0.0, 1.0, most)
+    by_count = np.quantile(np.clip(values, low, high), share)
+    mixed = 0.5 * by_count + 0.5 * (low + share * (high - low))
+    if low < 0.0 < high:
+        mixed[np.argmin(np.abs(mixed))] = 0.0
+    return tuple(np.unique(mixed).tolist())
+
+
+def _columns(
+    sight: Sight, key: tuple[str, str], names: Sequence[str], knots: Sequence[Sequence[float]]
+) -> tuple[Floats, Floats]:
+    rows = sight.rows
+    hats = _hats(sight.inputs[names[0]][rows], knots[0])
+    if len(names) == 2:
+        second = _hats(sight.inputs[names[1]][rows], knots[1])
+        hats = (hats[:, :, None] * second[:, None, :]).reshape(len(rows), -1)
+    effect = sight.places[key].effect * sight.weight / sight.scale
+    return hats * effect[rows, None], (sight.residual * sight.weight)[rows]
+
+
+def _hats(values: Floats, knots: Sequence[float]) -> Floats:
+    return np.column_stack([np.interp(values, knots, row) for row in np.eye(len(knots))])
+
+
+def _bends(sizes: Sequence[int]) -> Floats:
+    """Sum of squared second differences along each axis, as a quadratic form."""
+    found = np.zeros((int(np.prod(sizes)),) * 2)
+    for axis, size in enumerate(sizes):
+        second = np.diff(np.eye(size), 2, axis=0)
+        each = np.asarray(second.T @ second, dtype=np.float64)
+        parts = [each if k == axis else np.eye(n) for k, n in enumerate(sizes)]
+        found += parts[0] if len(parts) == 1 else np.kron(*parts)
+    return found

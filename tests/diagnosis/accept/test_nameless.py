@@ -1,0 +1,45 @@
+"""What has no name, beside numbers of the model's own that are off."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from eps_hil.diagnosis.accept.nameless import nameless
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout
+from eps_hil.diagnosis.attribute.select import Selection
+from eps_hil.diagnosis.balance.baseline import TIMING
+from eps_hil.diagnosis.balance.fit import fit
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.physics.model import Model
+
+
+@pytest.mark.slow
+def test_numbers_that_are_off_are_fitted_beside_a_law(
+    record: Callable[..., Any], reference_model: Model, other_rig: ModuleType
+) -> None:
+    """An eddy-current brake on a rig whose inertia and levels the model file has wrong."""
+    plant = {other_rig.EDDY: 0.05, other_rig.EDDY_W: 30.0}
+    friction = replace(
+        reference_model.friction,
+        offset_pos_nm=1.4 * reference_model.friction.offset_pos_nm,
+        offset_neg_nm=0.8 * reference_model.friction.offset_neg_nm,
+    )
+    wrong = replace(reference_model, inertia_kg_m2=2.4e-4, friction=friction)
+    fitted, kept = (
+        [prepare(name, one) for name, one in record(plant, programme, seed).items()]
+        for programme, seed in ((("sweep", "weave"), 1), (("weave",), 2))
+    )
+    problem = Problem(fitted, wrong)
+    null = fit(problem, [], own=TIMING)
+    selection = Selection(null, null, [], problem, null)
+    found, named = nameless(problem, selection, [], [Holdout(one, {}) for one in kept], {})
+    assert named == []
+    assert found is not None
+    assert found.refitted
+    assert found.share > 0.95
+    assert found.model.inertia_kg_m2 == pytest.approx(2.0e-4, rel=0.05)
+    assert any("motor_speed_rad_s" in name for name in found.entries[0]["inputs"])

@@ -1,0 +1,69 @@
+"""A channel that is a good part of a second off the others is told, not explained."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.diagnosis.data.channels import channels_in_doubt, check_channels
+from eps_hil.diagnosis.data.intake import RecordingError
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+Signals = Mapping[str, Series]
+
+
+@pytest.fixture(scope="module")
+def recorded(record: Callable[..., Any]) -> Signals:
+    (one,) = record({}, ("steps",), seconds=25.0).values()
+    assert isinstance(one, Mapping)
+    return one
+
+
+def later(series: Signals, signal: str, seconds: float) -> Signals:
+    """One channel as if its recorder had begun so much earlier."""
+    one = series[signal]
+    at = np.arange(len(one.value)) - round(1000 * seconds)
+    return {**series, signal: Series(one.t_ns, one.value[np.clip(at, 0, len(at) - 1)])}
+
+
+@pytest.mark.parametrize(
+    ("signal", "seconds"),
+    [
+        ("rack_force_n", 1.0),
+        ("rack_force_n", -1.0),
+        ("motor_torque_nm", 1.0),
+        ("motor_torque_nm", -1.0),
+        ("rack_position_m", 1.0),
+        ("rack_position_m", 0.4),
+    ],
+)
+def test_the_channel_and_how_far_it_is_off_are_told(
+    recorded: Signals, reference_model: Model, signal: str, seconds: float
+) -> None:
+    word = "later" if seconds > 0 else "earlier"
+    said = f"{signal}: comes some {abs(seconds):.1f} s {word} than the other channels"
+    with pytest.raises(RecordingError, match=said):
+        check_channels({"r": later(recorded, signal, seconds)}, reference_model)
+
+
+def test_trusted_channels_are_only_remarked_upon(recorded: Signals, reference_model: Model) -> None:
+    moved = {"r": later(recorded, "rack_force_n", 1.0)}
+    (said,) = channels_in_doubt(moved, reference_model, True)
+    assert "comes some 1.0 s later" in said
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.02])
+def test_what_physics_may_be_is_left_to_the_diagnosis(
+    recorded: Signals, reference_model: Model, seconds: float
+) -> None:
+    late = later(recorded, "motor_torque_nm", seconds) if seconds else recorded
+    check_channels({"r": late}, reference_model)
+
+
+def test_a_model_that_lacks_most_of_the_torque_refuses_no_recording(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    plant = {other_rig.SPRING: 0.02, other_rig.SAT: 0.5, other_rig.STRIB: 0.1}
+    check_channels(record(plant, ("sweep", "slow"), seconds=25.0), reference_model)

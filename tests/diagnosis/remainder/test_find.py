@@ -1,0 +1,107 @@
+"""A model of what no name stands for, on rigs of other code."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.diagnosis.remainder.find import find, share_removed
+from eps_hil.diagnosis.remainder.grammar import Input, Law, columns_of
+from eps_hil.diagnosis.remainder.refine import refine
+from eps_hil.diagnosis.remainder.sight import Sight
+from eps_hil.diagnosis.remainder.table import tables
+from eps_hil.physics.effects.catalogue import values_of
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+Recordings = Mapping[str, Mapping[str, Series]]
+Record = Callable[..., Recordings]
+
+
+def over(recordings: Recordings, model: Model) -> Problem:
+    return Problem([prepare(name, one) for name, one in recordings.items()], model)
+
+
+@pytest.fixture(scope="module")
+def eddy(record: Record, other_rig: ModuleType, reference_model: Model) -> tuple[Problem, Problem]:
+    """An eddy-current brake, which no name of the catalogue stands for: fitted and kept."""
+    plant = {other_rig.EDDY: 0.06, other_rig.EDDY_W: 30.0}
+    made = [record(plant, ("sweep", "weave"), seed=seed, seconds=10.0) for seed in (1, 2)]
+    return over(made[0], reference_model), over(made[1], reference_model)
+
+
+LAWS = [
+    Law("rotor", "sum", (Input("motor_speed_rad_s", "saturating", numbers={"width": 20.0}),), 0.02),
+    Law("motor", "factor", (Input("motor_torque_nm", "linear", "heat", {"memory": 2.0}),), -0.1),
+    Law("friction", "sum", (Input("abs_rack_force_n", "linear"),
+                            Input("load_power_sign", "below", numbers={"centre": 0.0})), 3e-5),
+    Law("friction", "factor", (Input("abs_motor_speed_rad_s", "linear", "lag", {"memory": 0.5}),),
+        0.01),
+    Law("rotor", "sum", (Input("motor_angle_rad", "linear", "hysteresis", {"memory": 3.0}),), 0.02),
+    Law("load", "factor", (Input("rack_position_m", "gaussian",
+                                 numbers={"centre": 0.002, "width": 0.004}),), 0.05),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: "_".join(str(one) for one in law.family[:2]))
+def test_screening_sees_what_the_simulator_does(law: Law, eddy: tuple[Problem, Problem]) -> None:
+    problem, _ = eddy
+    sight = Sight(problem, problem.model)
+    column = columns_of(law, sight)
+    assert column is not None
+    with_it = replace(problem.model, effects=(law.entry({}),))
+    change = (problem.residual(with_it) - sight.residual) * problem.scale
+    change, column = change[sight.rows], column[:, 0] * law.size
+    assert np.corrcoef(change, column)[0, 1] > 0.98
+    assert np.std(change) == pytest.approx(np.std(column), rel=0.1)
+
+
+def test_numbers_are_refined_by_the_simulator(eddy: tuple[Problem, Problem]) -> None:
+    """From a wrong start to the numbers with which a known law was put in."""
+    problem, _ = eddy
+    true = Law("motor", "sum", (Input("motor_torque_nm", "saturating", numbers={"width": 0.1}),),
+               0.05)  # fmt: skip
+    lacking = replace(problem.model, effects=(replace(true, size=-0.05).entry({}),))
+    start = replace(true, inputs=(Input("motor_torque_nm", "saturating", numbers={"width": 0.3}),))
+    before = problem.residual(problem.model)
+    bent = Problem(problem.recordings, lacking)
+    found = refine(bent, lacking, start, {})
+    assert np.mean(found.residual[bent.sliding] ** 2) < 1.05 * np.mean(before[bent.sliding] ** 2)
+
+
+def test_a_curve_follows_what_it_is_drawn_through(eddy: tuple[Problem, Problem]) -> None:
+    fitted, kept = (Sight(one, one.model) for one in eddy)
+    best = tables(fitted, kept)[0]
+    entry = best.entry({})
+    with_it = replace(kept.model, effects=(entry,))
+    values_of(entry, with_it)
+    share, _ = share_removed(kept, kept.problem.residual(with_it))
+    assert "motor_speed_rad_s" in {name.removeprefix("abs_") for name in best.inputs}
+    assert share > 0.8
+
+
+@pytest.mark.slow
+def test_what_has_no_name_is_modelled(eddy: tuple[Problem, Problem]) -> None:
+    fitted, kept = eddy
+    found = find(fitted, kept, fitted.model, np.zeros((len(fitted.scale), 0)))
+    assert found is not None
+    assert found.share > 0.9
+    assert found.ci95[0] > 0.7
+    assert any("motor_speed_rad_s" in name for name in found.entries[0]["inputs"])
+    for entry in found.entries:
+        values_of(entry, fitted.model)
+
+
+@pytest.mark.slow
+def test_where_nothing_is_missing_nothing_is_modelled(
+    record: Record, reference_model: Model
+) -> None:
+    fitted, kept = (
+        over(record({}, ("sweep", "weave"), seed=seed, seconds=10.0), reference_model)
+        for seed in (3, 4)
+    )
+    assert find(fitted, kept, reference_model, np.zeros((len(fitted.scale), 0))) is None

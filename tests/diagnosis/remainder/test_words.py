@@ -1,0 +1,65 @@
+"""What an empirical effect is called and how its law is written."""
+
+from typing import Any
+
+import pytest
+
+from eps_hil.diagnosis.remainder.words import formula, resembles, sentence
+
+ONE = {"effect": "empirical", "form": "law", "how": "sum", "memory": ["none"]}
+
+
+def law(**values: Any) -> dict[str, Any]:
+    return {**ONE, **values}
+
+
+FOLD_BACK = law(
+    form="dynamic", where="motor", how="factor", inputs=["motor_torque_nm"], memory=["heat"],
+    shapes=["linear"], size=-0.31, memory_1=21.0,
+)  # fmt: skip
+DEAD_TIME = law(
+    where="motor", inputs=["motor_torque_nm"], shapes=["saturating"], size=-0.02, width_1=0.05
+)
+
+
+def test_a_law_is_written_out() -> None:
+    assert formula(FOLD_BACK) == "T_em · (1 + -0.31 · h), 21 s · dh/dt = T_em² − h"
+    assert formula(DEAD_TIME) == "T_em + (-0.02 · tanh(T_em/0.05))"
+
+
+def test_a_map_has_no_law() -> None:
+    table = law(where="rotor", form="map", inputs=["rack_position_m", "motor_speed_rad_s"],
+                values=[[0.0]])  # fmt: skip
+    assert formula(table) is None
+    assert "by a map" in sentence(table)
+
+
+def test_a_map_over_two_signals_is_like_nothing() -> None:
+    """It may be any law of the two: iron losses came out as an inverter's dead time."""
+    table = law(where="rotor", form="map", inputs=["motor_torque_nm", "abs_motor_speed_rad_s"],
+                values=[[0.0]])  # fmt: skip
+    assert resembles(table) == []
+
+
+@pytest.mark.parametrize(
+    ("entry", "what"),
+    [
+        (FOLD_BACK, "current fold-back"),
+        (DEAD_TIME, "inverter dead time"),
+        (law(where="motor", how="factor", inputs=["abs_motor_speed_rad_s"], shapes=["above"],
+             size=-1e-3, centre_1=30.0), "field weakening"),
+        (law(where="friction", inputs=["abs_torque_sensor_nm"], shapes=["linear"], size=0.02),
+         "rack-guide friction"),
+        (law(where="rotor", inputs=["motor_angle_rad"], memory=["hysteresis"], shapes=["linear"],
+             size=0.03, memory_1=5.0), "hysteretic bushing (Bouc–Wen)"),
+        (law(where="friction", inputs=["abs_motor_speed_rad_s"], memory=["lag"],
+             shapes=["linear"], size=1e-3, memory_1=0.6), "velocity-memory friction"),
+    ],
+)  # fmt: skip
+def test_known_families_get_their_name(entry: dict[str, Any], what: str) -> None:
+    assert resembles(entry)[0]["what"] == what
+
+
+def test_what_is_like_nothing_gets_no_name() -> None:
+    assert resembles(law(where="load", how="factor", inputs=["time_s"], shapes=["linear"],
+                         size=0.1)) == []  # fmt: skip

@@ -1,0 +1,38 @@
+"""The whole diagnosis on rigs of the truth plant that hide what no name stands for."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.physics.model import Model
+from eps_hil.proof.cases import make
+from eps_hil.proof.plans import Plan
+from eps_hil.proof.truth import Floats
+from eps_hil.series import Series
+
+
+def diagnosed(model: Model, name: str, size: float = 3.0, seed: int = 11) -> Diagnosis:
+    case = make(Plan("nameless", seed, ((name, size),)))
+    recordings = {one: series_of(columns) for one, columns in case.recordings.items()}
+    kept = {"holdout": recordings.pop("holdout")}
+    return diagnose(model, recordings, kept)
+
+
+def series_of(columns: Mapping[str, Floats]) -> dict[str, Series]:
+    t_ns = np.round(columns["time_s"] * 1e9).astype(np.int64)
+    return {name: Series(t_ns, values) for name, values in columns.items() if name != "time_s"}
+
+
+def test_a_loss_that_looks_like_a_ratio_is_modelled(reference_model: Model) -> None:
+    """Dead time of an inverter: the balance wants another ratio, which is measured to be right."""
+    content = diagnosed(reference_model, "alien_dead_time").content
+    (found,) = content["findings"]
+    assert found["resembles"][0]["what"] == "inverter dead time"
+    assert found["where"][0]["signal"] == "motor_torque_nm"
+    before, after = (
+        content["fit"]["holdout"][one]["torque_nrmse"] for one in ("baseline", "augmented")
+    )
+    assert after < 0.2 * before
+    assert found["model"]["holdout_share_removed"] == pytest.approx(1.0, abs=0.03)

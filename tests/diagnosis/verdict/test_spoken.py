@@ -1,0 +1,57 @@
+"""Places and times as a rig engineer says them."""
+
+from eps_hil.diagnosis.verdict.spoken import (
+    most_in_words,
+    place_in_words,
+    share_in_words,
+    when_in_words,
+)
+
+
+def test_a_place_has_a_plain_name_and_unit() -> None:
+    place = {"signal": "rack_position_m", "from": -0.008, "to": 0.0125, "share_of_excess": 0.9}
+    assert place_in_words(place) == "rack position -8 to 12.5 mm"
+    place = {"signal": "dwell_s", "from": 0.008, "to": 0.032, "share_of_excess": 0.9}
+    assert place_in_words(place) == "time at rest before it moved 0.008 to 0.032 s"
+    assert place_in_words({"signal": "x|left", "from": 0, "to": 1}) == "x|left 0 to 1"
+
+
+def test_a_share_is_told_beside_its_share_of_the_time() -> None:
+    place = {"signal": "rack_force_n", "from": 100, "to": 900, "share_of_excess": 0.87}
+    assert share_in_words(place) == "87 % of it at rack force 100 to 900 N"
+    told = share_in_words({**place, "share_of_time": 0.12})
+    assert told == "87 % of it in 12 % of the time at rack force 100 to 900 N"
+    told = share_in_words({**place, "share_of_time": 0.85})
+    assert told == "at any rack force: 87 % of it in 85 % of the time"
+    assert share_in_words({**place, "share_of_excess": 0.0}) == "at rack force 100 to 900 N"
+
+
+def test_a_pair_of_signals_is_told_in_plain_words() -> None:
+    cell = {"signals": ["rack_position_m", "abs_motor_speed_rad_s"], "from": [0.0, 2.0],
+            "to": [0.01, 9.0], "share_of_excess": 0.4, "share_of_time": 0.05}  # fmt: skip
+    assert most_in_words({"cells": [cell]}) == (
+        "40 % of it in 5 % of the time: rack position 0 to 10 mm and rotor speed of either sign "
+        "2 to 9 rad/s"
+    )
+    assert most_in_words({}) == ""
+
+
+def test_one_recording_that_holds_it_all_is_named() -> None:
+    def part(name: str, share: float) -> dict[str, object]:
+        return {"recording": name, "from_s": 3.0, "to_s": 9.5, "share_of_excess": share}
+
+    def shares(a: float, time: float) -> list[dict[str, object]]:
+        return [
+            {"recording": "a", "share_of_excess": a, "share_of_time": time},
+            {"recording": "b", "share_of_excess": 1 - a, "share_of_time": 1 - time},
+        ]
+
+    assert when_in_words([]) == ""
+    assert when_in_words([part("a", 0.4)], shares(0.97, 0.5)) == "only in a"
+    assert when_in_words([], shares(0.7, 0.4)) == "70 % of it in a (40 % of the time)"
+    assert when_in_words([], shares(0.7, 0.65)) == ""
+    assert when_in_words([part("a", 0.4)], shares(0.5, 0.5)) == ""
+    assert when_in_words([part("a", 0.6)]) == "60 % of it from 3.0 to 9.5 s"
+    assert when_in_words([part("b", 0.6)], shares(0.02, 0.5)) == (
+        "only in b; 60 % of it from 3.0 to 9.5 s of b"
+    )
