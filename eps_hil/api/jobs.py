@@ -1,0 +1,166 @@
+"""The jobs of a program: load, estimate, simulate, identify, diagnose, compare."""
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from eps_hil.api.recording import Recording
+from eps_hil.api.results import Comparison, Diagnosis, Estimate, Identification, Simulation
+from eps_hil.errors import InputError
+from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.physics.model import Model, load_model
+from eps_hil.series import Series
+
+Source = Recording | str | Path
+"""A recording, or a file that :func:`load` reads without further options."""
+Sources = Source | Sequence[Source]
+Rig = Model | str | Path
+
+
+def load(
+    path: str | Path,
+    *,
+    dbc: str | Path | Sequence[str | Path] = (),
+    signals: str | Path | None = None,
+    gaps: str = "refuse",
+    ignore_unknown: bool = False,
+    channel: str | None = None,
+) -> Recording:
+    """Read CSV, Parquet, MF4 or a CAN log; a CAN log needs ``dbc`` and ``signals`` (a mapping).
+
+    ``gaps``: "refuse" or "mark" NaN and holes; ``ignore_unknown``: leave out columns without a
+    canonical name; ``channel``: the one bus to read. :class:`InputError` names file and remedy.
+    """
+    from eps_hil.recordings.read import read_recording
+
+    databases = [dbc] if isinstance(dbc, str | Path) else dbc
+    found = read_recording(
+        path,
+        dbc=[Path(one) for one in databases],
+        signals=None if signals is None else Path(signals),
+        gaps=gaps,
+        ignore_unknown=ignore_unknown,
+        channel=channel,
+    )
+    return Recording(found.name, found.series, found.notes)
+
+
+def estimate(
+    recording: Source, model: Rig, settings: EstimatorSettings | str | Path | None = None
+) -> Estimate:
+    """The rack force of a recording, through the estimator that runs live.
+
+    ``settings``: an estimator settings file or value; default: the live service's.
+    """
+    from eps_hil import yaml_file
+    from eps_hil.estimation import batch
+    from eps_hil.estimation.score import score
+    from eps_hil.estimation.settings import problem
+
+    read, rig = _recording(recording), _model(model)
+    if isinstance(settings, str | Path):
+        settings = yaml_file.load(settings, EstimatorSettings)
+    chosen = settings or EstimatorSettings()
+    if wrong := problem(chosen, live=False):
+        raise InputError("settings", "kind", wrong)
+    try:
+        trace = batch.estimate(read.series, rig, chosen)
+    except ValueError as error:
+        raise _refused(read, error) from None
+    if not len(trace.t_ns):
+        raise InputError(read.name, "", "is too short for one estimate", "record longer")
+    return Estimate(read, rig, trace, score(trace, read.series, rig))
+
+
+def simulate(recording: Source, model: Rig, *, physical: bool = False) -> Simulation:
+    """The recorded motor torque, torsion-bar torque and rack force through the model.
+
+    ``physical``: at physical instants, not as late as the sensors report.
+    """
+    from eps_hil.physics.forward import InputMissingError, forward
+
+    read = _recording(recording)
+    try:
+        made = forward(_model(model), read.series, physical=physical)
+    except InputMissingError as error:
+        raise _refused(read, error) from None
+    return Simulation(read, made.t_ns, made.columns, made.notes)
+
+
+def identify(recordings: Sources, model: Rig) -> Identification:
+    """Delays, inertia, friction map and bristle of a rig; the model gives what is not shown."""
+    from eps_hil.identification.identify import identify as run
+
+    return Identification(run(_by_name(_recordings(recordings)), _model(model)))
+
+
+def diagnose(
+    recordings: Sources,
+    model: Rig,
+    *,
+    holdouts: Sources = (),
+    without_effects: Collection[str] = (),
+) -> Diagnosis:
+    """Which physics the model lacks, with confidence, intervals and the gain on hold-outs.
+
+    Without ``holdouts`` a part of the recordings is kept from the fit. Recordings need names of
+    their own. :class:`InputError` where a recording lacks what a diagnosis needs.
+    """
+    from eps_hil.diagnosis.data.intake import RecordingError
+    from eps_hil.diagnosis.diagnose import diagnose as run
+
+    fitted, judged = _recordings(recordings), _recordings(holdouts)
+    together = _by_name([*fitted, *judged])
+    first = {one.name: together[one.name] for one in fitted}
+    rest = {one.name: together[one.name] for one in judged}
+    try:
+        return Diagnosis(run(_model(model), first, rest, None, without_effects))
+    except RecordingError as error:
+        raise InputError(error.recording, "", str(error)) from None
+    except ValueError as error:
+        raise InputError(", ".join(together), "", str(error)) from None
+
+
+def compare(
+    recording: Source,
+    model: Rig,
+    settings: EstimatorSettings | None = None,
+    *,
+    second: bool = False,
+) -> Comparison:
+    """The estimator with and without compensation and extensions, against the load cell.
+
+    ``second`` adds the estimators beside the paper's.
+    """
+    from eps_hil.report import comparison
+
+    read, rig = _recording(recording), _model(model)
+    chosen = settings or EstimatorSettings()
+    found = comparison.compare(read, rig, chosen, second=second)
+    return Comparison(read, rig, tuple(found))
+
+
+def _recording(source: Source) -> Recording:
+    return source if isinstance(source, Recording) else load(source)
+
+
+def _recordings(sources: Sources) -> list[Recording]:
+    several = [sources] if isinstance(sources, Recording | str | Path) else sources
+    return [_recording(one) for one in several]
+
+
+def _by_name(recordings: Sequence[Recording]) -> dict[str, Mapping[str, Series]]:
+    names = [one.name for one in recordings]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(name, "", "is given twice", "give each recording a name of its own")
+    return {one.name: one.series for one in recordings}
+
+
+def _model(rig: Rig) -> Model:
+    return rig if isinstance(rig, Model) else load_model(rig)
+
+
+def _refused(recording: Recording, error: Exception) -> InputError:
+    there: Any = ", ".join(sorted(recording.series))
+    return InputError(recording.name, "", str(error), f"it holds {there}")

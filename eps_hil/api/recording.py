@@ -1,0 +1,86 @@
+"""A recording that a program holds: canonical signals, as a table, as a figure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eps_hil.api import show
+from eps_hil.errors import InputError
+from eps_hil.recordings import recording as plain
+from eps_hil.signals import CANONICAL
+
+_FIRST = ("motor_speed_rad_s", "motor_torque_nm", "torque_sensor_nm", "rack_force_n")
+
+
+@dataclass(frozen=True, slots=True)
+class Recording(plain.Recording):
+    """Canonical signals of one file (``eps_hil.load``); ``series[name]`` has ``t_ns``, ``value``.
+
+    ``notes``: what the reader had to leave out or mend.
+    """
+
+    @property
+    def start_ns(self) -> int:
+        """The first stamp of any signal."""
+        return min(int(one.t_ns[0]) for one in self.series.values())
+
+    def to_dataframe(self, library: str | None = None) -> Any:
+        """Every sample: ``time_s`` and a column a signal, NaN where it has no sample.
+
+        ``library``: "pandas" or "polars"; None: whichever is installed.
+        """
+        from eps_hil.recordings.table import from_series
+
+        t_ns, columns = from_series(self.series)
+        return show.dataframe({"time_s": t_ns * 1e-9, **columns}, library)
+
+    def save(self, path: str | Path) -> Path:
+        """Write it as CSV, Parquet or MF4, by the suffix."""
+        from eps_hil.recordings.table import from_series
+        from eps_hil.recordings.write import write_table
+
+        t_ns, columns = from_series(self.series)
+        write_table(path, columns, t_ns=t_ns)
+        return Path(path)
+
+    def plot(self, signals: Sequence[str] = ()) -> Any:
+        """A matplotlib figure, one panel a signal (default: what an estimate is made of)."""
+        from eps_hil.report import figures
+
+        chosen = list(signals) or [name for name in _FIRST if name in self.series]
+        for name in chosen:
+            if name not in self.series:
+                there = ", ".join(sorted(self.series))
+                raise InputError(self.name, name, "is not recorded", f"it holds {there}")
+        count = len(chosen)
+        figure, axes = figures.subplots(count, 1, width_cm=25.0, height_cm=2.0 + 4.0 * count)
+        for axis, name in zip(axes[:, 0], chosen, strict=True):
+            one = self.series[name]
+            axis.plot(
+                (one.t_ns - self.start_ns) * 1e-9, one.value, color=figures.COLOURS[0], lw=0.8
+            )
+            axis.set_ylabel(f"{name.replace('_', ' ')}", fontsize="small")
+        axes[-1, 0].set_xlabel("time in s")
+        return show.shown(figure)
+
+    def _repr_html_(self) -> str:
+        rows = [
+            {
+                "signal": name,
+                "unit": CANONICAL[name].unit if name in CANONICAL else "",
+                "samples": len(one.t_ns),
+                "rate in Hz": round(1e9 / float(np.median(np.diff(one.t_ns))), 3)
+                if len(one.t_ns) > 1
+                else None,
+                "from s": (int(one.t_ns[0]) - self.start_ns) * 1e-9,
+                "to s": (int(one.t_ns[-1]) - self.start_ns) * 1e-9,
+            }
+            for name, one in self.series.items()
+        ]
+        return show.table(rows, self.name) + "".join(
+            f"<p>{escape(note)}</p>" for note in self.notes
+        )

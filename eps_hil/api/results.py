@@ -1,0 +1,282 @@
+"""What the jobs return: typed values that plot, tabulate and show themselves in a notebook."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.api import show
+from eps_hil.api.recording import Recording
+from eps_hil.diagnosis import diagnose as diagnosing
+from eps_hil.estimation.score import Score
+from eps_hil.estimation.stream import Trace
+from eps_hil.identification import result as identifying
+from eps_hil.physics.model import Model
+from eps_hil.report.comparison import Candidate, summary
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A recording's rack force; ``score`` is None where it holds no load cell.
+
+    Rows of ``trace`` speak of physical instants (``t_ns``); use them where ``trace.valid``.
+    """
+
+    recording: Recording
+    model: Model
+    trace: Trace
+    score: Score | None
+
+    def to_dataframe(self, library: str | None = None) -> Any:
+        """``time_s``, ``rack_force_estimate_n``, ``friction_torque_nm``, ``valid``."""
+        columns = {
+            "time_s": self.trace.t_ns * 1e-9,
+            "rack_force_estimate_n": self.trace.rack_force_n,
+            "friction_torque_nm": self.trace.friction_torque_nm,
+            "valid": self.trace.valid,
+        }
+        return show.dataframe(columns, library)
+
+    def plot(self) -> Any:
+        """Rack force over time, with the load cell where there is one."""
+        from eps_hil.report import figures
+
+        figure, axes = figures.subplots(1, 1, width_cm=25.0, height_cm=10.0)
+        axis, start = axes[0, 0], self.recording.start_ns
+        if (cell := self.recording.series.get("rack_force_n")) is not None:
+            at = cell.t_ns - round(self.model.delays_s.of("rack_force_n") * 1e9)
+            axis.plot((at - start) * 1e-9, cell.value, color="0.6", lw=1.5, label="load cell")
+        force = np.where(self.trace.valid, self.trace.rack_force_n, np.nan)
+        seconds = (self.trace.t_ns - start) * 1e-9
+        axis.plot(seconds, force, color=figures.COLOURS[0], lw=0.9, label="estimate")
+        axis.set(xlabel="time in s", ylabel="rack force in N")
+        axis.legend(frameon=False)
+        return show.shown(figure)
+
+    def _repr_html_(self) -> str:
+        row: dict[str, object] = {
+            "rows": len(self.trace.t_ns),
+            "valid in %": 100.0 * float(self.trace.valid.mean()),
+        }
+        if self.score:
+            row["rms error moving in N"] = self.score.rmse_moving_n
+            row["rms error overall in N"] = self.score.rmse_overall_n
+            row["load cell in N rms"] = self.score.rms_force_n
+        return show.table([row], f"rack force of {self.recording.name}")
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """A recording's inputs through the model: canonical ``columns`` (n,) at stamps ``t_ns``."""
+
+    recording: Recording
+    t_ns: npt.NDArray[np.int64]
+    columns: Mapping[str, Floats]
+    notes: tuple[str, ...]
+
+    def to_dataframe(self, library: str | None = None) -> Any:
+        """``time_s`` and the canonical columns."""
+        return show.dataframe({"time_s": self.t_ns * 1e-9, **self.columns}, library)
+
+    def plot(self) -> Any:
+        """Simulated and recorded speed (or angle)."""
+        from eps_hil.report import figures
+
+        name = next(
+            (n for n in ("motor_speed_rad_s", "motor_angle_rad") if n in self.recording.series),
+            "motor_speed_rad_s",
+        )
+        figure, axes = figures.subplots(1, 1, width_cm=25.0, height_cm=10.0)
+        axis, start = axes[0, 0], self.recording.start_ns
+        if (one := self.recording.series.get(name)) is not None:
+            axis.plot((one.t_ns - start) * 1e-9, one.value, color="0.6", lw=1.5, label="recorded")
+        seconds = (self.t_ns - start) * 1e-9
+        axis.plot(seconds, self.columns[name], color=figures.COLOURS[1], lw=0.9, label="simulated")
+        axis.set(xlabel="time in s", ylabel=name.replace("_", " "))
+        axis.legend(frameon=False)
+        return show.shown(figure)
+
+    def _repr_html_(self) -> str:
+        rows = [{"column": name, "rows": len(one)} for name, one in self.columns.items()]
+        return show.table(rows, f"{self.recording.name}, simulated")
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """The numbers of a rig with their intervals, and the model file that they make."""
+
+    result: identifying.Identification
+
+    @property
+    def model(self) -> Model:
+        """The model with what was identified."""
+        return self.result.model
+
+    def to_dataframe(self, library: str | None = None) -> Any:
+        """One row a parameter: value, unit, 95 % interval, what the model file said, status."""
+        rows = self._rows()
+        return show.dataframe({name: [row[name] for row in rows] for name in rows[0]}, library)
+
+    def plot(self) -> Any:
+        """The friction map, measured and fitted."""
+        from eps_hil.report.identification_figure import figure
+
+        return show.shown(figure(self.result))
+
+    def report(self, path: str | Path, model_name: str = "model") -> Path:
+        """Write the page of ``eps-hil identify --report``."""
+        from eps_hil.report import identification_page
+
+        identification_page.write(self.result, Path(path), model_name)
+        return Path(path)
+
+    def _rows(self) -> list[dict[str, object]]:
+        return [
+            {
+                "parameter": name,
+                "value": one.value,
+                "unit": one.unit,
+                "low": one.ci95[0] if one.ci95 else None,
+                "high": one.ci95[1] if one.ci95 else None,
+                "model_file": one.from_model,
+                "status": one.status,
+            }
+            for name, one in {**self.result.parameters, **self.result.offsets}.items()
+        ]
+
+    def _repr_html_(self) -> str:
+        return show.table(self._rows(), ", ".join(self.result.recordings))
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One effect that a model lacks; CONTRACT 7 says what the fields are."""
+
+    effect: str
+    confidence: float
+    summary: str
+    equation: str
+    parameters: Mapping[str, Mapping[str, Any]]
+    confusable_with: tuple[str, ...]
+    next_experiment: str
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What a model lacks; ``content`` is the JSON of ``eps-hil diagnose`` (CONTRACT 7)."""
+
+    result: diagnosing.Diagnosis
+
+    @property
+    def content(self) -> Mapping[str, Any]:
+        """The result as JSON-ready values."""
+        return self.result.content
+
+    @property
+    def verdict(self) -> str:
+        """no_mismatch, explained, partly_explained or unknown_effect."""
+        return str(self.content["verdict"])
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found, the surest first."""
+        return tuple(
+            Finding(
+                effect=one["effect"],
+                confidence=one["confidence"],
+                summary=one["summary"],
+                equation=one.get("equation", ""),
+                parameters=one.get("parameters", {}),
+                confusable_with=tuple(one.get("confusable_with", ())),
+                next_experiment=one.get("next_experiment") or "",
+            )
+            for one in self.content["findings"]
+        )
+
+    @property
+    def model(self) -> Model:
+        """The model with the effects added."""
+        return self.result.model
+
+    def to_dataframe(self, library: str | None = None) -> Any:
+        """One row a parameter of a finding: effect, confidence, value, unit, 95 % interval."""
+        rows = self._rows()
+        names = ("effect", "confidence", "parameter", "value", "unit", "low", "high", "or_else")
+        return show.dataframe({name: [row[name] for row in rows] for name in names}, library)
+
+    def plot(self) -> Any:
+        """The hold-outs' figures before and after: NRMSE of torque, fit of speed, rack force."""
+        from eps_hil.report import figures
+
+        holdout = self.content["fit"]["holdout"]
+        names = [n for n in holdout["augmented"] if isinstance(holdout["augmented"][n], float)]
+        figure, axes = figures.subplots(1, max(len(names), 1), width_cm=24.0, height_cm=8.0)
+        for axis, name in zip(axes[0], names, strict=False):
+            values = [holdout["baseline"].get(name) or 0.0, holdout["augmented"][name]]
+            axis.bar(["baseline", "augmented"], values, color=figures.COLOURS[1::-1])
+            axis.set_title(name.replace("_", " "), fontsize="small")
+        return show.shown(figure)
+
+    def report(self, path: str | Path, model_name: str = "model") -> Path:
+        """Write the page of ``eps-hil diagnose --report``."""
+        from eps_hil.report import diagnosis_page
+
+        diagnosis_page.write(self.result, Path(path), model_name)
+        return Path(path)
+
+    def _rows(self) -> list[dict[str, object]]:
+        found: list[dict[str, object]] = []
+        for one in self.findings:
+            head = {"effect": one.effect, "confidence": one.confidence}
+            other = ", ".join(one.confusable_with)
+            for name, number in one.parameters.items() or [("", {})]:
+                low, high = number.get("ci95") or (None, None)
+                rest = {"value": number.get("value"), "unit": number.get("unit", "")}
+                limits = {"low": low, "high": high, "or_else": other}
+                found.append({**head, "parameter": name, **rest, **limits})
+        return found
+
+    def _repr_html_(self) -> str:
+        told = [
+            {
+                "effect": one.effect,
+                "confidence": f"{100 * one.confidence:.0f} %",
+                "what": one.summary,
+                "could also be": ", ".join(one.confusable_with),
+            }
+            for one in self.findings
+        ]
+        return show.table(told, f"verdict: {self.verdict.replace('_', ' ')}")
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Variants of the estimator against the load cell, the full one first."""
+
+    recording: Recording
+    model: Model
+    candidates: tuple[Candidate, ...]
+
+    def to_dataframe(self, library: str | None = None) -> Any:
+        """One row a variant: rms errors in N overall, moving, at rest; share of valid rows."""
+        rows = summary(self.candidates)
+        return show.dataframe({name: [row[name] for row in rows] for name in rows[0]}, library)
+
+    def plot(self, path: str | Path | None = None) -> Any:
+        """Rack force over time, all variants and the load cell; written where ``path`` says."""
+        from eps_hil.report import comparison, comparison_figure
+
+        cell = self.recording.series["rack_force_n"]
+        begin = comparison.start_ns(self.recording.series)
+        figure = comparison_figure.figure(self.candidates, cell, self.model, begin_ns=begin)
+        if path is not None:
+            comparison_figure.save(figure, path)
+        return show.shown(figure)
+
+    def _repr_html_(self) -> str:
+        return show.table(summary(self.candidates), f"rms error in N, {self.recording.name}")

@@ -1,0 +1,36 @@
+"""Units as databases write them: which quantity they measure, and the factor to the SI unit."""
+
+import math
+
+_DEGREE = math.pi / 180.0
+_TABLE: dict[str, tuple[str, float]] = {
+    "nm": ("torque", 1.0), "mnm": ("torque", 1e-3), "cnm": ("torque", 1e-2),
+    "rad/s": ("angular speed", 1.0), "rpm": ("angular speed", math.pi / 30.0),
+    "1/min": ("angular speed", math.pi / 30.0), "min-1": ("angular speed", math.pi / 30.0),
+    "deg/s": ("angular speed", _DEGREE), "°/s": ("angular speed", _DEGREE),
+    "rad": ("angle", 1.0), "deg": ("angle", _DEGREE), "°": ("angle", _DEGREE),
+    "degree": ("angle", _DEGREE), "degrees": ("angle", _DEGREE),
+    "n": ("force", 1.0), "kn": ("force", 1e3), "dan": ("force", 10.0),
+    "m": ("length", 1.0), "mm": ("length", 1e-3), "cm": ("length", 1e-2),
+    "m/s": ("speed", 1.0), "km/h": ("speed", 1 / 3.6), "kph": ("speed", 1 / 3.6),
+    "kmh": ("speed", 1 / 3.6), "mph": ("speed", 0.44704),
+    "m/s^2": ("acceleration", 1.0), "m/s2": ("acceleration", 1.0), "m/s²": ("acceleration", 1.0),
+    "g": ("acceleration", 9.80665),
+    "degc": ("temperature", 1.0), "°c": ("temperature", 1.0), "c": ("temperature", 1.0),
+    "a": ("current", 1.0), "ma": ("current", 1e-3), "v": ("voltage", 1.0),
+}  # fmt: skip
+_OF_CANONICAL = {
+    "Nm": "torque", "rad/s": "angular speed", "rad": "angle", "N": "force", "m": "length",
+    "m/s": "speed", "m/s^2": "acceleration", "degC": "temperature",
+}  # fmt: skip
+
+
+def known(unit: str | None) -> tuple[str, float] | None:
+    """(quantity, factor to SI) of a unit as somebody wrote it; None if it is not known."""
+    text = (unit or "").strip().replace(" ", "").replace("·", "").replace("*", "").lower()
+    return _TABLE.get(text)
+
+
+def quantity(canonical_unit: str) -> str:
+    """The quantity that a canonical signal's unit measures."""
+    return _OF_CANONICAL[canonical_unit]

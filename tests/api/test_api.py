@@ -1,0 +1,159 @@
+"""``import eps_hil``: the names a program needs, and results that tabulate and show themselves."""
+
+import importlib.util
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import eps_hil
+from eps_hil.cli.main import main
+from eps_hil.physics.model import Model
+from eps_hil.recordings.read import read_recording
+
+ROOT = Path(__file__).parents[2]
+MODEL = ROOT / "configs" / "reference_rig.yaml"
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory, sweep_truth: Any) -> eps_hil.Recording:
+    path = tmp_path_factory.mktemp("api") / "sweep.csv"
+    columns = {name: values[:6000] for name, values in sweep_truth.columns.items()}
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+    return eps_hil.load(path)
+
+
+def test_importing_is_free_and_names_are_typed() -> None:
+    code = (
+        "import sys, eps_hil; heavy = {'numpy', 'numba', 'scipy', 'can', 'pydantic', 'typer'} "
+        "& set(sys.modules); sys.exit(str(heavy) if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (Path(eps_hil.__file__).parent / "py.typed").is_file()
+    for name in eps_hil.__all__:
+        assert getattr(eps_hil, name) is not None
+        assert name in dir(eps_hil)
+    assert eps_hil.Model is Model
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        eps_hil.nothing  # noqa: B018
+
+
+def test_one_version() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert eps_hil.__version__ == project["version"]
+    assert f"## {eps_hil.__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_a_recording_is_a_table_a_figure_and_a_file(
+    drive: eps_hil.Recording, tmp_path: Path
+) -> None:
+    frame = drive.to_dataframe("pandas")
+    assert next(iter(frame.columns)) == "time_s"
+    assert len(frame) == len(drive.series["motor_torque_nm"].t_ns)
+    assert "motor_speed_rad_s" in drive._repr_html_()
+    figure = drive.plot()
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    assert len(figure.axes) == 4
+    again = read_recording(drive.save(tmp_path / "a.csv"))
+    assert set(again.series) == set(drive.series)
+    with pytest.raises(eps_hil.InputError, match="nothing: is not recorded; it holds "):
+        drive.plot(["nothing"])
+
+
+def test_an_estimate_is_what_the_verb_writes(drive: eps_hil.Recording, tmp_path: Path) -> None:
+    made = eps_hil.estimate(drive, MODEL)
+    drive.save(tmp_path / "drive.csv")
+    out = tmp_path / "estimate.csv"
+    words = ["estimate", str(tmp_path / "drive.csv"), "--model", str(MODEL), "--out", str(out)]
+    assert main(words) == 0
+    frame = made.to_dataframe("pandas")
+    written = np.genfromtxt(out, delimiter=",", names=True)
+    assert np.array_equal(frame["rack_force_estimate_n"], written["rack_force_estimate_n"])
+    assert made.score is not None
+    assert made.score.rmse_moving_n < 0.1 * made.score.rms_force_n
+    assert "rms error moving" in made._repr_html_()
+    assert made.plot()._repr_png_().startswith(b"\x89PNG")
+
+
+def test_a_simulation_is_what_the_verb_writes(drive: eps_hil.Recording, tmp_path: Path) -> None:
+    model = Model.load(MODEL)
+    made = eps_hil.simulate(drive, model)
+    drive.save(tmp_path / "drive.csv")
+    out = tmp_path / "simulated.csv"
+    inputs = ["--inputs", str(tmp_path / "drive.csv"), "--out", str(out)]
+    assert main(["simulate", "--model", str(MODEL), *inputs]) == 0
+    written = np.genfromtxt(out, delimiter=",", names=True)
+    speed = made.to_dataframe()["motor_speed_rad_s"]
+    assert np.allclose(speed, written["motor_speed_rad_s"], rtol=0, atol=1e-12)
+    assert made.plot()._repr_png_().startswith(b"\x89PNG")
+    assert "simulated" in made._repr_html_()
+    bare = eps_hil.Recording("bare", {"rack_force_n": drive.series["rack_force_n"]})
+    with pytest.raises(eps_hil.InputError, match=r"bare: .*needs motor_torque_nm"):
+        eps_hil.simulate(bare, model)
+    with pytest.raises(eps_hil.InputError, match="it holds rack_force_n"):
+        eps_hil.estimate(bare, model)
+
+
+def test_a_comparison_judges_the_variants(drive: eps_hil.Recording) -> None:
+    found = eps_hil.compare(drive, MODEL)
+    frame = found.to_dataframe("pandas").set_index("estimate")
+    assert frame.loc["2Q-fa", "rmse_moving_n"] < frame.loc["w/o FC", "rmse_moving_n"]
+    assert "2Q-fa" in found._repr_html_()
+    assert found.plot()._repr_png_().startswith(b"\x89PNG")
+
+
+def test_a_model_is_read_and_written(tmp_path: Path) -> None:
+    model = eps_hil.Model.load(MODEL)
+    model.save(tmp_path / "m.yaml")
+    assert eps_hil.Model.load(tmp_path / "m.yaml") == model
+
+
+def test_polars_or_a_word_on_what_is_missing(
+    drive: eps_hil.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    polars = ModuleType("polars")
+    polars.DataFrame = lambda columns: ("polars", *columns)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "polars", polars)
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: True if name == "polars" else None
+    )
+    assert set(drive.to_dataframe()) == {"polars", "time_s", *drive.series}
+    with pytest.raises(eps_hil.InputError, match="needs pandas; pip install pandas"):
+        drive.to_dataframe("pandas")
+    with pytest.raises(eps_hil.InputError, match="'excel' is none; pandas or polars"):
+        drive.to_dataframe("excel")
+
+
+@pytest.mark.slow
+def test_identify_and_diagnose_give_typed_results(other_rig: ModuleType, tmp_path: Path) -> None:
+    plant = {other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0}
+    drives = []
+    for k, manoeuvre in enumerate(("sweep", "weave")):
+        columns = other_rig.record(other_rig.Effects(plant), manoeuvre, k, 1.0, 15.0)
+        path = tmp_path / f"{manoeuvre}.csv"
+        table = np.column_stack(list(columns.values()))
+        np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+        drives.append(eps_hil.load(path, ignore_unknown=True))
+    with pytest.raises(eps_hil.InputError, match=r"sweep.csv: is given twice"):
+        eps_hil.diagnose([drives[0], drives[0]], MODEL)
+    found = eps_hil.diagnose(drives, MODEL)
+    assert found.verdict == found.content["verdict"]
+    assert "stribeck" in [one.effect for one in found.findings]
+    assert {"effect", "parameter", "low", "high"} <= set(found.to_dataframe("pandas").columns)
+    assert "stribeck" in found._repr_html_()
+    assert found.plot()._repr_png_().startswith(b"\x89PNG")
+    assert "stribeck" in [entry["effect"] for entry in found.model.effects]
+    assert found.report(tmp_path / "page.html").stat().st_size > 10_000
+    told = eps_hil.identify(drives, MODEL)
+    assert "inertia_kg_m2" in list(told.to_dataframe("pandas")["parameter"])
+    assert isinstance(told.model, Model)
+    assert "inertia_kg_m2" in told._repr_html_()
+    assert told.plot()._repr_png_().startswith(b"\x89PNG")
+    assert told.report(tmp_path / "identified.html").stat().st_size > 10_000

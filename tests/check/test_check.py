@@ -1,0 +1,134 @@
+"""``eps-hil check``: each mistake that it knows, planted once; and the examples without one."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from eps_hil.check.check import check, kind_of
+from eps_hil.check.remarks import Level
+from eps_hil.cli.main import main
+from eps_hil.errors import InputError
+from eps_hil.examples import CONFIGS, shelf
+
+YAML = sorted(CONFIGS.rglob("*.yaml"))
+
+
+def copied(tmp_path: Path) -> Path:
+    """A copy of the demo's files; the configuration's path."""
+    return shelf.copy("demo_udp", tmp_path)[0].path
+
+
+def change(path: Path, *keys: str, to: Any) -> None:
+    content = yaml.safe_load(path.read_text())
+    at = content
+    for key in keys[:-1]:
+        at = at[key]
+    if to is None:
+        del at[keys[-1]]
+    else:
+        at[keys[-1]] = to
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def said(path: Path) -> list[str]:
+    return [str(one) for one in check(path).remarks]
+
+
+@pytest.mark.parametrize("path", YAML, ids=lambda path: str(path.relative_to(CONFIGS)))
+def test_no_example_has_an_error(path: Path) -> None:
+    found = check(path)
+    assert found.good, said(path)
+    schema = path.read_text().partition("\n")[0].removeprefix(shelf._EDITOR)
+    assert (path.parent / schema).resolve().stem == found.kind.value
+
+
+def test_the_demo_has_no_warning_and_says_what_it_will_do(tmp_path: Path) -> None:
+    found = check(copied(tmp_path))
+    assert {one.level for one in found.remarks} == {Level.NOTE}
+    assert "note: sends 0x120, 0x121, 0x400" in [str(one) for one in found.remarks]
+
+
+@pytest.mark.parametrize(
+    ("keys", "to", "level", "words"),
+    [
+        (("bus", "options", "hop_limit"), None, "warning", "frames leave this machine"),
+        (("bus",), {"interface": "socketcan", "channel": "can77"}, "warning", "no interface can77"),
+        (("publish", "message"), "EPS_Torques", "error", "EPS_Torques"),
+        (("rig", "order"), 7, "error", "rig.order"),
+        (("estimator",), {"dead_zone_n": 1}, "error", "dead_zone_n"),
+        (("override",), {"limits": {}}, "error", "max_torque_nm"),
+        (("model",), "no_such.yaml", "error", "no such file"),
+    ],
+)
+def test_a_mistake_in_the_configuration(
+    tmp_path: Path, keys: tuple[str, ...], to: Any, level: str, words: str
+) -> None:
+    path = copied(tmp_path)
+    change(path, *keys, to=to)
+    assert any(line.startswith(f"{level}: ") and words in line for line in said(path)), said(path)
+
+
+@pytest.mark.parametrize(
+    ("keys", "to", "words"),
+    [
+        (("model", "delays_s"), {}, "no signal is late"),
+        (("model", "inertia_kg_m2"), 0.2, "no rotor's inertia"),
+        (("model", "pinion_ratio_rad_per_m"), 5000.0, "swapped"),
+        (("model", "friction", "offset_pos_nm"), 2.0, "at the rotor, not at the column"),
+        (("model", "effects"), [{"effect": "inertia", "scale": 1.1}] * 2, "more than once"),
+    ],
+)
+def test_a_model_that_cannot_be_meant(
+    tmp_path: Path, keys: tuple[str, ...], to: Any, words: str
+) -> None:
+    config = copied(tmp_path)
+    change(tmp_path / "configs" / "reference_rig.yaml", *keys, to=to)
+    assert any(line.startswith("warning: ") and words in line for line in said(config))
+
+
+def test_units_counters_and_crcs_of_the_database(tmp_path: Path) -> None:
+    config = copied(tmp_path)
+    signals, database = (
+        tmp_path / "configs" / "eps_rig_signals.yaml",
+        tmp_path / "dbc" / "eps_rig.dbc",
+    )
+    text = database.read_text()
+    assert '"rad/s" ' in text
+    database.write_text(text.replace('"rad/s" ', '"rpm" '))
+    change(signals, "messages", "EPS_MotorState", to={})
+    lines = "\n".join(said(config))
+    assert "MotorSpeed is in rpm, scale is 1; to rad/s it is 0.1047198" in lines
+    assert "no counter: a lost or repeated frame is not noticed" in lines
+    assert "is not checked; 'crc: " in lines
+    change(signals, "signals", "motor_torque_nm", "signal", to="TorsionBarTorque")
+    change(
+        signals,
+        "signals",
+        "motor_angle_rad",
+        to={"message": "EPS_Torques", "signal": "MotorTorque"},
+    )
+    assert "MotorTorque is in Nm, a torque; rad was expected: another signal?" in "\n".join(
+        said(config)
+    )
+
+
+def test_the_verb_counts_writes_json_and_ends_with_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = copied(tmp_path)
+    assert main(["check", str(path), "--json", str(tmp_path / "c.json")]) == 0
+    assert "0 errors, 0 warnings" in capsys.readouterr().out
+    change(path, "rig", "order", to=7)
+    assert main(["check", str(path), "--json", str(tmp_path / "c.json")]) == 2
+    told = json.loads((tmp_path / "c.json").read_text())["files"][0]["remarks"]
+    assert [one["level"] for one in told].count("error") == 1
+
+
+def test_a_file_that_is_none_of_ours(tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text("shopping: [milk]\n")
+    with pytest.raises(InputError, match="is none of our files"):
+        kind_of(path)
