@@ -1,36 +1,35 @@
 """Which bus a verb works on: from ``--config``, or from ``--interface`` and ``--channel``."""
 
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
+from eps_hil.bus.commands import OWN
+from eps_hil.bus.config import BusConfig
 from eps_hil.bus.port import Port, open_port
 from eps_hil.errors import InputError
 
 DEFAULT_CHANNELS = {"socketcan": "vcan0", "udp_multicast": "239.74.163.2"}
 
 
-def open_bus(
+def choose_bus(
     config: Path | None,
     interface: str | None,
     channel: str | None,
     option: Sequence[str],
     fd: bool,
-    *,
-    receive_ids: Sequence[int] | None = None,
-    send_ids: Sequence[int] | None = None,
-) -> tuple[Port, str]:
-    """The opened port and its channel; what the command line says beats the file."""
+) -> BusConfig:
+    """Which bus is meant; what the command line says beats the file."""
     options: dict[str, Any] = {}
+    reconnect = True
     if config is not None:
         from eps_hil import yaml_file
-        from eps_hil.bus.config import BusConfig
 
         bus = yaml_file.load(config, BusConfig, section="bus")
         if interface in {None, bus.interface}:
             interface, channel = bus.interface, channel or bus.channel
-            options, fd = dict(bus.options), fd or bus.fd
+            options, fd, reconnect = dict(bus.options), fd or bus.fd, bus.reconnect
     if interface is None:
         raise InputError(
             "--interface", "", "is missing", "name one (socketcan, udp_multicast, ...) or --config"
@@ -40,10 +39,26 @@ def open_bus(
         raise InputError("--channel", "", "is missing", f"{interface} needs one")
     options |= parse_options(option)
     fd = fd or interface == "udp_multicast"
-    port = open_port(
-        interface, channel, fd=fd, receive_ids=receive_ids, send_ids=send_ids, options=options
+    return BusConfig(interface, channel, fd, options, reconnect)
+
+
+def open_bus(
+    bus: BusConfig,
+    *,
+    receive_ids: Sequence[int] | None = None,
+    send_ids: Sequence[int] | None = None,
+    never_send_ids: Collection[int] = tuple(OWN),
+) -> Port:
+    """The opened port; :class:`~eps_hil.errors.BusError` if it cannot be."""
+    return open_port(
+        bus.interface,
+        bus.channel,
+        fd=bus.fd,
+        receive_ids=receive_ids,
+        send_ids=send_ids,
+        never_send_ids=never_send_ids,
+        options=bus.options,
     )
-    return port, channel
 
 
 def parse_options(words: Sequence[str]) -> dict[str, Any]:

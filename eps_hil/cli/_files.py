@@ -5,13 +5,16 @@ import math
 from pathlib import Path
 from typing import Any
 
+from eps_hil import provenance
 from eps_hil.errors import InputError
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write ``content`` whole or not at all; NaN becomes null, as JSON has none."""
+    """Write ``content`` whole or not at all, and where it comes from; NaN becomes null."""
     from eps_hil.recordings.files import replacing
 
+    if isinstance(content, dict):
+        content = {**content, "provenance": provenance.content()}
     text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

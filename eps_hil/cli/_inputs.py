@@ -14,7 +14,7 @@ import functools
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -67,7 +67,10 @@ Dbc = Annotated[
 ]
 Signals = Annotated[
     Path | None,
-    typer.Option("--signals", help="Mapping (YAML) of the CAN log's signals to canonical names."),
+    typer.Option(
+        "--signals",
+        help="Mapping (YAML) of a CAN log's signals, or a table's columns, to our names.",
+    ),
 ]
 GapsOption = Annotated[
     Gaps,
@@ -98,6 +101,7 @@ def reads_recordings(verb: Callable[..., None], gaps: Gaps = Gaps.REFUSE) -> Cal
 
     @functools.wraps(verb)
     def command(**values: Any) -> None:
+        check_extras(values.values())
         said = {name: values.pop(name) for name in options}
         verb(**values, reading=Reading(**{**said, "dbc": tuple(said["dbc"] or ())}))
 
@@ -110,6 +114,16 @@ def reads_recordings(verb: Callable[..., None], gaps: Gaps = Gaps.REFUSE) -> Cal
     command.__signature__ = own.replace(parameters=[*kept, *added])  # type: ignore[attr-defined]
     command.__annotations__ = {one.name: one.annotation for one in (*kept, *added)}
     return command
+
+
+def check_extras(values: Iterable[Any]) -> None:
+    """Refuse any file among a verb's arguments whose format needs what is not installed."""
+    from eps_hil.recordings.files import check_extra
+
+    for value in values:
+        for path in value if isinstance(value, list | tuple) else (value,):
+            if isinstance(path, Path):
+                check_extra(path)
 
 
 def read_recording(path: Path, reading: Reading) -> "Recording":

@@ -71,13 +71,15 @@ def budget(
     from eps_hil.estimation.settings import EstimatorSettings, problem
     from eps_hil.physics.chain_parameters import load_chain
     from eps_hil.physics.model import load_model
-    from eps_hil.report import page
+    from eps_hil.report import figures, page
     from eps_hil.rig.config import REFERENCE_CHAIN
     from eps_hil.rig.manoeuvre import load_manoeuvre
 
     if report:
         page.check("--report", "matplotlib")
-    check_places(json, figure, report)
+    if figure:
+        figures.check(figure)
+    check_places(json, report)
     rig = load_model(model)
     chosen = yaml_file.load(settings, EstimatorSettings) if settings else EstimatorSettings()
     if kind is not None:

@@ -54,8 +54,13 @@ def torque_injection(
     write_model: WriteModel = None,
     duration: Duration = None,
     journal: Annotated[
-        Path, typer.Option("--journal", help="Every transition is appended to this file.")
-    ] = Path("override-journal.jsonl"),
+        Path | None,
+        typer.Option(
+            "--journal",
+            help="Every transition is appended here; default: override-journal.jsonl beside "
+            "--write-model, else in the current folder.",
+        ),
+    ] = None,
     reset: Reset = False,
     accept_outside_band: OutsideBand = False,
     yes_i_stand_clear: Annotated[
@@ -86,13 +91,23 @@ def torque_injection(
     for line in _plan(parts, settings, dry_run):
         typer.echo(line)
     parts.estimator.warm_up()
-    _inject(parts, source, settings, journal, duration, dry_run=dry_run, alone=yes_i_stand_clear)
+    kept = journal_place(journal, write_model)
+    if not dry_run:
+        typer.echo(f"journal    {kept}")
+    _inject(parts, source, settings, kept, duration, dry_run=dry_run, alone=yes_i_stand_clear)
     if dry_run:
         typer.echo("dry run    nothing was sent")
         return
     levels, shift = _found(source)
     note = {"method": "torque_injection", "repetitions": len(source.injection.repetitions)}
     accept(levels, setup, settings, write_model, note, accept_outside_band, shift)
+
+
+def journal_place(journal: Path | None, write_model: Path | None) -> Path:
+    """Where a session's transitions are written: where it was said, else beside the model."""
+    if journal is not None:
+        return journal
+    return (write_model.parent if write_model else Path()) / "override-journal.jsonl"
 
 
 def error_injection(

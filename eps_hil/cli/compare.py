@@ -49,14 +49,17 @@ def compare(
     without dead zone and limiter. --live adds what a running service made of it.
     """
     from eps_hil.bus.mapping import load_mapping
-    from eps_hil.cli._files import write_json
+    from eps_hil.cli._files import check_places, write_json
     from eps_hil.estimation.settings import EstimatorSettings
     from eps_hil.physics.model import load_model
-    from eps_hil.report import comparison
+    from eps_hil.report import comparison, figures
     from eps_hil.report.comparison_figure import draw
     from eps_hil.service.setup import derived_settings
     from eps_hil.yaml_file import load
 
+    if figure:
+        figures.check(figure)
+    check_places(json)
     zooms = [_zoom(text) for text in zoom or []]
     rig = load_model(model)
     chosen = load(settings, EstimatorSettings) if settings else EstimatorSettings()

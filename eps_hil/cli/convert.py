@@ -25,6 +25,15 @@ def convert(
     """
     from eps_hil.recordings.conversion import convert as convert_file
 
+    written: list[str] = []
     with progress(f"converting {source.name}") as on_progress:
-        notes = convert_file(source, target, **reading.arguments(), on_progress=on_progress)
+        notes = convert_file(
+            source,
+            target,
+            **reading.arguments(),
+            on_progress=on_progress,
+            say_written=written.append,
+        )
     say_notes(source, notes)
+    for what in written:
+        typer.echo(f"{source.name}: {what} written to {target} ({target.stat().st_size} bytes)")

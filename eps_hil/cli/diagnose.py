@@ -60,6 +60,14 @@ def diagnose(
     write_model: Annotated[
         Path | None, typer.Option("--write-model", help="Model file with the effects added.")
     ] = None,
+    write_effect: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-effect",
+            metavar="FILE.py",
+            help="The law found for what has no name, as a catalogue file ready for review.",
+        ),
+    ] = None,
     write_manoeuvre: Annotated[
         Path | None,
         typer.Option(
@@ -73,6 +81,13 @@ def diagnose(
             "--without-effect", metavar="ID", help="Do not consider this effect; may repeat."
         ),
     ] = None,
+    trust_channels: Annotated[
+        bool,
+        typer.Option(
+            "--trust-channels",
+            help="Say, and do not refuse, that a channel looks like another unit, sign or column.",
+        ),
+    ] = False,
     *,
     reading: Reading,
 ) -> None:
@@ -89,9 +104,11 @@ def diagnose(
     from eps_hil.physics.model import dump_model, load_model
     from eps_hil.recordings.files import check_writable, replacing
 
-    for path in (json, report, write_model, write_manoeuvre):
+    for path in (json, report, write_model, write_manoeuvre, write_effect):
         if path:
             check_writable(path)
+    if write_effect:
+        _check_effect(write_effect)
     if simulation_signals and not simulation:
         raise InputError("--simulation-signals", "", "goes with --simulation", "give the traces")
     if report:
@@ -110,7 +127,7 @@ def diagnose(
                 traces = _traces(simulation, simulation_signals)
                 result = diagnose_against(traces, rig, fitted, judged, say, without)
             else:
-                result = run(rig, fitted, judged, say, without)
+                result = run(rig, fitted, judged, say, without, trust_channels=trust_channels)
         except RecordingError as error:
             raise InputError(error.recording, "", str(error)) from None
         except ValueError as error:
@@ -118,6 +135,8 @@ def diagnose(
     if write_manoeuvre:
         _advise(result, write_manoeuvre)
     _say(result.content)
+    if write_effect:
+        _write_effect(result, write_effect)
     if json:
         write_json(json, result.content)
     if report:
@@ -130,6 +149,35 @@ def diagnose(
         what = f"{count} effect{'' if count == 1 else 's'}"
         base = "the simulator's own numbers and " if simulation else ""
         typer.echo(f"model with {base}{what} written to {write_model}")
+
+
+def _check_effect(path: Path) -> None:
+    """The file's name is the effect's id: it must be one, and none that the catalogue has."""
+    from eps_hil.errors import InputError
+    from eps_hil.physics.effects.catalogue import catalogue
+
+    if path.suffix != ".py" or not path.stem.isidentifier():
+        remedy = "a file name like my_effect.py, which becomes its id"
+        raise InputError("--write-effect", "", f"'{path.name}' names no effect", remedy)
+    if path.stem in catalogue():
+        raise InputError("--write-effect", "", f"the catalogue has '{path.stem}'", "another name")
+
+
+def _write_effect(result: "Diagnosis", path: Path) -> None:
+    from eps_hil.diagnosis.remainder.as_effect import as_effect
+    from eps_hil.recordings.files import replacing
+
+    entries = [] if result.remainder is None else result.remainder.entries
+    laws = [entry for entry in entries if "values" not in entry]
+    if not laws:
+        typer.echo("no law without a name was found: no effect is written")
+        return
+    text = as_effect(laws[0], path.stem)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    more = "" if len(entries) == 1 else f", the first of {len(entries)} terms that were found"
+    typer.echo(f"effect {path.stem} written to {path}{more}: review it, then put it into "
+               "eps_hil/physics/effects")  # fmt: skip
 
 
 def _known(effects: list[str]) -> frozenset[str]:
@@ -159,6 +207,9 @@ def _traces(paths: list[Path], mapping: Path | None) -> "dict[str, Mapping[str, 
 
 
 def _say(content: Mapping[str, Any]) -> None:
+    from eps_hil.diagnosis.verdict.spoken import most_in_words, share_in_words, when_in_words
+    from eps_hil.physics.effects.catalogue import catalogue
+
     words = {
         "no_mismatch": "Nothing is missing: what differs is sensor noise.",
         "explained": "The mismatch is explained:",
@@ -170,25 +221,36 @@ def _say(content: Mapping[str, Any]) -> None:
     else:
         typer.echo(words[content["verdict"]])
     for finding in content["findings"]:
-        typer.echo(f"  {finding['effect']} ({100 * finding['confidence']:.0f} %): "
-                   f"{finding['summary']}")  # fmt: skip
+        known = catalogue().get(finding["effect"])
+        title = f"{known.name} [{finding['effect']}]" if known else finding["effect"]
+        typer.echo(f"  {title} ({100 * finding['confidence']:.0f} %): {finding['summary']}")
         for region in finding["where"]:
-            share = region["share_of_excess"]
-            much = f"{100 * share:.0f} % of it " if share else ""
-            place = f"{region['signal']} {region['from']:.4g} to {region['to']:.4g}"
-            typer.echo(f"    {much}at {place}")
+            typer.echo(f"    {share_in_words(region)}")
         if finding["confusable_with"]:
             typer.echo(f"    could also be {', '.join(finding['confusable_with'])}; "
                        f"{finding['next_experiment']}")  # fmt: skip
+    location = content.get("location", {})
+    most = most_in_words(location)
+    if most:
+        typer.echo(f"  stands out most: {most}")
+    when = when_in_words(content.get("time_segments", []), location.get("recordings", []))
+    if when:
+        typer.echo(f"  when: {when}")
     for limit in content.get("limits", []):
         typer.echo(f"  note: {limit}")
     _say_simulation(content.get("simulation"))
     holdout = content["fit"]["holdout"]
     units = {"torque_nrmse": "", "speed_fit_percent": " %", "rack_force_rmse_n": " N"}
     for name, unit in units.items():
-        if name in holdout["baseline"]:
+        if all(holdout[one].get(name) is not None for one in ("baseline", "augmented")):
             typer.echo(f"  on hold-outs, {name}: {holdout['baseline'][name]:.4g}{unit} before, "
                        f"{holdout['augmented'][name]:.4g}{unit} after")  # fmt: skip
+    runs = [holdout[one].get("free_run", {}) for one in ("baseline", "augmented")]
+    for name, unit in {"speed_rmse_rad_s": "rad/s", "angle_rmse_rad": "rad"}.items():
+        before, after = (run.get(name) for run in runs)
+        if before is not None and after is not None:
+            typer.echo(f"  free run of the hold-outs, {name}: {before:.4g} {unit} before, "
+                       f"{after:.4g} {unit} after")  # fmt: skip
     typer.echo(f"  sensor noise alone: torque_nrmse {holdout['noise_floor']['torque_nrmse']:.4g}")
     joint = content["kinematics"]
     seen = any(one.get("seen_in") == "kinematics" for one in content["findings"])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from eps_hil.cli._files import check_different, output_for, write_json
+from eps_hil.cli._files import check_different, check_places, output_for, write_json
 from eps_hil.cli._inputs import (
     ModelPath,
     Reading,
@@ -85,6 +85,7 @@ def estimate(
     """
     from eps_hil.physics.model import load_model
 
+    check_places(json)
     rig = load_model(model)
     chosen = _settings(settings, without or [], friction, kind)
     if reading.signals:
@@ -147,6 +148,7 @@ def _check_out(out: Path, recordings: list[Path]) -> None:
     for path in recordings:
         target = output_for(out, path, len(recordings) > 1)
         check_writable_suffix(target)
+        check_places(target)
         check_different(target, path)
 
 

@@ -7,14 +7,13 @@ import traceback
 
 import typer
 
-from eps_hil import __version__, cli
+from eps_hil import __version__, cli, provenance
 from eps_hil.errors import EpsHilError
 
 app = typer.Typer(
     name="eps-hil",
     help="Hardware-in-the-loop service for electric power steering over CAN.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -66,6 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     words = spread([word for word in words if word != "--debug"])
+    provenance.begin(words)
     try:
         status = app(args=words, prog_name="eps-hil", standalone_mode=False)
         if status == INTERRUPTED:  # typer keeps Ctrl-C to itself, and leaves its status

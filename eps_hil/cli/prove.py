@@ -126,6 +126,10 @@ def emps(
     figure: Annotated[
         Path | None, typer.Option("--figure", help="Before and after (.png, .svg, .pdf).")
     ] = None,
+    traces: Annotated[
+        Path | None,
+        typer.Option("--traces", help="Folder for free_run.csv (time_s, position_m): score it."),
+    ] = None,
 ) -> None:
     """Real hardware, a ball-screw axis: find what its published model lacks, judge it on new data.
 
@@ -141,6 +145,10 @@ def emps(
     _say(proof.content)
     if json:
         write_json(json, proof.content)
+    if traces:
+        from eps_hil.axis.free_run import write
+
+        typer.echo(f"free run written to {write(traces, heldout, proof.run)}")
     if figure:
         from eps_hil.axis.figure import draw
 
@@ -154,6 +162,7 @@ _ROWS = (
     ("hidden_force_plateau_rmse_n", "  between its edges, N"),
     ("online_hidden_force_rmse_n", "on-line estimator, RMSE in N"),
     ("online_hidden_force_plateau_rmse_n", "  between its edges, N"),
+    ("free_run_position_rmse_mm", "free run, position, RMSE in mm"),
 )
 
 

@@ -42,6 +42,6 @@ def register(app: typer.Typer) -> None:
         )
         typer.echo(
             f"lateness: p50 {late.p50_us:.0f} us, p99 {late.p99_us:.0f} us, "
-            f"max {late.max_us:.0f} us; {report.caught_up_ms} ms caught up, "
+            f"max {late.max_us:.0f} us; {report.caught_up_ms:g} ms caught up, "
             f"{report.overruns} overruns"
         )

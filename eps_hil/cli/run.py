@@ -17,7 +17,10 @@ def register(app: typer.Typer) -> None:
 
 def run(
     config: Annotated[
-        Path | None, typer.Option("--config", help="Configuration of the service (YAML).")
+        list[Path] | None,
+        typer.Option(
+            "--config", help="Configuration of the service (YAML); several: a process for each."
+        ),
     ] = None,
     duration: Annotated[
         float | None, typer.Option("--duration", min=0.0, help="End after so many seconds.")
@@ -48,9 +51,16 @@ def run(
 
         typer.echo(json.dumps(config_schema(), indent=2))
         return
-    if config is None:
+    if not config:
         raise typer.BadParameter("a configuration file is needed", param_hint="'--config'")
-    _run(config, duration, _live_line(status_line), log_estimates, journal)
+    if len(config) > 1:
+        from eps_hil.cli._several import run_several
+
+        status = run_several(config, duration, log_estimates, journal, _say)
+        if status:
+            raise typer.Exit(status)
+        return
+    _run(config[0], duration, _live_line(status_line), log_estimates, journal)
 
 
 def _run(
@@ -62,18 +72,20 @@ def _run(
 ) -> None:
     import asyncio
 
+    from eps_hil.bus.eager_loop import EagerLoop
     from eps_hil.service.config import load_config
     from eps_hil.service.estimate_log import EstimateLog
-    from eps_hil.service.level_desk import LevelDesk
+    from eps_hil.service.level_updates import LevelUpdates
     from eps_hil.service.loop import Service
     from eps_hil.service.setup import describe, prepare
+    from eps_hil.service.systemd import Notifier
 
     parts = prepare(load_config(config), config)
     for line in describe(parts):
         _say(line)
-    levels = LevelDesk(parts, _say, journal)
+    levels = LevelUpdates(parts, _say, journal)
     _say(levels.hint())
-    log = EstimateLog(log_path) if log_path else None
+    log = EstimateLog(log_path, _say) if log_path else None
     parts.warm_up()
     service = Service(
         parts,
@@ -81,9 +93,11 @@ def _run(
         show=None if show is None else lambda snapshot: show(snapshot.line()),
         log=log,
         levels=levels,
+        notifier=Notifier(),
     )
     try:
-        asyncio.run(service.run(duration))
+        with asyncio.Runner(loop_factory=EagerLoop) as runner:
+            runner.run(service.run(duration))
     finally:
         if log is not None:
             log.close()
@@ -94,8 +108,8 @@ def _run(
 
 
 def _say(line: str) -> None:
-    """A reader that went away must not end the service."""
-    with contextlib.suppress(BrokenPipeError):
+    """A reader that went away, or a disk that is full, must not end the service."""
+    with contextlib.suppress(OSError):
         typer.echo(line)
         sys.stdout.flush()
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from eps_hil.cli._files import check_different
+from eps_hil.cli._files import check_different, check_places
 from eps_hil.cli._inputs import (
     ModelPath,
     Reading,
@@ -45,6 +45,7 @@ def simulate(
 
     rig = load_model(model)
     check_writable_suffix(out)
+    check_places(out)
     check_different(out, inputs)
     recording = read_recording(inputs, reading)
     t_ns, columns = _run(inputs, recording, rig, physical)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from eps_hil.cli._files import write_json
+from eps_hil.cli._files import check_places, write_json
 from eps_hil.cli._inputs import ModelPath, Reading, progress, read_recording, reads_recordings
 
 if TYPE_CHECKING:
@@ -52,7 +52,11 @@ def tune(
     from eps_hil.estimation.settings import EstimatorSettings
     from eps_hil.physics.effects.catalogue import with_model_effects
     from eps_hil.physics.model import load_model
+    from eps_hil.report import figures
 
+    if figure:
+        figures.check(figure)
+    check_places(json)
     rig = with_model_effects(load_model(model))
     chosen = yaml_file.load(settings, EstimatorSettings) if settings else EstimatorSettings()
     if chosen.quantity == "friction":

@@ -42,6 +42,28 @@ def draw(
     zooms: Sequence[Zoom] = (),
     title: str = "",
 ) -> Path:
+    """As :func:`figure`, to a file."""
+    drawn = figure(candidates, load_cell, model, begin_ns=begin_ns, zooms=zooms, title=title)
+    return save(drawn, path)
+
+
+def save(drawn: Any, path: str | Path) -> Path:
+    """Write the figure; a PNG in few colours."""
+    where = figures.save(drawn, path)
+    if where.suffix.lower() == ".png":
+        _shrink(where)
+    return where
+
+
+def figure(
+    candidates: Sequence[Candidate],
+    load_cell: Series,
+    model: Model,
+    *,
+    begin_ns: int,
+    zooms: Sequence[Zoom] = (),
+    title: str = "",
+) -> Any:
     """One panel over everything and one for each zoom (from, to; s after ``begin_ns``).
 
     A live estimate takes the place of the same estimate computed afterwards.
@@ -50,7 +72,7 @@ def draw(
     if LIVE in shown:
         shown.pop("2Q-fa", None)
     panels = 1 + len(zooms)
-    figure, axes = figures.subplots(panels, 1, width_cm=25.0, height_cm=2.0 + 7.5 * panels)
+    drawn, axes = figures.subplots(panels, 1, width_cm=25.0, height_cm=2.0 + 7.5 * panels)
     whole = (0.0, (int(load_cell.t_ns[-1]) - begin_ns) * 1e-9)
     for axis, (since, until) in zip(axes[:, 0], (whole, *zooms), strict=True):
         for name in _STYLES:
@@ -68,11 +90,8 @@ def draw(
         axis.set_title(f"{zoom[0]:g} to {zoom[1]:g} s", fontsize="small", loc="left")
     axes[-1, 0].set_xlabel("time in s")
     if title:
-        figure.suptitle(title)
-    where = figures.save(figure, path)
-    if where.suffix.lower() == ".png":
-        _shrink(where)
-    return where
+        drawn.suptitle(title)
+    return drawn
 
 
 def _shrink(path: Path) -> None:

@@ -105,12 +105,17 @@ def _judged_model(diagnosis: Diagnosis) -> Model:
     What the kinematics showed was put right in the recordings themselves, and must not act twice.
     """
     own = diagnosis.problem.model.effects
-    return replace(diagnosis.model, effects=(*own, *_entries(diagnosis)))
+    return replace(_balanced(diagnosis), effects=(*own, *_entries(diagnosis)))
+
+
+def _balanced(diagnosis: Diagnosis) -> Model:
+    """The augmented model, without a load that the recordings have got as their rack force."""
+    return diagnosis.model if diagnosis.beside_load is None else diagnosis.beside_load
 
 
 def _entries(diagnosis: Diagnosis) -> Sequence[Mapping[str, Any]]:
     elsewhere = {one["effect"] for one in diagnosis.content["findings"] if "seen_in" in one}
-    new = diagnosis.model.effects[len(diagnosis.problem.model.effects) :]
+    new = _balanced(diagnosis).effects[len(diagnosis.problem.model.effects) :]
     return [entry for entry in new if entry["effect"] not in elsewhere]
 
 

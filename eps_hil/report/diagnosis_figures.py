@@ -26,7 +26,7 @@ MOST_ROWS = 24_000
 """Samples that all hold-outs together are drawn with."""
 MOST_HOLDOUTS = 6
 
-_LEFT = "torque left over, mNm"
+_LEFT = "torque residual, mNm"
 
 
 def spots(evidence: Evidence, segments: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -84,7 +84,7 @@ def _band(half: Floats) -> list[Line]:
 
 
 def _before_after(evidence: Evidence, rows: Any) -> list[Line]:
-    lines = [Line("model as it was", "before", 1e3 * evidence.before_nm[rows])]
+    lines = [Line("baseline model", "before", 1e3 * evidence.before_nm[rows])]
     if evidence.entries:
         lines.append(Line("with the findings", "after", 1e3 * evidence.after_nm[rows]))
     return lines
@@ -143,6 +143,7 @@ def unknown(finding: Mapping[str, Any]) -> Plot | None:
     columns = zip(*finding["curve"], strict=True)
     x, size, band = (np.array(column, dtype=np.float64) for column in columns)
     what = "way that nothing explains" if apart else "torque that nothing explains"
+    what = "torque that its model takes off" if finding.get("model") else what
     lines = [
         Line("±2 standard errors", "edge", 1e3 * (size - band)),
         Line("", "edge", 1e3 * (size + band), band_below=True),
@@ -153,7 +154,7 @@ def unknown(finding: Mapping[str, Any]) -> Plot | None:
 
 
 def holdouts(diagnosis: Diagnosis, evidence: Evidence) -> list[dict[str, Any]]:
-    """For each recording kept from the fit: torque left over, and rack force, before and after."""
+    """For each recording kept from the fit: torque residual, and rack force, before and after."""
     shown = list(zip(diagnosis.judged, evidence.parts(), strict=True))[:MOST_HOLDOUTS]
     most = MOST_ROWS // max(1, len(shown))
     result = []
@@ -181,7 +182,7 @@ def _speed(evidence: Evidence, one: Holdout, sync: str, most: int) -> list[Plot]
     time, before, measured = free_runs(one.prepared, evidence.problem.model, one.quality)
     if len(time) == 0:
         return []
-    errors = [("model as it was", "before", before - measured)]
+    errors = [("baseline model", "before", before - measured)]
     if evidence.entries:
         # a finding may shift the speed itself, and so which half seconds begin while sliding
         then, after, measured = free_runs(one.prepared, evidence.augmented, one.quality)
@@ -189,7 +190,7 @@ def _speed(evidence: Evidence, one: Holdout, sync: str, most: int) -> list[Plot]
         if len(time) == 0:
             return []
         errors = [
-            ("model as it was", "before", errors[0][2][of_before]),
+            ("baseline model", "before", errors[0][2][of_before]),
             ("with the findings", "after", (after - measured)[of_after]),
         ]
     keep = thinned(errors[0][2], most)
@@ -210,7 +211,7 @@ def _force(
     time, cell = evidence.signals["time_s"][part], evidence.signals["rack_force_n"][part]
     start = min(int(series.t_ns[0]) for series in one.series.values())
     before = _estimated(one.series, diagnosis.problem.model, start, time)
-    lines = [("load cell", "recorded", cell), ("estimate, model as it was", "before", before)]
+    lines = [("load cell", "recorded", cell), ("estimate, baseline model", "before", before)]
     rows = thinned(np.nan_to_num(before - cell), most)
     if evidence.entries:
         after = _estimated(one.series, diagnosis.model, start, time)

@@ -72,7 +72,7 @@ def _map(
     top = max(top, 3.0 * ratio * evidence.rms_nm(evidence.floor_nm))
     maps = [
         {"title": title, "cells": [_cell(int(k), size, top, count) for k in filled]}
-        for title, size in zip(("model as it was", "with the findings"), sizes, strict=False)
+        for title, size in zip(("baseline model", "with the findings"), sizes, strict=False)
     ]
     return {
         "axes": [_axis(pair[0], x_edges), _axis(pair[1], y_edges)],
@@ -164,7 +164,7 @@ def profiles(evidence: Evidence) -> list[Plot]:
 
         lines = [
             Line("sensor noise", "noise", along(evidence.floor_nm)),
-            Line("model as it was", "before", along(evidence.before_nm)),
+            Line("baseline model", "before", along(evidence.before_nm)),
         ]
         if evidence.entries:
             lines.append(Line("with the findings", "after", along(evidence.after_nm)))

@@ -13,11 +13,13 @@ from typing import Any
 from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, score, threshold
 from eps_hil.diagnosis.balance.problem import term_of
 from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.remainder.ceiling import left_by_trees
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.report import (
     diagnosis_evidence,
     diagnosis_figures,
     diagnosis_kinematics,
+    diagnosis_map,
     diagnosis_maps,
     diagnosis_reversals,
     diagnosis_zero_torque,
@@ -30,11 +32,18 @@ from eps_hil.report.plots import Plot
 MOST_OTHERS = 6
 
 MEASURES: Mapping[str, tuple[str, str, bool]] = {
-    "torque_nrmse": ("torque left over ÷ friction and load torque", "", False),
+    "torque_nrmse": ("NRMSE of the torque residual", "", False),
     "speed_fit_percent": ("fit of the simulated speed", "%", True),
     "rack_force_rmse_n": ("error of the rack-force estimate, moving", "N", False),
 }
 """Names, units, and whether more is better, of CONTRACT 7's measures."""
+
+
+CEILING = "the ceiling: with boosted trees on top"
+_FREE_RUN: Mapping[str, tuple[str, str]] = {
+    "speed_rmse_rad_s": ("whole hold-out simulated freely: error of the speed", "rad/s"),
+    "angle_rmse_rad": ("the same: error of the angle", "rad"),
+}
 
 
 def write(diagnosis: Diagnosis, path: Path, model_name: str) -> None:
@@ -48,7 +57,7 @@ def render(diagnosis: Diagnosis, model_name: str) -> str:
     values = _values(diagnosis, plots)
     return page.fill(
         "diagnosis.html.jinja",
-        filters={"plain": plain},
+        filters={"plain": plain, "titled": titled, "named": named},
         model_name=model_name,
         **values,
         plots=[plot.content() for plot in plots],
@@ -59,13 +68,29 @@ def render(diagnosis: Diagnosis, model_name: str) -> str:
     )
 
 
+_NAMES = {"Stribeck", "Coulomb", "Cardan"}
+
+
 def plain(text: str) -> str:
     """A sentence with the signals and effects in it by name, not by their names in files."""
+    text = re.sub(r"\babs_(?!motor_speed_rad_s\b)(?=[a-z])", "size of ", text)
     for signal, said in diagnosis_evidence.LABELS.items():
         text = re.sub(rf"\b{signal}\b", said.partition(" in ")[0], text)
     for effect in catalogue():
         text = text.replace(effect, effect.replace("_", " "))
     return text
+
+
+def titled(effect: str) -> str:
+    """An effect by its name in the field."""
+    known = catalogue().get(effect)
+    return effect.replace("_", " ") if known is None else known.name
+
+
+def named(effect: str) -> str:
+    """The same inside a sentence."""
+    title = titled(effect)
+    return title if title.partition(" ")[0] in _NAMES else title[0].lower() + title[1:]
 
 
 def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
@@ -100,7 +125,10 @@ def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
         "holdouts": kept,
         "ablation": _ablation(fitted, held_out, ratio),
         "ablation_terms": len(fitted.entries),
-        "named": any(card["effect"] != "unknown" or _is_misread(card) for card in cards),
+        "named": any(
+            card["effect"] != "unknown" or _is_channel_fault(card) or card.get("model")
+            for card in cards
+        ),
         "others": _others(diagnosis),
         "span": _span,
     }
@@ -121,20 +149,27 @@ def _verdict(content: Mapping[str, Any]) -> str:
     }
     if content["verdict"] == "no_mismatch" and content.get("limits"):
         return "Nothing is missing that these recordings could show; what they could not is below."
-    if content["verdict"] == "unknown_effect" and all(map(_is_misread, content["findings"])):
+    if content["verdict"] == "unknown_effect" and any(
+        one.get("model") for one in content["findings"]
+    ):
+        return (
+            "Something is missing that the catalogue has no name for; it is modelled all the same, "
+            "as written below."
+        )
+    if content["verdict"] == "unknown_effect" and all(map(_is_channel_fault, content["findings"])):
         return (
             "The mismatch is explained by one signal that is wrong, and by no effect of the drive."
         )
     return sentences[content["verdict"]]
 
 
-def _is_misread(finding: Mapping[str, Any]) -> bool:
+def _is_channel_fault(finding: Mapping[str, Any]) -> bool:
     """Whether it is a signal that is late or too large, which was put right but has no name."""
     return finding["effect"] == "unknown" and finding["kind"] == "instrument"
 
 
 def _and(names: Sequence[str]) -> str:
-    plain = [name.replace("_", " ") for name in names]
+    plain = [named(name) for name in names]
     return "".join(plain) if len(plain) < 2 else f"{', '.join(plain[:-1])} and {plain[-1]}"
 
 
@@ -166,7 +201,7 @@ def _located(content: Mapping[str, Any]) -> str:
         if region is not None:
             share = region["share_of_excess"]
             much = f"{100 * share:.0f} % of it at " if share else ""
-            parts.append(f"{finding['effect'].replace('_', ' ')}: {much}{_span(region)}")
+            parts.append(f"{named(finding['effect'])}: {much}{_span(region)}")
     return "; ".join(parts)
 
 
@@ -215,6 +250,7 @@ def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[di
         card["meanings"] = {parameter.name: parameter.meaning for parameter in known}
         if one["effect"] == "unknown":
             card["plot"] = diagnosis_figures.unknown(one)
+            card["maps"] = diagnosis_map.maps(one)
             peak = max((abs(point[1]) for point in one["curve"]), default=0.0)
             ratio = diagnosis.problem.model.rack_to_rotor_ratio_rad_per_m
             if "seen_in" in one:
@@ -249,14 +285,14 @@ def _place(entries: Sequence[Mapping[str, Any]], finding: Mapping[str, Any]) -> 
 
 def _titled(entry: Mapping[str, Any]) -> str:
     """An effect in words, with what tells it from others of its kind."""
-    name = str(entry["effect"]).replace("_", " ")
+    name = named(str(entry["effect"]))
     return f"{name} of order {entry['order']:.4g}" if "order" in entry else name
 
 
 def _measures(content: Mapping[str, Any]) -> list[dict[str, Any]]:
     holdout, rows = content["fit"]["holdout"], []
     for name, (title, unit, more) in MEASURES.items():
-        if name in holdout["baseline"]:
+        if holdout["baseline"].get(name) is not None:
             rows.append(
                 {
                     "name": name,
@@ -266,6 +302,21 @@ def _measures(content: Mapping[str, Any]) -> list[dict[str, Any]]:
                     "before": holdout["baseline"][name],
                     "after": holdout["augmented"].get(name),
                     "floor": holdout["noise_floor"].get(name),
+                }
+            )
+    runs = [holdout[one].get("free_run", {}) for one in ("baseline", "augmented")]
+    for name, (title, unit) in _FREE_RUN.items():
+        before, after = (run.get(name) for run in runs)
+        if before is not None and after is not None:
+            rows.append(
+                {
+                    "name": name,
+                    "title": title,
+                    "unit": unit,
+                    "more_is_better": False,
+                    "before": before,
+                    "after": after,
+                    "floor": None,
                 }
             )
     seen = content.get("kinematics", {})
@@ -288,20 +339,34 @@ def _measures(content: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _ablation(fitted: Evidence, held_out: Evidence, ratio: float) -> list[dict[str, Any]]:
     """Rms left over (N at the rack) on fitted and kept recordings without each term."""
-    rows = [("model as it was", fitted.before_nm, held_out.before_nm)]
+    rows = [("baseline model", fitted.before_nm, held_out.before_nm)]
+    named = [entry for entry in fitted.entries if entry["effect"] != "empirical"]
+    if named and len(named) < len(fitted.entries):
+        first, second = (
+            one.problem.residual(one.problem.with_entries(named)) * one.problem.scale
+            for one in (fitted, held_out)
+        )
+        rows.append(("with the named findings only", first, second))
     if fitted.entries:
         rows.append(("with all findings", fitted.after_nm, held_out.after_nm))
     for k, entry in enumerate(fitted.entries):
         name = f"all but {_titled(entry)}"
         rows.append((name, fitted.without_nm[k], held_out.without_nm[k]))
-    rows.append(("sensor noise alone", fitted.floor_nm, held_out.floor_nm))
-    return [
+    told = [
         {
             "name": name,
             "fitted_n": ratio * fitted.rms_nm(first),
             "holdout_n": ratio * held_out.rms_nm(second),
         }
         for name, first, second in rows
+    ]
+    trees = left_by_trees(fitted.problem, held_out.problem, fitted.augmented)
+    ceiling = ratio * held_out.rms_nm(trees * held_out.problem.scale)
+    floors = (ratio * one.rms_nm(one.floor_nm) for one in (fitted, held_out))
+    return [
+        *told,
+        {"name": CEILING, "fitted_n": None, "holdout_n": ceiling},
+        dict(zip(("name", "fitted_n", "holdout_n"), ("sensor noise alone", *floors), strict=True)),
     ]
 
 

@@ -63,8 +63,8 @@ def _drawn(before: Turns, after: Turns, noise_nm: float) -> Plot:
     lines = [
         Line("sensor noise, ±2σ", "edge", -half),
         Line("", "edge", half, band_below=True),
-        Line(f"model as it was, mean of {before[2]} reversals", "before", mean(before)),
+        Line(f"baseline model, mean of {before[2]} reversals", "before", mean(before)),
         Line("with this finding", "after", mean(after)),
     ]
     x_label = "time since the rotor turned round in ms"
-    return Plot("reversals", x_label, "torque left over, mNm", 1e3 * centre, lines, height=260)
+    return Plot("reversals", x_label, "torque residual, mNm", 1e3 * centre, lines, height=260)

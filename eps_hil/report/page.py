@@ -8,10 +8,12 @@ import base64
 import importlib.util
 import math
 from collections.abc import Callable, Mapping
+from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from eps_hil import provenance
 from eps_hil.errors import InputError
 from eps_hil.recordings.files import replacing
 
@@ -51,9 +53,23 @@ def fill(
 
 
 def write(path: Path, page: str) -> None:
-    """Write the page whole or not at all."""
+    """Write the page whole or not at all, with where it comes from at its end."""
+    before, end, after = page.rpartition("</body>")
     with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(before + (_footer() if end else "") + end + after, encoding="utf-8")
+
+
+def _footer() -> str:
+    made = provenance.content()
+    machine = made["machine"]
+    lines = [
+        f"eps_hil {made['version']}, {made['date']}",
+        made["command"] or "called from a program",
+        *(f"{file['path']}: SHA-256 {file['sha256'] or 'not readable'}" for file in made["files"]),
+        f"{machine['name']}: {machine['system']}, {machine['cores']} cores, "
+        f"Python {machine['python']}",
+    ]
+    return f"<footer><pre>{escape(chr(10).join(lines))}</pre></footer>\n"
 
 
 def asset(name: str) -> str:

@@ -145,7 +145,7 @@ def closed_loop(cases: Sequence[Scored], path: Path) -> Path:
     ]
     titles = {
         "rack_force_rmse_n": "error of the rack-force estimate, moving, in N",
-        "residual_nm": "torque left over, sliding, in mNm at the rotor",
+        "residual_nm": "torque residual, sliding, in mNm at the rotor",
     }
     for axis, (name, words) in zip(axes[0], titles.items(), strict=True):
         scale = 1e3 if name == "residual_nm" else 1.0

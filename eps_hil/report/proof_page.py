@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from eps_hil import provenance
 from eps_hil.proof import goals, score
 from eps_hil.proof.judge import Judgement, failed
 from eps_hil.proof.run import SEALS, Setting, judgement, long_seconds
@@ -45,6 +46,7 @@ def write(out: Path, setting: Setting, lines: Sequence[dict[str, Any]]) -> dict[
         ],
         "seconds": _seconds(lines),
         "failures": [line["id"] for line, j in zip(lines, judged, strict=True) if failed(j)],
+        "provenance": provenance.content(),
     }
     with replacing(out / RESULT) as temporary:
         temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

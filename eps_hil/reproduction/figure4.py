@@ -28,7 +28,7 @@ def make(bench: Workbench, folder: Path) -> Result:
         "fig4",
         "Fig. 4: friction measured in two quadrants",
         f"{len(bench.cells)} constant-speed passes: the robot holds the speed, the linear motor "
-        "the preload, the EPS motor carries the preload; friction is the mean torque left over.",
+        "the preload, the EPS motor carries the preload; friction is the mean torque residual.",
         [Table("friction level |T_f| in Nm at the rotor, by speed and preload", columns, rows)],
         _statements(found),
         picture,

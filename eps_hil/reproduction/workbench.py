@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.examples import CONFIGS
 from eps_hil.identification.constant_speed import Cell, FrictionMap, cells_of, fitted, measured_map
 from eps_hil.identification.identify import identify
 from eps_hil.identification.result import Estimate
@@ -30,7 +30,6 @@ from eps_hil.series import Series
 
 Floats = npt.NDArray[np.float64]
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 _ROBOT = Driver(stiffness_nm_per_rad=400.0, damping_nm_s_per_rad=12.0)
 _RUN_S = 0.8
 _FIRST_BRISTLE = {

@@ -16,17 +16,28 @@ from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import Port, open_port
 from eps_hil.cli._levels import accept
+from eps_hil.cli.calibrate import journal_place
 from eps_hil.cli.main import main
 from eps_hil.errors import EpsHilError
 from eps_hil.physics.model import load_model
 from eps_hil.service.calibrated_model import Levels
 from eps_hil.service.calibration import calibration_settings
 from eps_hil.service.config import load_config
+from eps_hil.service.guard import Trip
+from eps_hil.service.override import State
+from eps_hil.service.override_session import OverrideSession
 
 ROOT = Path(__file__).parents[2]
 CHANNEL = "239.74.163.82"
 COMMAND = 0x80
 OURS = {COMMAND, 0x140}
+
+
+def test_the_journal_lies_beside_the_model_that_it_tells_of(tmp_path: Path) -> None:
+    model, said = tmp_path / "m.yaml", tmp_path / "j.jsonl"
+    assert journal_place(None, model) == tmp_path / "override-journal.jsonl"
+    assert journal_place(None, None) == Path("override-journal.jsonl")
+    assert journal_place(said, model) == said
 
 
 def port_number(folder: Path) -> int:
@@ -206,6 +217,30 @@ def test_a_dry_run_on_a_silent_bus_says_so(
     assert main([*words, "--duration", "0.3"]) == 1
     assert "no sync frame was received" in capsys.readouterr().err
     assert ear.ours() == []
+
+
+def test_a_trip_ends_it_with_status_3_and_its_reasons(
+    config: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The session is the real one; only that an armed one tripped is put into it."""
+    config.write_text(config.read_text() + "service: {realtime: off}\n")
+    model = tmp_path / "m.yaml"
+
+    async def tripped(session: OverrideSession, _: float | None = None) -> None:
+        session.core.start(0)
+        session.core.override.state = State.INJECTING
+        session.core.override.trip(1, Trip.DRIVER | Trip.CLOCK)
+        session._record()
+
+    monkeypatch.setattr(OverrideSession, "run", tripped)
+    words = ["calibrate", "torque-injection", "--config", str(config), "--yes-i-stand-clear"]
+    journal = str(tmp_path / "j.jsonl")
+    assert main([*words, "--journal", journal, "--write-model", str(model)]) == 3
+    assert "the torque guard ended the run: driver, clock" in capsys.readouterr().err
+    assert not model.exists()
 
 
 @pytest.mark.slow

@@ -125,3 +125,11 @@ def test_a_file_that_cannot_be_written_is_told_first(
 def test_a_mapping_without_traces_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     said = _refused(capsys, "--recording", "none.csv", "--simulation-signals", "m.yaml")
     assert "goes with --simulation" in said
+
+
+def test_an_effect_needs_a_name_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, words in (("my-effect.py", "names no effect"), ("stribeck.py", "has 'stribeck'")):
+        path = str(tmp_path / name)
+        assert words in _refused(capsys, "--recording", "x.csv", "--write-effect", path)

@@ -1,6 +1,7 @@
 """``eps-hil run`` as a user meets it: a process on a bus, signals, exit status, one-line errors."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -38,8 +39,25 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
+def sliding(t_s: float) -> dict[str, float]:
+    """Signals of a rotor that goes to and fro by 16 rad in 10 s; the load cell reads 500 N."""
+    rate = 2.0 * math.pi / 10.0
+    angle = 16.0 * math.sin(rate * t_s)
+    return {
+        "MotorTorque": 0.2 + 0.02 * math.sin(rate * t_s),
+        "TorsionBarTorque": 0.3 * math.sin(rate * t_s),
+        "RackForce": 500.0,
+        "MotorSpeed": 16.0 * rate * math.cos(rate * t_s),
+        "MotorAngle": angle,
+        "RackPosition": angle / 2513.0,
+    }
+
+
 class Feed(threading.Thread):
-    """A rotor at rest with a constant torque, until stopped; keeps what the service sends."""
+    """A rotor that slides to and fro under some torque, until stopped; keeps what is sent.
+
+    At rest nothing would be valid: the friction is unknown before it has slid.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -47,15 +65,13 @@ class Feed(threading.Thread):
         self._stopped = threading.Event()
 
     def run(self) -> None:
-        values = {"MotorTorque": 0.2, "TorsionBarTorque": 0.0, "RackForce": 500.0}
-        values |= {"MotorSpeed": 0.0, "MotorAngle": 0.0, "RackPosition": 0.0}
         names = ("EPS_Torques", "RIG_State", "EPS_MotorState")
         encoders = [FrameEncoder(DATABASE, name) for name in names]
         port = open_port("udp_multicast", CHANNEL, fd=True, options=OPTIONS)
         start = time.monotonic()
         for k in range(60_000):
             for encoder in encoders:
-                port.send(encoder.frame(values))
+                port.send(encoder.frame(sliding(k * 1e-3)))
             self.seen += port.recv(0.0)
             time.sleep(max(0.0, start + k * 1e-3 - time.monotonic()))
             if self._stopped.is_set():
@@ -137,7 +153,7 @@ def test_runs_until_a_signal_and_stops_cleanly(config: Path, number: signal.Sign
     told = [DATABASE.decode_message(0x120, f.data, decode_choices=False) for f in estimates]
     assert 2 in [each["EstimateStatus"] for each in told]
     assert told[-1]["EstimateStatus"] == 0
-    assert {f.can_id for f in feed.seen} == {0x120, 0x400}
+    assert {f.can_id for f in feed.seen} == {0x120, 0x121, 0x400}
 
 
 def test_duration_log_and_a_live_line_on_request(config: Path, tmp_path: Path) -> None:

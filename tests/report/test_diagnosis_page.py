@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from eps_hil.diagnosis.accept.proof_of_fit import free_runs
-from eps_hil.diagnosis.attribute.misread import Misread
+from eps_hil.diagnosis.attribute.channel_fault import ChannelFault
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.quality import Quality
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
@@ -127,10 +127,14 @@ def test_page_tells_what_the_json_holds(explained: Diagnosis, page: str) -> None
     assert finding["equation"] in text
     for value in (stiffness["value"], *stiffness["ci95"]):
         assert number(value, 4) in text
-    for name, value in content["fit"]["holdout"]["baseline"].items():
+    before, after = (
+        {**content["fit"]["holdout"][one], **content["fit"]["holdout"][one]["free_run"]}
+        for one in ("baseline", "augmented")
+    )
+    for name in before.keys() - {"free_run"}:
         assert name in text
-        assert number(value, 4) in text
-        assert number(content["fit"]["holdout"]["augmented"][name], 4) in text
+        assert number(before[name], 4) in text
+        assert number(after[name], 4) in text
     assert "explained by unmodelled spring" in text
 
 
@@ -155,6 +159,7 @@ def test_ablation_lists_every_term(page: str) -> None:
     text = _Checked(page).text
     assert "all but unmodelled spring" in text
     assert "sensor noise alone" in text
+    assert "the ceiling: with boosted trees on top" in page
 
 
 def test_page_of_nothing_missing(other_rig: ModuleType) -> None:
@@ -205,7 +210,7 @@ def test_page_of_an_unknown(explained: Diagnosis, verdict: str, curve: list[Any]
 
 def test_page_of_a_signal_that_is_late(explained: Diagnosis) -> None:
     """It is put right, so there is an after; no effect of the drive is to blame."""
-    late = Misread("rack_force_n", late_s=0.012, share=0.97)
+    late = ChannelFault("rack_force_n", late_s=0.012, share=0.97)
     unknown = late.finding(explained.problem.model)
     content = {**explained.content, "verdict": "unknown_effect", "findings": [unknown]}
     parts = explained.model, explained.problem, explained.selection, explained.judged

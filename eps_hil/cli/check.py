@@ -1,0 +1,71 @@
+"""``eps-hil check``: what is missing, contradictory or dangerous in files, before their use."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from eps_hil.cli._files import check_places, write_json
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("check")(check)
+
+
+def check(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="FILE...", help="Configuration, mapping, model, … or CAN database."),
+    ] = None,
+    json: Annotated[Path | None, typer.Option("--json", help="The remarks as JSON.")] = None,
+    schema: Annotated[
+        str | None,
+        typer.Option("--schema", metavar="KIND", help="Print the JSON schema of a kind of file."),
+    ] = None,
+) -> None:
+    """Say what is missing, contradictory or dangerous in files, before the first frame.
+
+    A configuration is checked with the model, mapping and database that it names, by the code that
+    will run them, units and counters of the database included. Opens no bus. Status 2: an error.
+    """
+    if schema is not None:
+        _show_schema(schema)
+        return
+    if not files:
+        raise typer.BadParameter("a file is needed", param_hint="'FILE'")
+    from eps_hil.check.check import check as checked
+
+    check_places(json)
+    found = [checked(path) for path in files]
+    for each in found:
+        errors = sum(one.level.value == "error" for one in each.remarks)
+        warnings = sum(one.level.value == "warning" for one in each.remarks)
+        typer.echo(f"{each.path} ({each.kind.value}): {errors} errors, {warnings} warnings")
+        for remark in each.remarks:
+            typer.echo(f"  {remark}")
+    if json:
+        content = [
+            {
+                "file": str(each.path),
+                "kind": each.kind.value,
+                "remarks": [
+                    {"level": r.level.value, "place": r.place, "text": r.text, "remedy": r.remedy}
+                    for r in each.remarks
+                ],
+            }
+            for each in found
+        ]
+        write_json(json, {"schema": "eps-hil/check/1", "files": content})
+    if not all(each.good for each in found):
+        raise typer.Exit(2)
+
+
+def _show_schema(kind: str) -> None:
+    import json
+
+    from eps_hil.check.schemas import SCHEMAS, schema
+
+    if kind not in SCHEMAS:
+        raise typer.BadParameter(f"'{kind}': one of {', '.join(SCHEMAS)}", param_hint="'--schema'")
+    typer.echo(json.dumps(schema(kind), indent=1, ensure_ascii=False))
