@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -37,13 +37,15 @@ class Case:
     """Recordings by name (canonical columns at 1 kHz), and the answer that belongs to them.
 
     ``force_n`` (n,): the hold-out's true rack force, which no recording shows. ``oracle``: the
-    model file that knows what is hidden; empty where no model file can say it.
+    model file that knows what is hidden; empty where no model file can say it. ``spared``: the
+    hold-out's programme on the same rig with nothing hidden, which is all that an oracle leaves.
     """
 
     recordings: Mapping[str, Mapping[str, Floats]]
     answer: dict[str, Any]
     force_n: Floats
     oracle: str
+    spared: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +90,7 @@ def make(plan: Plan) -> Case:
         changed = one.effect.apply(plain, one.strength, one.shape)
         return _beyond(_measure(changed, train, noise), without)
 
+    bare = _clean(world, last)
     world, hidden, truth = _with_hidden(world, hidden, (*train, last), again)
     clean = [_seen(world, one) for one in truth]
     noisy = [measured(one, world.instruments, rng) for one in clean]
@@ -97,7 +100,8 @@ def make(plan: Plan) -> Case:
     if plan.kind == "unmeasured":
         noisy = [{n: c for n, c in one.items() if n != "rack_force_n"} for one in noisy]
     recordings = dict(zip(("train_1", "train_2", "holdout"), noisy, strict=True))
-    return Case(recordings, answer, clean[-1]["rack_force_n"], _oracle(drive, hidden))
+    spared = measured(bare, world.instruments, rng)
+    return Case(recordings, answer, clean[-1]["rack_force_n"], _oracle(drive, hidden), spared)
 
 
 def _with_hidden(
@@ -116,7 +120,8 @@ def _with_hidden(
         for one in hidden:
             changed = one.effect.apply(changed, one.strength, one.shape)
         truth = [changed.run(program) for program in programs]
-        fastest = max(np.max(np.abs(one["motor_speed_rad_s"])) for one in truth)
+        # the built-in max would pass over a NaN
+        fastest = np.max([np.max(np.abs(one["motor_speed_rad_s"])) for one in truth])
         if fastest < _RUNAWAY_RAD_S or not hidden or not hidden[-1].strength:
             return changed, list(hidden), truth
         strength = 0.7 * hidden[-1].strength
@@ -144,9 +149,13 @@ def _judging(
     asked = hidden[-1]
     changed = asked.effect.apply(world, asked.strength, asked.shape)
     for draw in range(1, _MOST_DRAWS + 1):
-        base = _measure(world, [last], noise_nm)
-        found = _beyond(_measure(changed, [last], noise_nm), base)
-        ratio = found.raw_ratio if asked.raw else found.ratio
+        ratio, truth = 0.0, changed.run(last)
+        # one that runs away on this drive judges nothing
+        if np.max(np.abs(truth["motor_speed_rad_s"])) < _RUNAWAY_RAD_S:
+            base = _measure(world, [last], noise_nm)
+            found = strength(Drive(), [_seen(changed, truth)], noise_nm)
+            found = _beyond(found, base)
+            ratio = found.raw_ratio if asked.raw else found.ratio
         if ratio > most:
             best, most = last, ratio
         if most > _LEAST_KEPT * asked.ratio or (most > 0.0 and draw >= _DRAWS):

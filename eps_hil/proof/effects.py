@@ -297,17 +297,105 @@ _ALIENS = (
            alien=True, twins=("viscous_friction",)),
 )  # fmt: skip
 
+_NAMELESS = (
+    _plain("alien_dead_time", "alien_dead_time_nm", "loss_nm", 0.01, 0.3, alien=True,
+           twins=("coulomb_level", "motor_torque_gain")),
+    _plain(
+        "alien_weakening", "alien_weakening", "per_rad_s", 1e-3, 0.2,
+        draw=lambda r: {"from_rad_s": float(r.uniform(15, 40))},
+        shape_fields={"from_rad_s": "alien_weakening_from"}, alien=True,
+    ),
+    _plain("alien_driven_loss", "alien_driven_loss", "share", 0.02, 0.4, alien=True),
+    _plain(
+        "alien_unbalance", "alien_unbalance", "nm_s2_per_rad2", 1e-6, 1e-3, draw=_phase,
+        shape_fields={"phase_rad": "alien_unbalance_phase"}, alien=True,
+    ),
+    _plain("alien_guide", "alien_guide", "per_nm", 1e-3, 0.1, alien=True),
+    _plain(
+        "alien_speed_memory", "alien_speed_memory", "nm_s_per_rad", 2e-4, 5e-3,
+        draw=lambda r: {"time_s": float(r.uniform(0.15, 1.0))},
+        shape_fields={"time_s": "alien_speed_memory_s"}, alien=True,
+    ),
+    _plain(
+        "alien_ripple", "alien_ripple", "fraction", 0.03, 0.5,
+        draw=lambda r: {"order": float(r.choice([2, 5, 7, 10, 14])), **_phase(r)},
+        shape_fields={"order": "alien_ripple_order", "phase_rad": "alien_ripple_phase"},
+        alien=True,
+    ),
+    _plain(
+        "alien_bushing", "alien_bushing_nm", "torque_nm", 0.01, 0.3,
+        draw=lambda r: {"way_rad": float(r.uniform(1.5, 8.0))},
+        shape_fields={"way_rad": "alien_bushing_rad"}, alien=True,
+    ),
+    _plain("alien_travel_drag", "alien_travel_drag", "nm_s_per_rad", 1e-4, 5e-3, alien=True),
+    _plain(
+        "alien_thinning", "alien_thinning", "share", 0.1, 0.9,
+        draw=lambda r: {"time_s": float(r.uniform(4, 15))},
+        shape_fields={"time_s": "alien_thinning_s"}, alien=True, twins=("friction_warmup",),
+    ),
+    _plain(
+        "alien_thrust", "alien_thrust", "nm_per_n", 1e-5, 4e-4,
+        draw=lambda r: {"from_n": float(r.uniform(100, 600))},
+        shape_fields={"from_n": "alien_thrust_from_n"}, alien=True,
+    ),
+)  # fmt: skip
+
+_LATER = (
+    _plain("late_nut_loss", "late_nut_loss", "nm_per_n", 1e-5, 4e-4, alien=True),
+    _plain(
+        "late_seal", "late_seal_nm", "level_nm", 0.01, 0.3,
+        draw=lambda r: {"from_n": float(r.uniform(100, 400))},
+        shape_fields={"from_n": "late_seal_n"}, alien=True, twins=("load_dependent_friction",),
+    ),
+    _plain(
+        "late_film", "late_film", "level_nm", 0.01, 0.4,
+        draw=lambda r: {"time_s": float(r.uniform(0.1, 0.6))},
+        shape_fields={"time_s": "late_film_s"}, alien=True, twins=("stribeck",),
+    ),
+    _plain(
+        "late_film_peak", "late_film_peak_nm", "level_nm", 0.01, 0.3,
+        draw=lambda r: {"at_rad_s": float(r.uniform(15, 30)), "wide": float(r.uniform(4, 8))},
+        shape_fields={"at_rad_s": "late_film_peak_at", "wide": "late_film_peak_wide"}, alien=True,
+    ),
+    _plain(
+        "late_worn_tooth", "late_worn_tooth_nm", "amplitude_nm", 0.01, 0.3,
+        draw=lambda r: {
+            "order": float(r.choice([2.5, 5, 7])), "wide_m": float(r.uniform(2e-3, 6e-3))
+        },
+        shape_fields={"order": "late_worn_tooth_order", "wide_m": "late_worn_tooth_wide_m"},
+        alien=True,
+    ),
+    _plain(
+        "late_wet_drag", "late_wet_drag", "nm_s_per_rad", 2e-4, 8e-3,
+        draw=lambda r: {"time_s": float(r.uniform(0.1, 0.5))},
+        shape_fields={"time_s": "late_wet_drag_s"}, alien=True,
+    ),
+    _plain("late_one_way_gain", "late_one_way_gain", "gain", 0.02, 0.4, alien=True, signed=True,
+           twins=("motor_torque_gain",)),
+    _plain("late_braking_loss", "late_braking_loss", "share", 0.02, 0.5, alien=True),
+    _plain("late_iron_loss", "late_iron_loss", "s_per_nm_rad", 1e-3, 0.1, alien=True),
+    _plain(
+        "late_magnet", "late_magnet_loss", "share", 0.02, 0.5,
+        draw=lambda r: {"time_s": float(r.uniform(4, 15))},
+        shape_fields={"time_s": "late_magnet_s"}, alien=True, twins=("motor_torque_gain",),
+    ),
+)  # fmt: skip
+
 CATALOGUED = {
     e.id: e for e in (*_FRICTION, *_RIPPLES, *_PLACES, *_INSTRUMENTS, *_PARAMETERS, *_CHAIN)
 }
 """Effects of CONTRACT 8 that the plant can hide, by id."""
 ALIENS = {e.id: e for e in _ALIENS}
 """Physics that no catalogue entry describes, by a name of our own."""
+LATER = {e.id: e for e in _LATER}
+"""Families that were written last, before any diagnosis had seen them."""
+NAMELESS = {e.id: e for e in (*_ALIENS, *_NAMELESS, *_LATER)}
+"""All of it: what has to be modelled although it has no name."""
 
 
 def find(id: str) -> HiddenEffect:
     """An effect by id; ``KeyError`` if there is none."""
-    return CATALOGUED[id] if id in CATALOGUED else ALIENS[id]
+    return CATALOGUED[id] if id in CATALOGUED else {**ALIENS, **NAMELESS}[id]
 
 
 def drawn_sign(effect: HiddenEffect, rng: np.random.Generator) -> float:

@@ -86,7 +86,7 @@ def failed(j: Judgement) -> bool:
         return True
     if not j.truths:
         return not j.clean
-    if j.kind in ("aliens", "missing"):
+    if j.kind in ("aliens", "missing", "nameless"):
         return not j.said_unknown
     if j.kind == "pairs":
         return len(j.named) != len(j.truths)

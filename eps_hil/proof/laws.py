@@ -14,9 +14,19 @@ _LEAST_LEVEL_NM = 1.0e-3
 
 @njit
 def sliding_level(
-    d: Drive, h: Hidden, side: float, speed: float, load: float, place: float, aged: float, t: float
+    d: Drive,
+    h: Hidden,
+    side: float,
+    speed: float,
+    load: float,
+    place: float,
+    aged: float,
+    t: float,
+    more: float = 0.0,
 ) -> float:
     """T_fs (Nm) of eq. 3 for sliding towards ``side`` (±1), with all that is hidden in it.
+
+    ``more``: what the rest of the drive adds to it now (:func:`pressed`).
 
     Here and below, what is not hidden is not computed: most of a run's time would go into
     exponentials and sines that are then multiplied by zero.
@@ -31,10 +41,41 @@ def sliding_level(
         level += h.stribeck_nm * math.exp(-((w / h.stribeck_speed) ** 2))
     if h.place_nm != 0.0:
         level += h.place_nm * math.exp(-(((place - h.place_centre_m) / h.place_width_m) ** 2))
-    level += h.dwell_nm * aged
+    level += h.dwell_nm * aged + more
     if h.warmup != 0.0:
         level *= 1.0 + h.warmup * math.exp(-t / h.warmup_time_s)
     return max(level, _LEAST_LEVEL_NM)
+
+
+@njit
+def pressed(
+    h: Hidden,
+    speed: float,
+    shaft: float,
+    hand: float,
+    load: float,
+    recent: float,
+    turned: float,
+) -> float:
+    """What flanks, guide, nut, bearing, seal and film add to T_fs (Nm).
+
+    ``recent``: mean |ω| (rad/s); ``turned``: time since the rotor last turned round (s).
+    """
+    more = h.alien_guide * abs(hand) + h.alien_speed_memory * recent
+    if shaft * speed < 0.0:  # the load drives the motor: the other flanks rub
+        more += h.alien_driven_loss * abs(shaft)
+    if load > h.alien_thrust_from_n:
+        more += h.alien_thrust * (load - h.alien_thrust_from_n)
+    if load * speed < 0.0:  # the rack drives the screw
+        more += h.late_nut_loss * abs(load)
+    if h.late_seal_nm != 0.0:  # a lip that pressure lifts to its stop
+        more += h.late_seal_nm * math.tanh(abs(load) / h.late_seal_n)
+    if h.late_film != 0.0:  # a film that has yet to form
+        more += h.late_film * math.exp(-turned / h.late_film_s)
+    if h.late_film_peak_nm != 0.0:  # mixed lubrication at its worst
+        off = (abs(speed) - h.late_film_peak_at) / h.late_film_peak_wide
+        more += h.late_film_peak_nm * math.exp(-off * off)
+    return more
 
 
 @njit
@@ -78,9 +119,19 @@ def _damping(d: Drive, speed: float) -> float:
 
 @njit
 def beside_friction(
-    d: Drive, h: Hidden, speed: float, angle: float, place: float, load: float
+    d: Drive,
+    h: Hidden,
+    speed: float,
+    angle: float,
+    place: float,
+    load: float,
+    bush: float,
+    wet: float,
 ) -> float:
-    """Torque that opposes the drive and is neither load nor dry friction."""
+    """Torque that opposes the drive and is neither load nor dry friction.
+
+    ``bush``: -1 to 1; ``wet``: speed that a film follows late (rad/s).
+    """
     torque = h.viscous * speed + h.quadratic * speed * abs(speed) + h.spring * angle
     if h.screw_nm != 0.0:
         torque += h.screw_nm * math.sin(h.screw_harmonic * angle / d.belt_ratio + h.screw_phase)
@@ -93,18 +144,41 @@ def beside_friction(
         torque += h.alien_eddy_nm * 2.0 * relative / (1.0 + relative * relative)
     if h.alien_load_ripple != 0.0:
         torque += h.alien_load_ripple * load * math.sin(h.alien_load_ripple_order * angle)
+    if h.alien_unbalance != 0.0:
+        torque += h.alien_unbalance * speed * speed * math.sin(angle + h.alien_unbalance_phase)
+    torque += h.alien_bushing_nm * bush + h.alien_travel_drag * (place / 0.01) ** 2 * speed
     if place > 0.0:
         torque += h.alien_one_way_drag * min(place / 0.01, 1.0) * speed
-    return torque
+    if h.late_worn_tooth_nm != 0.0:
+        worn = math.exp(-((place / h.late_worn_tooth_wide_m) ** 2))
+        torque += h.late_worn_tooth_nm * worn * math.sin(h.late_worn_tooth_order * angle)
+    return torque + h.late_wet_drag * wet
 
 
 @njit
-def on_the_shaft(d: Drive, h: Hidden, reported: float, angle: float, heat: float) -> float:
+def on_the_shaft(
+    d: Drive, h: Hidden, reported: float, angle: float, speed: float, heat: float, t: float
+) -> float:
     """Shaft torque (Nm) from what the ECU reports; ``heat`` in Nm² is T² averaged over time."""
     torque = h.motor_gain * reported + h.motor_offset_nm
     torque /= 1.0 + h.saturation * torque * torque
     if h.ripple != 0.0:
         torque *= 1.0 + h.ripple * math.sin(6.0 * d.pole_pairs * angle + h.ripple_phase)
+    if h.alien_ripple != 0.0:
+        wave = math.sin(h.alien_ripple_order * angle + h.alien_ripple_phase)
+        torque *= 1.0 + h.alien_ripple * wave
+    if h.alien_dead_time_nm != 0.0:
+        torque -= h.alien_dead_time_nm * math.tanh(torque / 0.05)
+    if abs(speed) > h.alien_weakening_from:
+        torque /= 1.0 + h.alien_weakening * (abs(speed) - h.alien_weakening_from)
+    if torque > 0.0:  # one current sensor of two
+        torque *= 1.0 + h.late_one_way_gain
+    if torque * speed < 0.0:  # what braking feeds back is limited
+        torque *= 1.0 - h.late_braking_loss
+    if h.late_iron_loss != 0.0:
+        torque /= 1.0 + h.late_iron_loss * abs(torque * speed)
+    if h.late_magnet_loss != 0.0:
+        torque *= 1.0 - h.late_magnet_loss * (1.0 - math.exp(-t / h.late_magnet_s))
     return torque * (1.0 - h.alien_heat_loss * heat)
 
 

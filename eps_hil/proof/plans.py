@@ -9,11 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eps_hil.proof.effects import ALIENS, CATALOGUED, find
+from eps_hil.proof.effects import ALIENS, CATALOGUED, NAMELESS, find
 
 LEVELS = (0.3, 0.6, 1.5)
 """Effect-to-noise ratios of the singles."""
 STRONG, MASKED = 3.0, 0.6
+LOUD = (1.5, 3.0, 8.0)
+"""Of what has no name: large enough that a model of it is worth something."""
 KINDS = (
     "singles",
     "pairs",
@@ -24,6 +26,7 @@ KINDS = (
     "missing",
     "twins",
     "unmeasured",
+    "nameless",
 )
 DECOYS = ("nothing", "noise_x3", "heavy_tails", "coarse_encoder", "parameters_off")
 TWINS = (
@@ -128,6 +131,8 @@ def lasting() -> list[str]:
 def _names(kind: str) -> list[str]:
     if kind == "aliens":
         return list(ALIENS)
+    if kind == "nameless":
+        return list(NAMELESS)
     if kind == "missing":
         return [n for n in lasting() if CATALOGUED[n].kind != "parameter"]
     if kind == "twins":
@@ -160,6 +165,11 @@ def _louder(plan: Plan, k: int, _rng: np.random.Generator) -> Plan:
     return replace(plan, wanted=((name, LEVELS[1 + k % 2]),))
 
 
+def _loud(plan: Plan, k: int, _rng: np.random.Generator) -> Plan:
+    ((name, _),) = plan.wanted
+    return replace(plan, wanted=((name, LOUD[k % len(LOUD)]),))
+
+
 def _poor(plan: Plan, _k: int, _rng: np.random.Generator) -> Plan:
     return replace(plan, programme="poor")
 
@@ -188,6 +198,7 @@ _OF_KIND: Mapping[str, Callable[[Plan, int, np.random.Generator], Plan]] = {
     "pairs": _pair,
     "crowds": _crowd,
     "aliens": _louder,
+    "nameless": _loud,
     "poor": _poor,
     "missing": _missing,
     "twins": _twins,

@@ -21,6 +21,7 @@ from eps_hil.proof.laws import (
     delayed,
     joint,
     on_the_shaft,
+    pressed,
     sliding_level,
     slip_friction,
 )
@@ -98,6 +99,7 @@ def _integrate(  # noqa: PLR0912, PLR0915
     elements, past = np.zeros(max(len(s.level_share), 1)), np.zeros(_BUFFER)
     wheel, wheel_speed, reported, hand, iron = 0.0, 0.0, 0.0, 0.0, 0.0
     aged, heat, memory, work, lost, t, tick = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
+    recent, bush, warm, wet, turned, way = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(program) - 1):
         row, ahead = program[k], program[k + 1]
         command = row[4] * (row[3] - q[0]) - row[5] * v[0] + row[6] + row[7] * hand
@@ -121,19 +123,21 @@ def _integrate(  # noqa: PLR0912, PLR0915
             past[tick % _BUFFER] = reported
             torque = delayed(past, tick, h.motor_late_s / _DT_S)
             iron = min(max(iron, torque - h.alien_iron_play_nm), torque + h.alien_iron_play_nm)
-            shaft = on_the_shaft(d, h, iron, q[0], heat)
+            shaft = on_the_shaft(d, h, iron, q[0], v[0], heat, t)
             if row[12] > 0.0:  # no current: the shaft is free, and what is off is all that is read
                 shaft, reported = 0.0, -h.motor_offset_nm / h.motor_gain
             # friction and drag
             felt = abs(load) + h.alien_load_memory * (memory - abs(load))
-            forth = sliding_level(d, h, 1.0, v[0], felt, place, aged, t)
-            back = sliding_level(d, h, -1.0, v[0], felt, place, aged, t)
+            more = pressed(h, v[0], shaft, hand, load, recent, turned)
+            thin = 1.0 - h.alien_thinning * warm
+            forth = thin * sliding_level(d, h, 1.0, v[0], felt, place, aged, t, more)
+            back = thin * sliding_level(d, h, -1.0, v[0], felt, place, aged, t, more)
             if len(s.level_share) > 0:
                 friction = slip_friction(d, s, elements, v[0], forth, back, _DT_S)
             else:
                 level = forth if v[0] >= 0.0 else back
                 friction = bristle_friction(d, elements, v[0], level, _DT_S)
-            drag = beside_friction(d, h, v[0], q[0], place, load)
+            drag = beside_friction(d, h, v[0], q[0], place, load, bush, wet)
             outer = load
             if abs(place) > h.stop_at_m:
                 outer += math.copysign(h.stop_n_per_m * (abs(place) - h.stop_at_m), place)
@@ -164,6 +168,15 @@ def _integrate(  # noqa: PLR0912, PLR0915
             aged /= 1.0 + abs(v[0]) * _DT_S / h.dwell_release_rad
             heat += (shaft * shaft - heat) * _DT_S / h.alien_heat_s
             memory += (abs(load) - memory) * _DT_S / h.alien_load_memory_s
+            recent += (abs(v[0]) - recent) * _DT_S / h.alien_speed_memory_s
+            wet += (v[0] - wet) * _DT_S / h.late_wet_drag_s
+            turned += _DT_S
+            if v[0] * way < 0.0:
+                turned = 0.0
+            way = v[0] if v[0] != 0.0 else way
+            bush += (v[0] - abs(v[0]) * bush * abs(bush)) * _DT_S / h.alien_bushing_rad
+            rubbed = abs(friction * v[0])
+            warm += (rubbed / (rubbed + 2.0) - warm) * _DT_S / h.alien_thinning_s
             t += _DT_S
             tick += 1
     out[-1] = out[-2]

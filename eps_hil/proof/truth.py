@@ -40,7 +40,8 @@ class Drive(NamedTuple):
 class Hidden(NamedTuple):
     """Strength and shape of what the model file does not know; the defaults change nothing.
 
-    Equations: CONTRACT 8. Names that start with ``alien`` are physics outside that catalogue.
+    Equations: CONTRACT 8. Names that start with ``alien`` or ``late`` are physics outside that
+    catalogue; the late ones were written before a diagnosis had seen them.
     """
 
     stribeck_nm: float = 0.0
@@ -88,6 +89,43 @@ class Hidden(NamedTuple):
     alien_heat_s: float = 10.0
     alien_iron_play_nm: float = 0.0
     alien_one_way_drag: float = 0.0
+    alien_dead_time_nm: float = 0.0
+    alien_weakening: float = 0.0
+    alien_weakening_from: float = 30.0
+    alien_driven_loss: float = 0.0
+    alien_unbalance: float = 0.0
+    alien_unbalance_phase: float = 0.0
+    alien_guide: float = 0.0
+    alien_speed_memory: float = 0.0
+    alien_speed_memory_s: float = 0.5
+    alien_ripple: float = 0.0
+    alien_ripple_order: float = 5.0
+    alien_ripple_phase: float = 0.0
+    alien_bushing_nm: float = 0.0
+    alien_bushing_rad: float = 2.0
+    alien_travel_drag: float = 0.0
+    alien_thinning: float = 0.0
+    alien_thinning_s: float = 10.0
+    alien_thrust: float = 0.0
+    alien_thrust_from_n: float = 300.0
+    late_nut_loss: float = 0.0
+    late_seal_nm: float = 0.0
+    late_seal_n: float = 300.0
+    late_film: float = 0.0
+    late_film_s: float = 0.3
+    late_film_peak_nm: float = 0.0
+    late_film_peak_at: float = 20.0
+    late_film_peak_wide: float = 6.0
+    late_worn_tooth_nm: float = 0.0
+    late_worn_tooth_order: float = 7.0
+    late_worn_tooth_wide_m: float = 0.004
+    late_wet_drag: float = 0.0
+    late_wet_drag_s: float = 0.3
+    late_one_way_gain: float = 0.0
+    late_braking_loss: float = 0.0
+    late_iron_loss: float = 0.0
+    late_magnet_loss: float = 0.0
+    late_magnet_s: float = 10.0
 
 
 class Chain(NamedTuple):

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eps_hil.examples import CONFIGS, DBC
 from eps_hil.proof.can_log import Wire, write_log
 from eps_hil.proof.cases import Case, make
 from eps_hil.proof.examine import WITHOUT
@@ -26,7 +27,6 @@ from eps_hil.proof.truth import Drive, Floats
 
 DATABASE, MAPPING = "rig.dbc", "signals.yaml"
 LOSSY = Wire(lost_per_frame=2.0e-5)
-_ROOT = Path(__file__).parents[2]
 _DECIMALS = {"time_s": 3, **{name: sensor.decimals for name, sensor in SENSORS.items()}}
 
 
@@ -63,8 +63,8 @@ def write_can_case(folder: Path, case: Case, wire: Wire = LOSSY) -> None:
     from eps_hil.bus.database import load_database
 
     _begin(folder, case)
-    shutil.copy(_ROOT / "dbc" / "eps_rig.dbc", folder / DATABASE)
-    shutil.copy(_ROOT / "configs" / "eps_rig_signals.yaml", folder / MAPPING)
+    shutil.copy(DBC / "eps_rig.dbc", folder / DATABASE)
+    shutil.copy(CONFIGS / "eps_rig_signals.yaml", folder / MAPPING)
     database = load_database([folder / DATABASE])
     rng = np.random.default_rng([case.answer["seed"], 7])
     for name, columns in case.recordings.items():

@@ -10,6 +10,7 @@ PACKAGE = Path(__file__).parents[2] / "eps_hil"
 ALLOWED = {
     "eps_hil.compiled",
     "eps_hil.errors",
+    "eps_hil.examples",
     "eps_hil.proof",
     "eps_hil.bus",
     "eps_hil.yaml_file",

@@ -53,10 +53,11 @@ def proof(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, A
     """What the command itself writes."""
     place = tmp_path_factory.mktemp("emps")
     out, figure = place / "emps.json", place / "emps.png"
-    assert main(["prove", "emps", str(folder), "--json", str(out), "--figure", str(figure)]) == 0
+    words = ["prove", "emps", str(folder), "--json", str(out), "--figure", str(figure)]
+    assert main([*words, "--traces", str(place / "traces")]) == 0
     assert figure.stat().st_size > 20_000
     content: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
-    return content
+    return {**content, "traces": str(place / "traces")}
 
 
 def test_least_squares_agrees_with_the_published_parameters(
@@ -119,8 +120,8 @@ def test_published_model_is_what_the_study_found_it_to_be(
 @pytest.mark.timeout(900)
 def test_the_augmented_model_reaches_what_was_asked(proof: dict[str, Any]) -> None:
     error, force = proof["heldout_force_error_percent"], proof["hidden_force_rmse_n"]
-    assert error["after"] <= 3.6 < error["before"]
-    assert force["after"] <= 2.1 < force["before"]
+    assert error["after"] <= 3.5 < error["before"]
+    assert force["after"] <= 2.0 < force["before"]
 
 
 @pytest.mark.slow
@@ -132,13 +133,18 @@ def test_the_online_estimator_gains_from_it_too(proof: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_skew_stribeck_term_ripple_and_asymmetric_drag_are_found(proof: dict[str, Any]) -> None:
+def test_skew_ripple_bent_friction_and_asymmetric_drag_are_found(proof: dict[str, Any]) -> None:
     found = {one["effect"]: one for one in proof["findings"]}
-    assert {"motor_torque_delay", "stribeck", "cogging_torque"} <= set(found)
+    assert set(found) == {"motor_torque_delay", "cogging_torque", "unknown"}
     late = found["motor_torque_delay"]["parameters"]["delay_s"]
     assert late["value"] == pytest.approx(0.75e-3, abs=0.1e-3)
     pitch = found["cogging_torque"]["parameters"]["pitch_m"]
     assert pitch["value"] == pytest.approx(2.5e-3, rel=0.01)
+    terms = found["unknown"]["model"]["terms"]
+    assert any(
+        one["where"] == "friction" and any("speed" in name for name in one["inputs"])
+        for one in terms
+    )
     numbers = proof["parameters"]["augmented"]
     ratio = numbers["viscous_neg_n_s_per_m"] / numbers["viscous_pos_n_s_per_m"]
     assert ratio > 1.2
@@ -152,10 +158,27 @@ def test_every_finding_that_is_listed_is_judged_on_the_heldout_record(
     proof: dict[str, Any],
 ) -> None:
     for finding in proof["findings"]:
-        assert finding["judging_part_energy_rise"] >= 0.05
+        assert (
+            finding["heldout_without_it"]["hidden_force_rmse_n"]
+            > (proof["hidden_force_rmse_n"]["after"])
+        )
         assert set(finding["heldout_without_it"]) == {
             "heldout_force_error_percent",
             "hidden_force_rmse_n",
         }
         assert finding["summary"]
         assert " Nm" not in finding["summary"]
+
+
+def test_the_free_run_scores_as_it_is_told(proof: dict[str, Any], folder: Path) -> None:
+    """By the benchmark's own rule, from the file alone: position, after the first 20 samples."""
+    from scipy.io import loadmat
+
+    path = Path(proof["traces"]) / "free_run.csv"
+    assert path.read_text(encoding="utf-8").splitlines()[0] == "time_s,position_m"
+    position = np.loadtxt(path, delimiter=",", skiprows=1)[:, 1]
+    measured = loadmat(folder / "DATA_EMPS_PULSES.mat")["qm"].ravel()
+    rmse_mm = 1e3 * np.sqrt(np.mean((position[20:] - measured[20:]) ** 2))
+    told = proof["free_run_position_rmse_mm"]
+    assert rmse_mm == pytest.approx(told["after"], rel=1e-4)
+    assert told["after"] < told["before"] < 9.0

@@ -115,9 +115,10 @@ def test_driver_torque_and_motion_have_one_sign(drive: Drive) -> None:
 
 def test_the_estimate_is_valid_and_finite(drive: Drive) -> None:
     assert np.isfinite(drive.estimates.rack_force_n).all()
-    started = drive.t_s > 0.3
+    started = drive.t_s > 1.0  # parked: its friction is unknown before the rotor has slid
     assert drive.estimates.valid[started].all()
-    assert drive.estimates.valid.mean() > 0.98
+    assert not drive.estimates.valid[drive.t_s < 0.5].any()
+    assert drive.estimates.valid.mean() > 0.96
 
 
 def test_sliding_tyres_push_back_with_kilonewtons(drive: Drive) -> None:

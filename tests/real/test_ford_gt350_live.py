@@ -50,7 +50,8 @@ def test_live_core_and_offline_estimate_agree(ford_log: Path, frames: list[Frame
         parts.decoder.period_s,
     )
     known = dict(zip(offline.t_ns.tolist(), offline.rack_force_n.tolist(), strict=True))
-    assert len(live) > 2_600
+    # 2 687 angles, of which the first second is before the rotor has slid
+    assert len(live) > 2_550
     assert live == {t: known[t] for t in live}
 
 
