@@ -71,7 +71,7 @@ def test_readme_shows_commands() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=_names)
 def test_files_of_the_project_that_are_named_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    pattern = r"(?<![\w/{}.])((?:scripts|configs|dbc|eps_hil|docs|tests|\.ci)/[\w./-]*[\w/])"
+    pattern = r"(?<![\w/{}.])((?:scripts|configs|dbc|eps_hil|docs|tests|\.ci)/[\w./@-]*[\w/])"
     for name in re.findall(pattern, text):
         assert (ROOT / name).exists(), f"{_names(page)}: {name}"
 
