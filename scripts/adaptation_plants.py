@@ -177,6 +177,7 @@ class Stranger:
             truth,
         )
         truth[9], truth[10], truth[11] = c.vehicle_m_s, self._lateral[k], 0.0
+        truth[12], truth[13] = truth[0], truth[1]
         self._k = after
 
     def run(self) -> Floats:

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from eps_hil.bus.database import load_database
+from eps_hil.bus.load import classic_bits, fd_seconds
 
 ROOT = Path(__file__).resolve().parents[1]
 DBC = ROOT / "dbc" / "eps_rig.dbc"
 DOCUMENT = ROOT / "docs" / "reference-bus.md"
-INTERMISSION = 3
 NEWTON_PER = {  # at the rack of the reference rig, per unit of the signal's quantum
     "MotorSpeed": (2.0e-4 * 2513.0 / 1e-3, "as a step within 1 ms, times J i_APA"),
     "MotorTorque": (2513.0, "times i_APA"),
@@ -27,29 +27,6 @@ NEWTON_PER = {  # at the rack of the reference rig, per unit of the signal's qua
     "RackForce": (1.0, ""),
     "RackForceEstimate": (1.0, ""),
 }
-
-
-def classic_bits(length: int) -> tuple[int, int]:
-    """Bits of a classic base frame of ``length`` bytes: without stuffing, and at most.
-
-    ISO 11898-1: 34 bits and the data are subject to stuffing, 10 bits and the intermission not.
-    """
-    stuffed = 34 + 8 * length
-    plain = stuffed + 10 + INTERMISSION
-    return plain, plain + (stuffed - 1) // 4
-
-
-def fd_seconds(length: int, nominal: float, data: float) -> float:
-    """Longest duration of a CAN FD base frame with bit-rate switch (ISO 11898-1:2015), in s.
-
-    Arbitration phase: SOF, id, RRS, IDE, FDF, res, BRS (17 bits, stuffed), then CRC delimiter,
-    ACK and its delimiter, EOF (10) and intermission. Data phase: ESI, DLC and data (stuffed),
-    stuff count and CRC-17 with fixed stuff bits (4 + 17 + 6; CRC-21 over 16 bytes: 4 + 21 + 7).
-    """
-    slow = 17 + 4 + 10 + INTERMISSION
-    dynamic = 5 + 8 * length
-    fast = dynamic + dynamic // 4 + (27 if length <= 16 else 32)
-    return slow / nominal + fast / data
 
 
 def load(messages: Iterable[Any], duration_s: Callable[[int], float]) -> float:

@@ -34,15 +34,23 @@ def page() -> str:
     """The whole page as text."""
     parts = [HEAD]
     for effect in catalogue().values():
-        used = "" if effect.simulated else " It can be named, but not yet be simulated."
-        parts.append(f"## `{effect.id}`\n\n{effect.equation} — {effect.kind}, acts "
-                     f"{WHERE[effect.slot]}.{used}\n")  # fmt: skip
-        rows = ["| parameter | unit | between | meaning |", "|---|---|---|---|"]
+        used = "" if effect.simulated else " It can be named, but not be simulated."
+        if effect.on_bus:
+            used = (
+                " Only the model of a simulated rig may hold it, perhaps with the `signal` that it"
+                " is about ([the rig](reference-rig.md#effects))."
+            )
+        where = "where its entry says" if effect.slots else WHERE[effect.slot]
+        parts.append(
+            f"## {effect.name}: `{effect.id}`\n\n"
+            f"{effect.equation} — {effect.kind}, acts {where}.{used}\n"
+        )
+        rows = ["| parameter | unit | may be | meaning |", "|---|---|---|---|"]
         for p in effect.parameters:
             default = "" if p.default is None else " (may be left out)"
-            rows.append(
-                f"| `{p.name}` | {p.unit} | {p.lower:g} … {p.upper:g} | {p.meaning}{default} |"
-            )
+            plain = effect.read is None or effect.on_bus
+            unit, span = (p.unit, p.allowed) if plain else ("–", "–")
+            rows.append(f"| `{p.name}` | {unit} | {span} | {p.meaning}{default} |")
         parts.append("\n".join(rows) + "\n")
         for twin, experiment in effect.twins.items():
             parts.append(f"Told from `{twin}` by: {experiment}.\n")

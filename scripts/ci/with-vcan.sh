@@ -16,6 +16,7 @@ if [ $# -eq 0 ]; then
     sed -n '2,12s/^# \{0,1\}//p' "$0" >&2
     exit 2
 fi
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 limit_s=${EPS_HIL_UML_TIMEOUT_S:-600}
 export EPS_HIL_REQUIRE_SOCKETCAN=1 # who asked for a bus wants no skips
 
@@ -132,9 +133,26 @@ if [ "${shm_mb:-0}" -lt $((mem_mb + 200)) ]; then
     memory=(env -u TMP -u TEMP "TMPDIR=$work")
 fi
 
+# Each page of a guest's program may be a map of its own; a large one needs more than the usual 65530.
+maps=/proc/sys/vm/max_map_count
+if [ "$(cat "$maps" 2>/dev/null || echo 0)" -lt 1048576 ] && [ -w "$maps" ]; then
+    { echo 1048576 >"$maps"; } 2>/dev/null || true
+fi
+
+# A processor with AMX has a larger register state than this kernel saves (uml_xstate.c says how).
+preload=()
+if grep -qw amx_tile /proc/cpuinfo; then
+    if ! cc -shared -fPIC -O1 -o "$work/uml_xstate.so" "$here/uml_xstate.c"; then
+        echo "with-vcan: this processor has AMX, for which User-Mode Linux needs a C compiler;" \
+            "apt-get install gcc libc6-dev" >&2
+        exit 125
+    fi
+    preload=("LD_PRELOAD=$work/uml_xstate.so")
+fi
+
 echo "with-vcan: User-Mode Linux $("$uml" --version), vcan0 (mtu 72)" >&2
 # stdin is the guest's console: without it UML would put the terminal into raw mode
-timeout --kill-after=10 "$limit_s" "${memory[@]}" "$uml" rootfstype=hostfs rootflags=/ ro \
+timeout --kill-after=10 "$limit_s" "${memory[@]}" "${preload[@]}" "$uml" rootfstype=hostfs rootflags=/ ro \
     "mem=${mem_mb}M" "init=$work/init.sh" "uml_dir=$work/" umid=guest con=null con0=fd:0,fd:1 \
     </dev/null 2>"$work/kernel.err" | tee "$work/console" |
     awk '/^@@@ end/ {shown = 0} shown {print; fflush()} /^@@@ with-vcan/ {shown = 1}' || true

@@ -1,14 +1,16 @@
 """The shell scripts: clean under shellcheck, run from anywhere, and say what is wrong."""
 
 import os
+import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
-SCRIPTS = [ROOT / "scripts" / name for name in ("_environment.sh", "test", "demo")]
+SCRIPTS = [ROOT / "scripts" / name for name in ("_environment.sh", "test", "demo", "demo-diagnose")]
 
 
 @pytest.mark.skipif(shutil.which("shellcheck") is None, reason="shellcheck is not installed")
@@ -107,3 +109,16 @@ def test_a_python_of_ones_own_must_have_the_package(tmp_path: Path) -> None:
     )
     assert found.returncode == 1
     assert "EPS_HIL_PYTHON=/bin/false cannot import eps_hil" in found.stderr
+
+
+@pytest.mark.slow
+def test_record_kill_measures_and_prints_a_row() -> None:
+    words = [sys.executable, str(ROOT / "scripts" / "record_kill"), "--runs", "1"]
+    run = subprocess.run(
+        [*words, "--format", ".log"], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    row = run.stdout.splitlines()[-1]
+    left = re.findall(r"(\d+\.\d) %", row)
+    assert row.startswith("| `.log` | 1 |")
+    assert 50.0 < float(left[1]) <= float(left[0]) <= 100.0

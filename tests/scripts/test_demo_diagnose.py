@@ -1,0 +1,51 @@
+"""``scripts/demo-diagnose``: hides, records over a bus, names, and shows the better rack force."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from eps_hil.physics.effects.catalogue import catalogue
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = ROOT / "scripts" / "demo_diagnose.py"
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, SCRIPT, *arguments], capture_output=True, text=True, check=False
+    )
+
+
+def test_what_it_cannot_hide_it_says() -> None:
+    found = run("--effect", "gremlins")
+    assert found.returncode == 1
+    assert "'gremlins' is not for this demo: choose " in found.stderr
+    known = found.stderr.rsplit("choose ", 1)[1].strip().split(", ")
+    assert set(known) <= set(catalogue())
+    assert len(known) >= 8
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1500)
+def test_it_names_what_it_hid_and_the_written_model_is_better(tmp_path: Path) -> None:
+    found = run("--effect", "coulomb_level", "--seed", "1", "--out", str(tmp_path), "--no-open")
+    assert found.returncode == 0, found.stdout[-2000:] + found.stderr[-2000:]
+    lines = found.stdout.splitlines()
+    shown = next(k for k, line in enumerate(lines) if "hidden was: coulomb_level" in line)
+    assert not any("coulomb_level" in line for line in lines[: lines.index(_diagnosing(lines))])
+    assert any(line.startswith("==> found:      coulomb_level") for line in lines[shown:])
+    assert sum("load cell" in line and "written model" in line for line in lines) >= 5
+    last = next(line for line in lines if "rms error against the load cell" in line)
+    given, written = (float(one) for one in re.findall(r"([\d.]+) N", last))
+    assert written < 0.7 * given
+    assert (tmp_path / "page.html").stat().st_size > 10_000
+    held = yaml.safe_load((tmp_path / "found.yaml").read_text())["model"]["effects"]
+    assert "coulomb_level" in [one["effect"] for one in held]
+
+
+def _diagnosing(lines: list[str]) -> str:
+    return next(line for line in lines if line.startswith("==> eps-hil diagnose"))
