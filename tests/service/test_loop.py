@@ -5,6 +5,7 @@ import errno
 import subprocess
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import dropwhile
@@ -451,13 +452,16 @@ def test_a_bus_that_never_comes(config: ServiceConfig) -> None:
 def test_an_interface_that_goes_down_and_up_again(
     quick: ServiceConfig, receiver: Receiver, vcan0: str
 ) -> None:
+    # An emulated machine stamps in bursts: the waits after a hole, which have tests of their own,
+    # would begin again and again there.
+    hasty = replace(quick.estimator, settle_s=0.02, plausibility=PlausibilitySettings(unseen_s=0.0))
     config = replace(
         quick,
         bus=BusConfig("socketcan", vcan0),
+        estimator=hasty,
         service=replace(quick.service, reconnect_s=0.1),
     )
     bench = Bench(config)
-    settled_s = PlausibilitySettings().unseen_s + 0.5
 
     def link(state: str) -> None:
         subprocess.run(["ip", "link", "set", vcan0, state], check=True)
@@ -472,15 +476,16 @@ def test_an_interface_that_goes_down_and_up_again(
             link("up")
         bench.pause(300)
         bench.peer = open_port("socketcan", vcan0)
-        for _ in range(20):  # a machine that stamps in bursts needs more than one go
-            bench.drive(round(settled_s * 1e3))
+        for _ in range(100):
+            bench.drive(500)
             if (Status.VALID, Reason.FINE) in verdicts(receiver, bench.taps[-1].estimates()):
                 return
 
     bench.run(script)
     assert "bus lost   the interface went down; waiting for it (bus.reconnect)" in bench.said
     assert len(bench.taps) == 2
-    assert (Status.VALID, Reason.FINE) in verdicts(receiver, bench.taps[1].estimates())
+    back = Counter(verdicts(receiver, bench.taps[1].estimates()))
+    assert (Status.VALID, Reason.FINE) in back, back
 
 
 def test_an_internal_error_ends_the_run_and_status_off_is_sent(
