@@ -8,6 +8,7 @@ scripts/paper_reproduced.py reproduction
 import json
 import re
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -40,24 +41,32 @@ def main() -> None:
 def _verdicts(content: dict[str, Any]) -> list[str]:
     counts = ", ".join(f"{count} {word}" for word, count in content["outcomes"].items())
     lines = [f"Seed {content['seed']}: {counts}.", ""]
-    rows = [
-        (key, one["claim"], f"**{one['outcome']}**", _number(one))
-        for key, figure in content["figures"].items()
-        for one in figure["statements"]
+    statements = [
+        (key, one) for key, figure in content["figures"].items() for one in figure["statements"]
     ]
-    return lines + _table(("where", "the paper says", "here", "by"), rows)
+    times = Counter(one["remark"] for _, one in statements if one["remark"])
+    notes = [remark for remark, count in times.items() if count > 1]
+    rows = [
+        (key, one["claim"], f"**{one['outcome']}**", _number(one, notes)) for key, one in statements
+    ]
+    lines += _table(("where", "the paper says", "here", "by"), rows)
+    return lines + [
+        line for k, remark in enumerate(notes, 1) for line in (f"Note {k}: {remark}.", "")
+    ]
 
 
-def _number(one: dict[str, Any]) -> str:
+def _number(one: dict[str, Any], notes: list[str]) -> str:
     unit = f" {one['unit']}" if one["unit"] else ""
     value = "–" if one["value"] is None else f"{one['value']:.3g}{unit}"
     limit = f"{one['limit_is']} {one['agrees_limit']:.3g}{unit}"
-    remark = f"; {one['remark']}" if one["remark"] else ""
-    return f"{one['measure']}: {value} ({limit}){remark}"
+    remark = one["remark"]
+    if remark in notes:
+        remark = f"note {notes.index(remark) + 1}"
+    return f"{one['measure']}: {value} ({limit})" + (f"; {remark}" if remark else "")
 
 
 def _figure(key: str, figure: dict[str, Any]) -> list[str]:
-    lines = [f"## {figure['title']}", "", f"![{figure['title']}](images/paper_{key}.png)", ""]
+    lines = [f"## {figure['title']}", "", f"![{key}](images/paper_{key}.png)", ""]
     for table in figure["tables"]:
         columns = tuple(table["rows"][0])
         rows = [tuple(_cell(row[column]) for column in columns) for row in table["rows"]]
