@@ -19,13 +19,26 @@ settings.load_profile("rig")
 
 REAL_TIME = ("service", "rig", "selftest", "bus", "monitor", "programme", "scripts", "cli", "real")
 """Folders whose tests watch a clock, or share the machine's bus: nothing else runs beside them."""
+NO_CLOCK = frozenset(
+    f"{folder}/test_{name}.py"
+    for folder, names in {
+        "bus": "bit_packing codec eps_rig_dbc fast_clock sample_clock stamp_offset",
+        "cli": "budget compare convert diagnose estimate frequency_response gap identify tune",
+        "monitor": "view_model",
+        "real": "emps ford_gt350",
+        "rig": "effects manoeuvre offline",
+        "service": "calibration second_estimator",
+    }.items()
+    for name in names.split()
+)
+"""Files of those folders that only compute, the long ones: they run beside others."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark them; under pytest-xdist the others go to the workers file by file."""
     for item in items:
         path = item.path.relative_to(ROOT / "tests")
-        if path.parts[0] in REAL_TIME:
+        if path.parts[0] in REAL_TIME and path.as_posix() not in NO_CLOCK:
             item.add_marker(pytest.mark.real_time)
         item.add_marker(pytest.mark.xdist_group(str(path)))
 
