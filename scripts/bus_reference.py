@@ -16,6 +16,8 @@ from eps_hil.bus.load import classic_bits, fd_seconds
 ROOT = Path(__file__).resolve().parents[1]
 DBC = ROOT / "dbc" / "eps_rig.dbc"
 DOCUMENT = ROOT / "docs" / "reference-bus.md"
+_CHECKS = ("Crc", "Counter")
+"""Signals that stand with their message."""
 NEWTON_PER = {  # at the rack of the reference rig, per unit of the signal's quantum
     "MotorSpeed": (2.0e-4 * 2513.0 / 1e-3, "as a step within 1 ms, times J i_APA"),
     "MotorTorque": (2513.0, "times i_APA"),
@@ -35,13 +37,21 @@ def load(messages: Iterable[Any], duration_s: Callable[[int], float]) -> float:
 
 
 def _messages(database: Any) -> list[str]:
-    lines = ["| id | message | cycle | from | what |", "|---|---|---|---|---|"]
+    lines = [
+        "| id | message | cycle | from | counter, CRC bits | what |",
+        "|---|---|---|---|---|---|",
+    ]
     for m in sorted(database.messages, key=lambda each: each.frame_id):
+        checks = {s.name: _bits(s) for s in m.signals}
         lines.append(
             f"| 0x{m.frame_id:03X} | `{m.name}` | {m.cycle_time} ms"
-            f" | {m.senders[0]} | {m.comment} |"
+            f" | {m.senders[0]} | {checks['Counter']}, {checks.get('Crc', 'none')} | {m.comment} |"
         )
     return lines
+
+
+def _bits(signal: Any) -> str:
+    return f"{signal.start}..{signal.start + signal.length - 1}"
 
 
 def _range(signal: Any) -> str:
@@ -56,14 +66,15 @@ def _signals(database: Any) -> list[str]:
     ]
     for m in sorted(database.messages, key=lambda each: each.frame_id):
         for s in m.signals:
+            if s.name in _CHECKS:
+                continue
             newton = ""
             if s.name in NEWTON_PER:
                 factor, how = NEWTON_PER[s.name]
                 newton = f"{s.scale * factor:.3g} N{' (' + how + ')' if how else ''}"
             none = ", ".join(f"raw {r}" for r, t in (s.choices or {}).items() if str(t) == "SNA")
-            bits = f"{s.start}..{s.start + s.length - 1}"
             lines.append(
-                f"| `{m.name}` | `{s.name}` | {s.unit or ''} | {bits} | {s.scale:.10g} |"
+                f"| `{m.name}` | `{s.name}` | {s.unit or ''} | {_bits(s)} | {s.scale:.10g} |"
                 f" {_range(s)} | {newton} | {none} |"
             )
     return lines
@@ -72,10 +83,12 @@ def _signals(database: Any) -> list[str]:
 def _labels(database: Any) -> list[str]:
     lines = ["| signal | labels |", "|---|---|"]
     for m in sorted(database.messages, key=lambda each: each.frame_id):
+        named: dict[str, list[str]] = {}
         for s in m.signals:
             labels = [f"{raw} {text}" for raw, text in (s.choices or {}).items()]
             if len(labels) > 1:
-                lines.append(f"| `{m.name}.{s.name}` | {', '.join(labels)} |")
+                named.setdefault(", ".join(labels), []).append(f"`{s.name}`")
+        lines += [f"| `{m.name}`: {', '.join(of)} | {labels} |" for labels, of in named.items()]
     return lines
 
 
