@@ -14,7 +14,8 @@ Written by `scripts/effects_reference.py` from `eps_hil/physics/effects/`, one f
 A model file takes them as `effects: [{effect: stribeck, level_nm: 0.045, speed_rad_s: 12.0}]`;
 `eps-hil simulate`, `eps-hil estimate` and the live service then use them. Torques and angles are
 at the rotor, ω is its speed, φ its angle, x the rack position, F the rack force, ψ the pinion
-angle.
+angle. Brackets hold what a parameter may be. With an effect on the joint between rotor and rack
+`simulate` runs two masses; the estimator's band lies far below.
 """
 
 WHERE = {
@@ -24,8 +25,7 @@ WHERE = {
     Slot.TORQUE: "beside friction and load",
     Slot.MOTOR: "between reported and shaft torque",
     Slot.SENSOR: "between reported and true torsion-bar torque",
-    Slot.JOINT: "on the joint between rotor and rack (`simulate` then runs two masses; the "
-    "estimator's band lies far below)",
+    Slot.JOINT: "on the joint between rotor and rack",
     Slot.DATA: "in the recording only",
 }
 
@@ -45,15 +45,19 @@ def page() -> str:
             f"## {effect.name}: `{effect.id}`\n\n"
             f"{effect.equation} — {effect.kind}, acts {where}.{used}\n"
         )
-        rows = ["| parameter | unit | may be | meaning |", "|---|---|---|---|"]
+        rows = []
         for p in effect.parameters:
-            default = "" if p.default is None else " (may be left out)"
+            default = " (optional)" if p.default is not None else ""
             plain = effect.read is None or effect.on_bus
-            unit, span = (p.unit, p.allowed) if plain else ("–", "–")
-            rows.append(f"| `{p.name}` | {unit} | {span} | {p.meaning}{default} |")
+            span = f" ({p.allowed})" if plain else ""
+            rows.append(f"- `{p.name}`{span}: {p.meaning}{default}")
         parts.append("\n".join(rows) + "\n")
+        tests: dict[str, list[str]] = {}
         for twin, experiment in effect.twins.items():
-            parts.append(f"Told from `{twin}` by: {experiment}.\n")
+            tests.setdefault(experiment, []).append(f"`{twin}`")
+        told = "; ".join(f"{', '.join(twins)} by {how}" for how, twins in tests.items())
+        if told:
+            parts.append(f"Told from {told}.\n")
     return "\n".join(parts)
 
 
