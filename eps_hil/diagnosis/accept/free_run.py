@@ -10,9 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.data.side_by_side import each
+from eps_hil.physics.balance import Motion as Measured
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.friction import friction_law, static_level_nm
 from eps_hil.physics.model import Model
+from eps_hil.physics.simulate import Motion as Simulated
 from eps_hil.physics.simulate import simulate
 
 if TYPE_CHECKING:
@@ -54,21 +56,29 @@ def worse_free_run(told: Mapping[str, Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def _errors(one: "Holdout", model: Model) -> tuple[Floats, Floats]:
+def simulated(motion: Measured, model: Model, part: slice) -> Simulated:
+    """``part`` of a recording simulated freely from its first measured state.
+
+    The bristle begins as it is while sliding at the measured speed.
+    """
     model = with_model_effects(model)
-    motion, law = one.prepared.motion(model), friction_law(model.friction)
-    speed = float(motion.speed_rad_s[0])
-    level = static_level_nm(speed, float(motion.rack_force_n[0]), law)
-    run = simulate(
+    law, speed = friction_law(model.friction), float(motion.speed_rad_s[part][0])
+    level = static_level_nm(speed, float(motion.rack_force_n[part][0]), law)
+    return simulate(
         model,
-        motion.time_s,
-        motion.motor_torque_nm,
-        motion.torque_sensor_nm,
-        motion.rack_force_n,
+        motion.time_s[part],
+        motion.motor_torque_nm[part],
+        motion.torque_sensor_nm[part],
+        motion.rack_force_n[part],
         speed_rad_s=speed,
-        angle_rad=float(motion.angle_rad[0]),
+        angle_rad=float(motion.angle_rad[part][0]),
         bristle_rad=float(np.sign(speed) * level / law.sigma0_nm_per_rad),
     )
+
+
+def _errors(one: "Holdout", model: Model) -> tuple[Floats, Floats]:
+    motion = one.prepared.motion(with_model_effects(model))
+    run = simulated(motion, model, slice(None))
     bad = np.zeros(len(motion.time_s), bool)
     if one.quality is not None:
         bad = one.quality.bad_at(motion.time_s)

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from eps_hil.diagnosis.accept.by_simulation import refined_by_simulation
 from eps_hil.diagnosis.accept.holdout_support import augmented_by
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.attribute.select import Say, Selection
@@ -44,6 +45,34 @@ def nameless(
 
     ``tied``: numbers that stand for a load that nobody measured; nothing is refitted beside one.
     """
+    found, named = _modelled(problem, selection, findings, judged, tied, say)
+    if found is None or tied:
+        return found, named
+    model = refined_by_simulation(problem, found.model, judged, own=found.refitted)
+    if model is found.model:
+        return found, named
+    start = augmented_by(problem, selection.found, named)
+    kept = problem.over([one.prepared for one in judged])
+    share, ends = share_removed(Sight(kept, start), kept.residual(model))
+    places = [found.model.effects.index(entry) for entry in found.entries]
+    terms = [
+        replace(term, entry=dict(model.effects[k]))
+        for k, term in zip(places, found.terms, strict=True)
+    ]
+    after = problem.residual(model)
+    better = replace(found, terms=tuple(terms), model=model, share=share, ci95=ends, after=after)
+    return better, named
+
+
+def _modelled(
+    problem: Problem,
+    selection: Selection,
+    findings: Sequence[int],
+    judged: Sequence[Holdout],
+    tied: Mapping[str, float],
+    say: Say | None,
+) -> tuple[Remainder | None, Sequence[int]]:
+    """The same by the torque balance alone."""
     kept = Problem([one.prepared for one in judged], problem.model)
     part = (lambda done: say("modelling what has no name", done)) if say else None
     given = augmented_by(problem, selection.found, findings, tied)

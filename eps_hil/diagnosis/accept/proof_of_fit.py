@@ -33,7 +33,7 @@ MOST_RUNS = 24
 """Of each hold-out; a longer one is sampled evenly."""
 _WORSE = 1.02
 """Times the error that it was, from which a worse estimate is said."""
-_CLEARLY = 1.3
+CLEARLY = 1.3
 """Times the sensors' noise that is left of a hold-out's torque, from which that is said."""
 
 
@@ -127,7 +127,7 @@ def only_kept(holdouts: Sequence[Holdout], before: Model, after: Model, fitted: 
 def still_left(told: Mapping[str, Mapping[str, float]]) -> list[str]:
     """A sentence where hold-outs (``fit.holdout`` of the JSON) keep clearly more than noise."""
     times = told["augmented"]["torque_nrmse"] / max(told["noise_floor"]["torque_nrmse"], 1e-300)
-    if times < _CLEARLY:
+    if times < CLEARLY:
         return []
     return [
         f"The hold-outs keep {times:.2g} times what the sensors' noise makes: for a short while, "

@@ -30,13 +30,13 @@ def test_numbers_that_are_off_are_fitted_beside_a_law(
     )
     wrong = replace(reference_model, inertia_kg_m2=2.4e-4, friction=friction)
     fitted, kept = (
-        [prepare(name, one) for name, one in record(plant, programme, seed).items()]
+        [(prepare(name, one), one) for name, one in record(plant, programme, seed).items()]
         for programme, seed in ((("sweep", "weave"), 1), (("weave",), 2))
     )
-    problem = Problem(fitted, wrong)
+    problem = Problem([one for one, _ in fitted], wrong)
     null = fit(problem, [], own=TIMING)
     selection = Selection(null, null, [], problem, null)
-    found, named = nameless(problem, selection, [], [Holdout(one, {}) for one in kept], {})
+    found, named = nameless(problem, selection, [], [Holdout(*one) for one in kept], {})
     assert named == []
     assert found is not None
     assert found.refitted
