@@ -22,6 +22,12 @@ MARKERS = tuple(
     f"<!-- made by scripts/paper_reproduced.py: {word} -->" for word in ("begin", "end")
 )
 
+LEFT_OUT = (
+    "friction level |T_f| in Nm at the rotor, by speed and preload",
+    "models against the rig, the paper's sine sweep (3 Nm), same band",
+)
+"""Tables that only the run's own page and JSON hold."""
+
 
 def main() -> None:
     """Fill the page from the folder of a run."""
@@ -68,6 +74,8 @@ def _number(one: dict[str, Any], notes: list[str]) -> str:
 def _figure(key: str, figure: dict[str, Any]) -> list[str]:
     lines = [f"## {figure['title']}", "", f"![{key}](images/paper_{key}.png)", ""]
     for table in figure["tables"]:
+        if table["title"] in LEFT_OUT:
+            continue
         columns = tuple(table["rows"][0])
         rows = [tuple(_cell(row[column]) for column in columns) for row in table["rows"]]
         lines += [f"**{table['title']}**", "", *_table(columns, rows)]
