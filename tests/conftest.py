@@ -17,7 +17,10 @@ settings.register_profile("rig", deadline=None)
 settings.load_profile("rig")
 
 
-REAL_TIME = ("service", "rig", "selftest", "bus", "monitor", "programme", "scripts", "cli", "real")
+REAL_TIME = (
+    "service", "rig", "selftest", "bus", "monitor", "programme", "scripts", "cli", "real",
+    "dashboard",
+)  # fmt: skip
 """Folders whose tests watch a clock, or share the machine's bus: nothing else runs beside them."""
 NO_CLOCK = frozenset(
     f"{folder}/test_{name}.py"

@@ -159,7 +159,7 @@ def _told(name: str, values: Mapping[str, Any]) -> Text:
     for key, value in values.items():
         if key in {"age_s", "Crc", "Counter"}:
             continue
-        text = _bits(key, value) if isinstance(value, int) else None
+        text = bits_in_words(key, value) if isinstance(value, int) else None
         if text is None:
             text = f"{value:.5g}" if isinstance(value, float) else str(value)
         shown.append(f"{key} {text}")
@@ -167,7 +167,8 @@ def _told(name: str, values: Mapping[str, Any]) -> Text:
     return said
 
 
-def _bits(key: str, value: int) -> str | None:
+def bits_in_words(key: str, value: int) -> str | None:
+    """Bits of a signal that says reasons, in words; None for any other signal."""
     kind = {"TripReason": Trip, "EstimateReason": Reason, "EstimateReasons": Reason}.get(key)
     if kind is None:
         return None

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 from eps_hil.bus.codec import FrameDecoder
 from eps_hil.bus.database import load_database
@@ -16,7 +16,7 @@ from eps_hil.estimation.validity import Reason, words
 from eps_hil.monitor.alarm import Alarms, Limits
 from eps_hil.monitor.figures import BusFigures, EstimateFigures, Figures, SignalFigures
 from eps_hil.monitor.meters import RateMeter, SignalTrack
-from eps_hil.monitor.residual import Window, warm_up
+from eps_hil.monitor.residual import Residual, Window, warm_up
 from eps_hil.monitor.told import Told, told_of
 from eps_hil.physics.model import Model, load_model
 from eps_hil.service.adaptation_config import AdaptationConfig
@@ -27,8 +27,19 @@ from eps_hil.signals import CANONICAL
 
 _SILENT_S = 0.25
 _NO_COUNTS = PortCounts()
+_NOT_YET = Residual(why_not="the residual's code is being loaded; the first time, compiled")
 _OURS = "EPSHIL_"
 _ECU_STATUS, _OVERRIDE = "EPS_OverrideStatus", "EPSHIL_OverrideState"
+
+
+class Ear(Protocol):
+    """Hears every sample and estimate that a :class:`Monitor` takes, in their order."""
+
+    def sample(self, name: str, t_ns: int, value: float) -> None:
+        """One sample of a mapped signal; NaN is one that the frame's checks refused."""
+
+    def estimate(self, t_ns: int, age_ns: int | None, force_n: float, friction_nm: float) -> None:
+        """A published estimate by its frame's stamp; NaN where it is not valid."""
 
 
 class Monitor:
@@ -45,6 +56,7 @@ class Monitor:
         *,
         window_s: float = 4.0,
         bitrate: float | None = None,
+        ear: Ear | None = None,
     ) -> None:
         mapping = load_mapping(config.signals)
         database = load_database(config.dbc, strict=mapping.strict)
@@ -66,6 +78,7 @@ class Monitor:
         }
         self._window, self._alarms = Window(self.model, window_s), Alarms(limits)
         self._frames, self._bits, self._bitrate = RateMeter(), RateMeter(), bitrate
+        self._ear = ear
         self.changes: list[tuple[str, bool]] = []
         """Alarms that the last :meth:`figures` saw go on or off."""
 
@@ -90,6 +103,8 @@ class Monitor:
                 if track is not None:
                     track.take(t_ns, value)
                 self._window.take(name, t_ns, value)
+                if self._ear is not None:
+                    self._ear.sample(name, t_ns, value)
 
     def _take_estimate(self, told: Told, frame: Frame) -> None:
         if not told.take(frame):
@@ -97,18 +112,32 @@ class Monitor:
         values = told.numbers()
         age_ms = values.get("EstimateAge", math.nan)
         force = values.get("RackForceEstimate", math.nan)
-        if values.get("EstimateStatus") != Status.VALID or not math.isfinite(age_ms + force):
+        valid = values.get("EstimateStatus") == Status.VALID and math.isfinite(age_ms + force)
+        friction = values.get("FrictionTorque", math.nan)
+        if self._ear is not None:
+            age_ns = round(age_ms * 1e6) if math.isfinite(age_ms) else None
+            heard = (force, friction) if valid else (math.nan, math.nan)
+            self._ear.estimate(frame.t_ns, age_ns, *heard)
+        if not valid:
             return
         self._window.estimate(
-            frame.t_ns - round(age_ms * 1e6), force,
-            values.get("FrictionTorque", math.nan), int(values.get("EstimateReason", 0)),
+            frame.t_ns - round(age_ms * 1e6), force, friction,
+            int(values.get("EstimateReason", 0)),
         )  # fmt: skip
 
     def figures(
-        self, now_ns: int, counts: PortCounts = _NO_COUNTS, state: BusState = BusState.UNKNOWN
+        self,
+        now_ns: int,
+        counts: PortCounts = _NO_COUNTS,
+        state: BusState = BusState.UNKNOWN,
+        *,
+        loading: bool = False,
     ) -> Figures:
-        """What there is to show at ``now_ns``; alarms are judged here."""
-        residual = self._window.residual(now_ns)
+        """What there is to show at ``now_ns``; alarms are judged here.
+
+        ``loading``: without the residual, for :meth:`warm_up` is not done.
+        """
+        residual = _NOT_YET if loading else self._window.residual(now_ns)
         self.changes = self._alarms.update(now_ns, residual.by_name())
         return Figures(
             now_ns,

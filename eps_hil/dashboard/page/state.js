@@ -1,0 +1,120 @@
+// What stands beside the plots: verdicts, health, states, in words.
+
+import { short } from "./plots.js";
+
+const GOOD = new Set(["fine", "valid", "error_active"]);
+const byId = (id) => document.getElementById(id);
+
+function put(node, text, bad) {
+  if (node.textContent !== text) node.textContent = text;
+  node.classList.toggle("bad", Boolean(bad));
+}
+
+function rows(table, lines) {
+  while (table.rows.length > lines.length) table.deleteRow(-1);
+  lines.forEach((line, r) => {
+    const row = table.rows[r] || table.insertRow();
+    while (row.cells.length < line.length) row.insertCell();
+    line.forEach((cell, c) => {
+      const { text, bad, n } = typeof cell === "object" ? cell : { text: cell };
+      row.cells[c].classList.toggle("n", Boolean(n));
+      put(row.cells[c], text, bad);
+    });
+  });
+}
+
+function list(dl, pairs) {
+  while (dl.children.length > 2 * pairs.length) dl.lastChild.remove();
+  pairs.forEach(([name, text, bad], k) => {
+    if (!dl.children[2 * k]) dl.append(document.createElement("dt"), document.createElement("dd"));
+    put(dl.children[2 * k], name);
+    put(dl.children[2 * k + 1], text, bad);
+  });
+}
+
+export function problems(lines) {
+  const holder = byId("problems");
+  while (holder.children.length > lines.length) holder.lastChild.remove();
+  lines.forEach((line, k) => {
+    if (!holder.children[k]) holder.append(document.createElement("li"));
+    if (holder.children[k].textContent !== line) holder.children[k].textContent = line;
+  });
+}
+
+export function verdict(state) {
+  const chip = byId("verdict"), estimate = state.estimate;
+  chip.hidden = false;
+  chip.textContent = estimate.status === "valid" ? "estimate valid" : `estimate ${estimate.status}`;
+  chip.className = "chip " + (estimate.status === "valid" ? "good" : "bad");
+}
+
+export function show(state) {
+  problems(state.problems);
+  verdict(state);
+  const { bus, estimate, residual, limits } = state;
+  const rms = (value, limit) => [`${short(value)} N (limit ${short(limit)} N)`, value > limit];
+  list(byId("figures"), [
+    ["estimate", `${short(estimate.rack_force_n)} N, ${short(estimate.rate_hz)} Hz, age ${short(estimate.age_ms)} ms`],
+    ["rms moving", ...rms(residual.rms_moving_n, limits.moving_n)],
+    ["rms at rest", ...rms(residual.rms_resting_n, limits.resting_n)],
+    ["torque balance", ...rms(residual.balance_n, limits.balance_n)],
+    ...(residual.why_not ? [["no figure", residual.why_not]] : []),
+    ["bus", `${bus.state.replace("_", " ")}, ${short(bus.frames_per_s)} frames/s, ${short(bus.kbit_per_s)} kbit/s`,
+      !GOOD.has(bus.state) && bus.state !== "unknown"],
+    ["lost", `${bus.lost_by_counter} by counter, ${bus.lost_in_kernel} in the kernel`,
+      bus.lost_by_counter + bus.lost_in_kernel > 0],
+    ["errors", `${bus.crc_errors} CRC, ${bus.error_frames} error frames`, bus.crc_errors + bus.error_frames > 0],
+  ]);
+  rows(byId("signals"), state.signals.map((one) => {
+    const said = one.verdict + (one.service && one.service !== one.verdict ? `; service: ${one.service}` : "");
+    return [one.name.replace(/_(nm|n|m|rad|rad_s|degc|m_s|m_s2)$/, "").replaceAll("_", " "),
+      { text: `${short(one.value)} ${one.unit}`, n: true }, { text: `${short(one.rate_hz)} Hz`, n: true },
+      { text: said, bad: one.verdict !== "fine" }];
+  }));
+  told(state.told);
+}
+
+function told(messages) {
+  const holder = byId("told"), names = Object.keys(messages);
+  if (!names.length) { holder.textContent = "nothing from the service or the ECU yet"; return; }
+  if (holder.dataset.names !== names.join()) {
+    holder.dataset.names = names.join();
+    holder.replaceChildren(...names.flatMap(() => ["h3", "dl"].map((tag) => document.createElement(tag))));
+  }
+  names.forEach((name, k) => {
+    const { age_s: age, values } = messages[name];
+    const silent = age === null || age > 1.0;
+    put(holder.children[2 * k], name.replace("EPSHIL_", "") + (silent ? `: silent for ${short(age)} s` : ""), silent);
+    list(holder.children[2 * k + 1], Object.entries(values).map(([key, value]) =>
+      [key.replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase(),
+        (typeof value === "number" ? short(value) : String(value).replaceAll("_", " "))]));
+  });
+}
+
+export function readings(traces, stretch, a, b, clock) {
+  const places = [a, b].map((t) => (t === null ? -1 : stretch.nearest(t)));
+  const now = stretch.t.length - 1;
+  const head = ["", "newest", ...(a === null ? [] : ["A"]), ...(b === null ? [] : ["B"]),
+    ...(a === null || b === null ? [] : ["B − A"])];
+  const n = (text) => ({ text, n: true });
+  const lines = [head.map((text, k) => (k ? n(text) : text))];
+  const times = ["time", n(now < 0 ? "–" : clock(stretch.t[now]))];
+  if (a !== null) times.push(n(clock(a)));
+  if (b !== null) times.push(n(clock(b)));
+  if (a !== null && b !== null) times.push(n(`${short(b - a)} s`));
+  lines.push(times);
+  traces.forEach((trace, k) => {
+    const value = (place) => (place < 0 || !stretch.strips[k] ? null : stretch.strips[k][place]);
+    const line = [`${trace.label}, ${trace.unit}`, n(short(value(now)))];
+    if (a !== null) line.push(n(short(value(places[0]))));
+    if (b !== null) line.push(n(short(value(places[1]))));
+    if (a !== null && b !== null) {
+      const [one, other] = places.map(value);
+      line.push(n(one === null || other === null ? "–" : short(other - one)));
+    }
+    lines.push(line);
+  });
+  const table = byId("readings");
+  if (table.rows[0] && table.rows[0].cells.length !== head.length) table.replaceChildren();
+  rows(table, lines);
+}

@@ -1,0 +1,340 @@
+"""The page's server: shows what the listener hands over, in a process that knows no bus.
+
+All that a page can change are the marks. Everything is served from this machine's own files; a
+request under a foreign name (DNS rebinding) or from a foreign page is refused.
+"""
+
+import asyncio
+import contextlib
+import importlib.util
+import ipaddress
+import json
+import os
+import socket
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eps_hil.dashboard.feed import Feed, answer
+from eps_hil.dashboard.marks import Marks
+from eps_hil.dashboard.store import Store
+from eps_hil.dashboard.traces import NAMES, layout
+from eps_hil.dashboard.wire import unpack
+from eps_hil.errors import BusError, InputError
+
+LIBRARIES = ("starlette", "uvicorn", "websockets", "uplot")
+KEPT_S = 120.0
+"""What a live page can look back at."""
+_TICK_S = 0.04
+_LONGEST_EXPORT_S, _EXPORT_STEP_NS = 600.0, 1_000_000
+_NICE = 10
+_MEDIA = {".js": "text/javascript", ".css": "text/css", ".html": "text/html"}
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+
+
+def check() -> None:
+    """:class:`InputError` where the extra is not installed; nothing is imported."""
+    if any(importlib.util.find_spec(name) is None for name in LIBRARIES):
+        raise InputError(
+            "dashboard", "", "the page needs the 'dashboard' extra",
+            'pip install "eps_hil[dashboard]"',
+        )  # fmt: skip
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """A socket for :func:`serve`; :class:`BusError` in one line where it cannot be had."""
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        sock = socket.socket(family, socket.SOCK_STREAM)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((host, port))
+        sock.listen(128)
+    except OSError as error:
+        raise BusError(
+            f"dashboard: cannot listen on {host} port {port}: {error.strerror}; "
+            "choose another --port or --host"
+        ) from None
+    return sock
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What the page is told once. ``recording``: its name; None for a live page."""
+
+    title: str
+    recording: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+class Hub:
+    """What all pages share."""
+
+    def __init__(self, about: About, store: Store, marks: Marks) -> None:
+        self.about, self.store, self.marks = about, store, marks
+        self.state, self.state_number = "", 0
+        self.ended = False
+
+    def take(self, message: bytes) -> None:
+        """One message of the listener."""
+        if message[:1] == b"S":
+            self.store.append(unpack(message[1:]))
+        else:
+            self.state, self.state_number = message[1:].decode(), self.state_number + 1
+
+    def layout(self) -> dict[str, Any]:
+        """Traces, plots, and what is shown."""
+        begin, end = self.store.oldest_ns, self.store.newest_ns
+        span = None if begin is None or end is None else [begin * 1e-9, end * 1e-9]
+        return layout() | {
+            "title": self.about.title,
+            "recording": self.about.recording,
+            "notes": list(self.about.notes),
+            "span": span if self.about.recording is not None else None,
+            "marks_file": None if self.marks.path is None else self.marks.path.name,
+        }
+
+    def export(self, begin_s: float, end_s: float) -> Iterator[str]:
+        """CSV lines of all traces, each millisecond; ``time_s`` counts from ``begin_s``."""
+        yield ",".join(("time_s", *NAMES)) + "\n"
+        begin_ns, end_ns = round(begin_s * 1e9), round(end_s * 1e9)
+        for first in range(begin_ns, end_ns + 1, 1000 * _EXPORT_STEP_NS):
+            last = min(first + 1000 * _EXPORT_STEP_NS, end_ns + 1)
+            at_ns = np.arange(first, last, _EXPORT_STEP_NS, dtype=np.int64)
+            columns = [self.store.at(name, at_ns) for name in NAMES]
+            rows = zip(at_ns, *columns, strict=True)
+            yield "".join(
+                f"{(int(t) - begin_ns) * 1e-9:.3f},"
+                + ",".join("" if np.isnan(v) else f"{v:.9g}" for v in values) + "\n"
+                for t, *values in rows
+            )  # fmt: skip
+
+
+def allowed_host(header: str, bound: str) -> bool:
+    """Whether a request's Host names this machine by an address, or by a name it goes by."""
+    host = header.rsplit(":", 1)[0] if not header.endswith("]") else header
+    host = host.strip("[]").lower()
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host == "localhost" or (not _loopback(bound) and host in _own_names())
+    return address.is_loopback or not _loopback(bound)
+
+
+def _loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _own_names() -> set[str]:
+    return {socket.gethostname().lower(), socket.getfqdn().lower()}
+
+
+class Guard:
+    """Refuses foreign names and foreign pages before anything else sees a request."""
+
+    def __init__(self, app: Any, bound: str) -> None:
+        self._app, self._bound = app, bound
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """One request."""
+        if scope["type"] in {"http", "websocket"}:
+            headers = {k.decode("latin-1"): v.decode("latin-1") for k, v in scope["headers"]}
+            host, origin = headers.get("host", ""), headers.get("origin")
+            foreign = origin is not None and origin.split("//", 1)[-1] != host
+            if foreign or not allowed_host(host, self._bound):
+                if scope["type"] == "http":
+                    await send({"type": "http.response.start", "status": 403, "headers": []})
+                    await send({"type": "http.response.body", "body": b"refused\n"})
+                else:
+                    await send({"type": "websocket.close", "code": 1008})
+                return
+        await self._app(scope, receive, send)
+
+
+def assets() -> dict[str, str]:
+    """Every file of the page by its name: our own, and the plotting library's."""
+    own = files("eps_hil.dashboard") / "page"
+    found = {each.name: each.read_text(encoding="utf-8") for each in own.iterdir()
+             if Path(each.name).suffix in _MEDIA}  # fmt: skip
+    spec = importlib.util.find_spec("uplot")
+    folders = [] if spec is None else list(spec.submodule_search_locations or [])
+    static = Path(folders[0]) / "static"
+    for name in ("uPlot.iife.js", "uPlot.min.css"):
+        found[name] = (static / name).read_text(encoding="utf-8")
+    return found
+
+
+def application(hub: Hub, bound: str, listener: socket.socket | None = None) -> Any:
+    """The ASGI application."""
+    from starlette.applications import Starlette
+    from starlette.middleware import Middleware
+    from starlette.requests import Request
+    from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
+    from starlette.routing import Route, WebSocketRoute
+
+    held = assets()
+
+    async def page(_: Request) -> Response:
+        return Response(held["index.html"], media_type="text/html", headers=_HEADERS)
+
+    async def asset(request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in held:
+            return PlainTextResponse("no such file\n", 404)
+        return Response(held[name], media_type=_MEDIA[Path(name).suffix], headers=_HEADERS)
+
+    async def about(_: Request) -> Response:
+        return JSONResponse(hub.layout(), headers=_HEADERS)
+
+    async def export(request: Request) -> Response:
+        try:
+            begin_s, end_s = (float(request.query_params[k]) for k in ("from", "to"))
+        except (KeyError, ValueError):
+            return PlainTextResponse("say from and to, in seconds\n", 400)
+        if not 0.0 < end_s - begin_s <= _LONGEST_EXPORT_S:
+            return PlainTextResponse(f"at most {_LONGEST_EXPORT_S:.0f} s\n", 400)
+        headers = _HEADERS | {"Content-Disposition": 'attachment; filename="eps_hil.csv"'}
+        lines = hub.export(begin_s, end_s)
+        return StreamingResponse(lines, media_type="text/csv", headers=headers)
+
+    async def marks(_: Request) -> Response:
+        lines = (json.dumps(mark, ensure_ascii=False) + "\n" for mark in hub.marks.as_json())
+        headers = _HEADERS | {"Content-Disposition": 'attachment; filename="marks.jsonl"'}
+        return PlainTextResponse("".join(lines), headers=headers)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: Any) -> AsyncIterator[None]:
+        loop = asyncio.get_running_loop()
+
+        def take() -> None:
+            try:
+                while message := listener.recv(1 << 20) if listener else b"":
+                    hub.take(message)
+            except BlockingIOError:
+                return
+            except OSError:
+                pass
+            hub.ended = True
+            if listener is not None:
+                loop.remove_reader(listener)
+
+        if listener is not None:
+            listener.setblocking(False)
+            loop.add_reader(listener, take)
+        yield
+
+    return Starlette(
+        routes=[
+            Route("/", page),
+            Route("/asset/{name}", asset),
+            Route("/layout.json", about),
+            Route("/export.csv", export),
+            Route("/marks.jsonl", marks),
+            WebSocketRoute("/feed", lambda socket: Page(hub, socket).run()),
+        ],
+        middleware=[Middleware(Guard, bound=bound)],
+        lifespan=lifespan,
+    )
+
+
+class Page:
+    """One page's connection."""
+
+    def __init__(self, hub: Hub, connection: Any) -> None:
+        self._hub, self._socket = hub, connection
+        self._feed = Feed()
+        self._answers: list[tuple[float, float, int, int]] = []
+        self._state_sent = self._marks_sent = -1
+
+    async def run(self) -> None:
+        """Until either side goes away."""
+        from starlette.websockets import WebSocketDisconnect
+
+        await self._socket.accept()
+        sending = asyncio.ensure_future(self._send())
+        try:
+            while True:
+                self._hear(await self._socket.receive_text())
+        except (WebSocketDisconnect, RuntimeError):
+            pass
+        finally:
+            sending.cancel()
+
+    def _hear(self, text: str) -> None:
+        """What a page says; what makes no sense is left out."""
+        try:
+            said = json.loads(text)
+            if "drawn" in said:
+                self._feed.drawn(int(said["drawn"]))
+            if "view" in said:
+                view = said["view"]
+                self._feed.view(float(view["length_s"]), int(view["pixels"]))
+            if "hold" in said:
+                self._feed = Feed()
+            if "ask" in said:
+                ask = said["ask"]
+                wanted = (float(ask["from"]), float(ask["to"]), int(ask["pixels"]))
+                self._answers = [(*wanted, int(ask["number"]))]  # only the newest counts
+            if "mark" in said:
+                mark = said["mark"]
+                self._hub.marks.add(round(float(mark["t"]) * 1e9), str(mark["text"]))
+        except (ValueError, TypeError, KeyError, OverflowError):
+            return
+
+    async def _send(self) -> None:
+        hub = self._hub
+        with contextlib.suppress(Exception):  # the page went away in mid-sentence
+            while not hub.ended:
+                if self._state_sent != hub.state_number and hub.state and not self._feed.waits:
+                    self._state_sent = hub.state_number
+                    await self._socket.send_text('{"state":' + hub.state + "}")
+                if self._marks_sent != len(hub.marks.marks):
+                    self._marks_sent = len(hub.marks.marks)
+                    await self._socket.send_text(json.dumps({"marks": hub.marks.as_json()}))
+                while self._answers:
+                    found = answer(hub.store, *self._answers.pop())
+                    if found is not None:
+                        await self._socket.send_bytes(found)
+                message = self._feed.next(hub.store)
+                if message is not None:
+                    await self._socket.send_bytes(message)
+                await asyncio.sleep(_TICK_S)
+            await self._socket.send_text('{"ended":true}')
+
+
+def serve(hub: Hub, sock: socket.socket, bound: str, listener: socket.socket | None = None) -> None:
+    """Serve until a signal ends it; the other program's priority stays above ours."""
+    import uvicorn
+
+    with contextlib.suppress(OSError):
+        os.nice(_NICE)
+    config = uvicorn.Config(
+        application(hub, bound, listener),
+        log_level="error",
+        access_log=False,
+        server_header=False,
+        ws_max_size=1 << 14,
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=1,
+    )
+    with contextlib.suppress(KeyboardInterrupt):
+        uvicorn.Server(config).run(sockets=[sock])
+
+
+def serve_live(
+    sock: socket.socket, bound: str, listener: socket.socket, about: About, marks: Path | None
+) -> None:
+    """What the server's process runs."""
+    serve(Hub(about, Store(KEPT_S), Marks(marks)), sock, bound, listener)

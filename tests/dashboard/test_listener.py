@@ -1,0 +1,136 @@
+"""The listener never waits for the server, and says in words what is missing."""
+
+import json
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from eps_hil.bus.port import BusState, PortCounts
+from eps_hil.dashboard.listener import Listener, Outlet, listen
+from eps_hil.dashboard.marks import Marks, marks_path
+from eps_hil.dashboard.store import Block, Store
+from eps_hil.dashboard.wire import unpack
+from eps_hil.dashboard.words import problems
+from eps_hil.errors import InputError
+from eps_hil.service.config import load_config
+
+ROOT = Path(__file__).parents[2]
+Blocks = Callable[[float, float], dict[str, Block]]
+
+
+@pytest.fixture
+def pair() -> tuple[socket.socket, socket.socket]:
+    return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+
+
+def test_a_server_that_reads_nothing_costs_the_oldest_and_no_time(
+    pair: tuple[socket.socket, socket.socket], blocks: Blocks
+) -> None:
+    outlet = Outlet(pair[0])
+    for k in range(1000):
+        outlet.samples(blocks(0.04 * k, 0.04 * (k + 1)))
+        assert outlet.flush(), "somebody is there, only slow"
+    assert outlet.dropped > 500
+    pair[1].close()
+    assert not outlet.flush(), "nobody is there any more"
+    pair[0].close()
+
+
+def test_a_long_stretch_travels_in_pieces(
+    pair: tuple[socket.socket, socket.socket], blocks: Blocks
+) -> None:
+    outlet, store = Outlet(pair[0]), Store()
+    outlet.samples(blocks(0.0, 4.0))
+    pair[1].setblocking(False)
+    while True:
+        try:
+            message = pair[1].recv(1 << 20)
+        except BlockingIOError:
+            if not outlet._pending:
+                break
+            outlet.flush()
+            continue
+        assert message[:1] == b"S"
+        store.append(unpack(message[1:]))
+    assert [len(track.t_ns) for track in store.tracks.values()] == [4000] * 8
+    for each in pair:
+        each.close()
+
+
+class SilentPort:
+    """A bus without frames."""
+
+    name, counts, state = "silent", PortCounts(), BusState.UNKNOWN
+    closed = False
+
+    def recv(self, timeout_s: float) -> list[object]:
+        return []
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "c.yaml"
+    path.write_text(f"""bus: {{interface: virtual, channel: page-test}}
+dbc: [{ROOT}/dbc/eps_rig.dbc]
+signals: {ROOT}/configs/eps_rig_signals.yaml
+model: {ROOT}/configs/reference_rig.yaml
+""")
+    return path
+
+
+def test_a_silent_bus_is_said_in_words(
+    config: Path, pair: tuple[socket.socket, socket.socket]
+) -> None:
+    listener, port = Listener(load_config(config)), SilentPort()
+    turns = iter([False, True])
+    assert listen(listener, port, Outlet(pair[0]), lambda: next(turns))  # type: ignore[arg-type]
+    assert port.closed
+    state = json.loads(pair[1].recv(1 << 20)[1:])
+    (said,) = state["problems"]
+    assert said.startswith(
+        "waiting for frames of EPS_Torques (id 0x101), EPS_MotorState (id 0x100)"
+    )
+    assert "is the rig there?" in said
+    assert state["estimate"]["status"] == "silent"
+    for each in pair:
+        each.close()
+
+
+def test_a_lost_bus_and_a_service_that_is_not_there_are_said(config: Path) -> None:
+    listener = Listener(load_config(config))
+    figures = listener.monitor.figures(1_000_000_000, loading=True)
+    said = problems(figures, listener.sources, listener.estimate, "can0: network is down")
+    assert said == ["bus lost: can0: network is down; it is opened again as soon as it is back"]
+    few = {"motor_torque_nm": ("EPS_Torques", 0x101)}
+    listener.monitor._signals["motor_torque_nm"].take(900_000_000, 0.1)
+    figures = listener.monitor.figures(1_000_000_000, loading=True)
+    said = problems(figures, few, listener.estimate)
+    assert said == [
+        "nothing on id 0x120 (EPSHIL_Estimate) yet; is the service (eps-hil run) there?"
+    ]
+    late = listener.monitor.figures(4_000_000_000, loading=True)
+    more = few | {"rack_force_n": ("RIG_State", 0x110)}
+    assert problems(late, more, listener.estimate)[:2] == [
+        "nothing for 3 s and more: EPS_Torques (id 0x101)",
+        "nothing yet: RIG_State (id 0x110)",
+    ]
+
+
+def test_marks_are_appended_beside_the_recording_and_read_again(tmp_path: Path) -> None:
+    path = marks_path(tmp_path / "bus.log")
+    assert path.name == "bus.log.marks.jsonl"
+    marks = Marks(path)
+    assert marks.add(1_790_000_000_000_000_000, "a bump\nat  the stop\x00") == ""
+    marks.add(5, "x" * 1000)
+    again = Marks(path).marks
+    assert [mark.text for mark in again] == ["a bump at the stop", "x" * 200]
+    assert json.loads(path.read_text().splitlines()[0])["utc"].startswith("2026-09-21T")
+    path.write_text('{"t_ns": 1}\n')
+    with pytest.raises(InputError, match="line 1: is no mark"):
+        Marks(path)
+    assert "No such file" in Marks(tmp_path / "gone" / "m.jsonl").add(1, "x")
