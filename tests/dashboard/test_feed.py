@@ -16,7 +16,7 @@ MS = 1_000_000
 Blocks = Callable[[float, float], dict[str, Block]]
 
 
-def head(message: bytes | None) -> tuple[int, int, int, float, float]:
+def head(message: bytes | None) -> Any:
     """Kind, number, buckets, begin, bucket."""
     assert message is not None
     magic, *rest = struct.unpack_from("<4sB3xIIdd", message)
