@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.accept.as_written import under_any_force, under_written_load
+from eps_hil.diagnosis.accept.as_written import in_no_file, under_any_force, under_written_load
 from eps_hil.diagnosis.accept.free_run import worse_free_run
 from eps_hil.diagnosis.accept.holdout_support import (
     augmented_by,
@@ -22,7 +22,6 @@ from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
     beside_a_gap,
     measures,
-    noise_floor,
     only_kept,
     still_left,
     worse_force,
@@ -30,15 +29,11 @@ from eps_hil.diagnosis.accept.proof_of_fit import (
 from eps_hil.diagnosis.accept.standing import standing, worse
 from eps_hil.diagnosis.attribute.beside import not_whitened, selected_beside
 from eps_hil.diagnosis.attribute.channel_fault import (
-    ChannelFault,
     channel_fault,
-    held_out_energy,
-    no_worse,
-    refined,
     with_channel_fault,
 )
 from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, threshold
-from eps_hil.diagnosis.attribute.select import Say, Selection, select
+from eps_hil.diagnosis.attribute.select import Say, Selection
 from eps_hil.diagnosis.balance.baseline import HOLD
 from eps_hil.diagnosis.balance.excerpt import only_part
 from eps_hil.diagnosis.balance.fit import BRISTLE, matters
@@ -54,7 +49,7 @@ from eps_hil.diagnosis.balance.load import (
     with_load,
     wrong_in_friction,
 )
-from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, term_of
+from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.balance.spread import left_open
 from eps_hil.diagnosis.data.channels import channels_in_doubt
 from eps_hil.diagnosis.data.held import own_samples
@@ -70,21 +65,18 @@ from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.data.size import size_of
 from eps_hil.diagnosis.direct.kinematics import small_ratio
-from eps_hil.diagnosis.direct.reversals import bristle, reversals_agree
-from eps_hil.diagnosis.direct.zero_reading import ZeroReadings
 from eps_hil.diagnosis.first_look import FirstLook, first_look
-from eps_hil.diagnosis.mismatch import locate, regions
 from eps_hil.diagnosis.mismatch.leftover import Leftover, how_held, late_torque, leftover
 from eps_hil.diagnosis.remainder.find import Remainder, with_remainder
-from eps_hil.diagnosis.verdict.finding import finding, unknown
-from eps_hil.diagnosis.verdict.modelled import modelled
+from eps_hil.diagnosis.search import holdouts as kept_holdouts
+from eps_hil.diagnosis.search import put_right, searched
+from eps_hil.diagnosis.verdict.content import content_of, without_nan
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
 Floats = npt.NDArray[np.float64]
 
 EMPIRICAL = "empirical"
-SCHEMA = "eps-hil/diagnosis/1"
 MOST_LEFT = 0.5
 """Of the hold-outs' energy: what names leave of a force that is no arbitrary one."""
 LEAST_JUDGED = 125
@@ -109,6 +101,8 @@ class Diagnosis:
     """The model of what no name stands for, where there is one."""
     as_read: Sequence[Holdout] = ()
     """The hold-outs as their files have them, where ``judged`` are put right."""
+    given: Model | None = None
+    """The model file's own with a load that nobody measured, as figures before are made."""
     beside_load: Model | None = None
     """``model`` without a load that nobody measured, which ``problem`` has as its rack force."""
 
@@ -219,18 +213,7 @@ def _with_load(told: Diagnosis, fitted: Load, load: Load, base: Model) -> Diagno
         load.sentence if one == fitted.sentence else one for one in content["limits"]
     ]
     content = without_nan(content)
-    return replace(told, model=written, content=content, beside_load=told.model)
-
-
-def without_nan(content: Any) -> Any:
-    """The same with null for every number that does not exist."""
-    if isinstance(content, float):
-        return content if np.isfinite(content) else None
-    if isinstance(content, Mapping):
-        return {key: without_nan(one) for key, one in content.items()}
-    if isinstance(content, list | tuple):
-        return [without_nan(one) for one in content]
-    return content
+    return replace(told, model=written, content=content, given=base, beside_load=told.model)
 
 
 def _price(told: Diagnosis) -> float:
@@ -260,16 +243,16 @@ def _under(
     problem = Problem(look.fitted, look.model, tied=load_knobs(load))
     if np.sum(problem.sliding) < 500:
         raise ValueError("moves for less than 4 s; a diagnosis needs a rotor that slides")
-    judged = _holdouts(look, kept)
+    judged = kept_holdouts(look, kept)
     if sum(int(np.sum(one.judging(look.model))) for one in judged) < LEAST_JUDGED:
         raise RecordingError(
             look.kept[-1].name, "kept from the fit to judge it, but slides for less than 1 s"
         )
-    look, problem, selection = _searched(look, problem, load_knobs(load), judged, say, without)
+    look, problem, selection = searched(look, problem, load_knobs(load), judged, say, without)
     measured = set.intersection(*(set(series) for _, series in ready))
     wrong = channel_fault(selection.part, selection, measured, without)
     if wrong is not None:
-        wrong, look, problem, selection, judged = _put_right(
+        wrong, look, problem, selection, judged = put_right(
             wrong, (look, problem, selection, judged), load_knobs(load), say, without, kept
         )
     findings, force = settled(
@@ -296,18 +279,17 @@ def _under(
     beside_load = augmented_by(problem, selection.found, findings) if extra is None else written
     if worse(problem, beside_load, judged):
         extra, findings, written = None, [], problem.model
-    content = look.added_to(_content(problem, selection, findings, left, judged, extra, written))
+    content = look.added_to(content_of(problem, selection, findings, left, judged, extra, written))
     if wrong is not None:
         content = with_channel_fault(content, wrong.finding(model))
     content["findings"] = doubted(content["findings"], load)
     content["fit"]["placebo"] = placebos(weighed, told, findings, judged)
     as_read: list[Holdout] = []
+    ready_to_write = look.in_model(written)
     if look.model is not model or look.put_right or wrong is not None:
         as_read = [
-            Holdout(one.changed(barred=put_right.barred), series, data)
-            for (one, series), put_right, data in zip(
-                spare, look.kept, look.kept_quality, strict=True
-            )
+            Holdout(one.changed(barred=right.barred), series, data)
+            for (one, series), right, data in zip(spare, look.kept, look.kept_quality, strict=True)
         ]
         content["fit"]["holdout"]["baseline"] = measures(as_read, model, model)
     content["limits"] = [
@@ -321,6 +303,7 @@ def _under(
             [] if left is not None or hidden else how_held(problem, selection.found),
         ),
         *beside_a_gap(judged, problem.model),
+        *(in_no_file(content["fit"]["holdout"], as_read, model, ready_to_write) if wrong else []),
         *unjudged(told.found, findings, judged, weighed),
         *worse_force(content["fit"]["holdout"]),
         *worse_free_run(content["fit"]["holdout"]),
@@ -329,7 +312,7 @@ def _under(
     ]
     return Diagnosis(
         without_nan(content),
-        look.in_model(written),
+        ready_to_write,
         problem,
         selection,
         judged,
@@ -353,95 +336,6 @@ def _beside_left(
     findings = standing(weighed, told, findings, judged)
     shown = not_whitened(problem, told, selection)
     return weighed, told, shown, findings, force or more or _left(problem, shown, judged)
-
-
-def _searched(
-    look: FirstLook,
-    problem: Problem,
-    tied: Mapping[str, float],
-    judged: Sequence[Holdout],
-    say: Say | None,
-    without: Collection[str],
-) -> tuple[FirstLook, Problem, Selection]:
-    """Effects that the balance shows; again beside what only then is known of sensor and bristle.
-
-    Again where the balance takes back what sensors were read to be, and where full reversals show
-    another stiffness than the model's, or none where the balance named one.
-    """
-    selection = _selected(problem, look, say, without)
-    zero = look.zero.behind(selection.found)
-    if zero.refuted(problem, selection.found, [one.prepared for one in judged]):
-        zero = ZeroReadings()
-    if zero != look.zero:
-        look = look.with_zero(zero)
-        problem = Problem(look.fitted, look.model, tied=tied)
-        selection = _selected(problem, look, say, without)
-    asked = BRISTLE not in without and not tied  # a load that nobody measured moves the levels
-    seen = bristle(selection.part, selection.searched) if asked else None
-    if seen is None:
-        return look, problem, selection
-    named = any(entry["effect"] == BRISTLE for entry in selection.found.entries)
-    off = seen.off and reversals_agree(seen, problem, selection.found, judged)
-    if off:
-        look = look.with_bristle(seen)
-        problem = Problem(look.fitted, look.model, tied=tied)
-    if off or named:
-        selection = _selected(problem, look, say, {*without, BRISTLE})
-    return look, problem, selection
-
-
-def _put_right(
-    wrong: ChannelFault,
-    given: tuple[FirstLook, Problem, Selection, list[Holdout]],
-    tied: Mapping[str, float],
-    say: Say | None,
-    without: Collection[str],
-    kept: Mapping[str, Mapping[str, Series]],
-) -> tuple[ChannelFault | None, FirstLook, Problem, Selection, list[Holdout]]:
-    """What is found beside a signal put right; what was ``given`` where hold-outs are worse so."""
-    found = _beside(wrong, given[0], tied, say, without)
-    better = refined(wrong, found[2].part, found[2])
-    if better is not wrong:
-        found = _beside(better, given[0], tied, say, without)
-    judged = _holdouts(found[0], kept)
-    before, after = (
-        held_out_energy(problem, selection.found, [one.prepared for one in these])
-        for problem, selection, these in ((*given[1:3], given[3]), (*found[1:3], judged))
-    )
-    spared = len(given[2].found.names) - len(found[2].found.names) - 1
-    samples = sum(int(np.sum(one.judging(given[0].model))) for one in given[3])
-    borne = no_worse(before, after, spared, samples)
-    return (better, *found, judged) if borne else (None, *given)
-
-
-def _beside(
-    wrong: ChannelFault,
-    look: FirstLook,
-    tied: Mapping[str, float],
-    say: Say | None,
-    without: Collection[str],
-) -> tuple[FirstLook, Problem, Selection]:
-    """What is found once a signal that nobody has a name for is put right."""
-    right = look.with_signal(wrong.put_right, wrong.in_model(look.model))
-    problem = Problem(right.fitted, right.model, tied=tied)
-    seen = {one["effect"] for one in right.findings} & {BRISTLE}
-    return right, problem, _selected(problem, right, say, {*without, *seen})
-
-
-def _selected(
-    problem: Problem, look: FirstLook, say: Say | None, without: Collection[str]
-) -> Selection:
-    """Effects that the balance shows, its constant as sensors with nothing on them have settled."""
-    selection = select(problem, say, without, look.zero.settled)
-    selection.possible = frozenset(look.zero.possible)
-    return selection
-
-
-def _holdouts(look: FirstLook, kept: Mapping[str, Mapping[str, Series]]) -> list[Holdout]:
-    return [
-        Holdout(one, kept[one.name], data)
-        for one, data in zip(look.kept, look.kept_quality, strict=True)
-    ]
 
 
 def _only_kept(
@@ -472,66 +366,3 @@ def _left(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> 
     found = selection.found
     residual = test.residual(test.with_entries(found.entries, found.own))
     return leftover(problem, found.residual, (test, residual))
-
-
-def _content(
-    problem: Problem,
-    selection: Selection,
-    findings: Sequence[int],
-    left: Leftover | None,
-    judged: Sequence[Holdout],
-    extra: Remainder | None,
-    written: Model,
-) -> dict[str, Any]:
-    found = selection.found
-    by_gain = sorted(findings, key=lambda k: -selection.gains[term_of(found.entries[k])])
-    listed = [finding(problem, selection, k) for k in by_gain]
-    if left is not None:
-        told = unknown(left)
-        listed.append(told if extra is None else modelled(told, extra, problem))
-    verdict = {
-        (False, False): "no_mismatch",
-        (True, False): "explained",
-        (True, True): "partly_explained",
-        (False, True): "unknown_effect",
-    }[bool(findings), left is not None]
-    excess = selection.null.residual**2 - (found.residual**2 if findings else 1.0)
-    return {
-        "schema": SCHEMA,
-        "verdict": verdict,
-        "findings": listed,
-        "time_segments": [
-            {"recording": name, "from_s": start, "to_s": end, "share_of_excess": share}
-            for name, start, end, share in locate.time_segments(
-                problem, np.where(problem.sliding, excess, 0.0)
-            )
-        ]
-        if listed
-        else [],
-        "location": _location(problem, selection.null.residual, excess) if listed else {},
-        "fit": {"holdout": _proof(problem.model, written, judged)},
-    }
-
-
-def _location(problem: Problem, residual: Floats, excess: Floats) -> dict[str, Any]:
-    """Cells of one and two coordinates that hold more of the mismatch than of the time, and what
-    each recording holds of both.
-    """
-    cut = clipped(residual, knee(residual))
-    found = regions.cells(problem, np.maximum(cut**2 - 1.0, 0.0))
-    return {
-        "sentence": regions.sentence(found),
-        "cells": [cell.content() for cell in found],
-        "recordings": locate.by_recording(problem, excess),
-    }
-
-
-def _proof(model: Model, written: Model, judged: Sequence[Holdout]) -> dict[str, Any]:
-    """``fit.holdout`` of the model before and as it is written."""
-    models = [model] if written is model else [model, written]
-    told = each(lambda one: measures(judged, written, one), models)
-    return {
-        "baseline": told[0],
-        "augmented": told[-1],
-        "noise_floor": noise_floor(judged, written),
-    }

@@ -172,20 +172,29 @@ def holdouts(diagnosis: Diagnosis, evidence: Evidence) -> list[dict[str, Any]]:
             220,
         )
         force = _force(diagnosis, one, evidence, part, sync, most // 2)
-        speed = _speed(evidence, one, sync, most // 2)
+        speed = _speed(diagnosis, evidence, one, sync, most // 2)
         result.append({"name": one.prepared.name, "plots": [left, *speed, force]})
     return result
 
 
-def _speed(evidence: Evidence, one: Holdout, sync: str, most: int) -> list[Plot]:
-    """Error of the freely simulated speed; empty where the rotor does not slide long enough."""
-    time, before, measured = free_runs(one.prepared, evidence.problem.model, one.quality)
+def _speed(
+    diagnosis: Diagnosis, evidence: Evidence, one: Holdout, sync: str, most: int
+) -> list[Plot]:
+    """Error of the freely simulated speed; empty where the rotor does not slide long enough.
+
+    A load that nobody measured is what the written model makes of its own motion: the force that
+    was fitted in its place is in no file.
+    """
+    ready, given, written = one.prepared, evidence.problem.model, evidence.augmented
+    if diagnosis.beside_load is not None and diagnosis.given is not None:
+        ready, given, written = ready.as_measured(), diagnosis.given, diagnosis.model
+    time, before, measured = free_runs(ready, given, one.quality)
     if len(time) == 0:
         return []
     errors = [("baseline model", "before", before - measured)]
     if evidence.entries:
         # a finding may shift the speed itself, and so which half seconds begin while sliding
-        then, after, measured = free_runs(one.prepared, evidence.augmented, one.quality)
+        then, after, measured = free_runs(ready, written, one.quality)
         time, of_before, of_after = np.intersect1d(time, then, return_indices=True)
         if len(time) == 0:
             return []

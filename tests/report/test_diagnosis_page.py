@@ -1,6 +1,7 @@
 """The page of a diagnosis: whole, escaped, self-contained, and right for every verdict."""
 
 import json
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +17,8 @@ from eps_hil.diagnosis.data.quality import Quality
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
 from eps_hil.physics.model import Model, load_model
 from eps_hil.report import diagnosis_page
-from eps_hil.report.diagnosis_evidence import LABELS
+from eps_hil.report.diagnosis_evidence import LABELS, held_out
+from eps_hil.report.diagnosis_figures import holdouts
 from eps_hil.report.diagnosis_maps import colour
 from eps_hil.report.page import number
 from eps_hil.report.plots import numbers, thinned, ticks
@@ -337,3 +339,25 @@ def test_rotor_and_rack_apart_without_a_name_have_a_plot_of_their_own(
     assert plots["unknown-apart"]["y_label"] == "φ − i·x, mrad"
     assert plots["unknown-apart"]["data"][-1] == [-50.0, 50.0]
     assert "up to 0.0199 mm" in checked.text
+
+
+def test_a_load_that_nobody_measured_is_drawn_as_the_written_model_makes_it(
+    explained: Diagnosis,
+) -> None:
+    """Not with the force that was fitted in its place, which is in no file."""
+    given = explained.problem.model
+    written = replace(
+        given, effects=({"effect": "unmodelled_spring", "stiffness_nm_per_rad": 0.02},)
+    )
+    (kept,) = explained.judged
+    assumed = replace(kept, prepared=kept.prepared.changed(load_is_assumed=True))
+    told = replace(
+        explained, model=written, given=given, beside_load=explained.model, judged=[assumed]
+    )
+    (shown,) = holdouts(told, held_out(told))
+    (speed,) = (plot for plot in shown["plots"] if plot.name == "holdout0-speed")
+    for line, model in zip(speed.lines, (given, written), strict=True):
+        time, run, measured = free_runs(assumed.prepared.as_measured(), model, assumed.quality)
+        known = np.isfinite(line.y)
+        rows = np.searchsorted(time, speed.x[known] - 1e-9)
+        np.testing.assert_allclose(line.y[known], (run - measured)[rows], atol=1e-9)

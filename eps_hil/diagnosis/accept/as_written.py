@@ -10,9 +10,17 @@ from dataclasses import replace
 from typing import Any
 
 from eps_hil.diagnosis.accept.free_run import worse_free_run
-from eps_hil.diagnosis.accept.proof_of_fit import Holdout, measures, noise_floor, still_left
+from eps_hil.diagnosis.accept.proof_of_fit import (
+    Holdout,
+    measures,
+    noise_floor,
+    still_left,
+    torque_nrmse,
+)
 from eps_hil.physics.model import Model
 
+_MORE = 1.1
+"""Times what is reported, from which that is said."""
 _SIMULATED = ("speed_fit_percent", "free_run")
 
 
@@ -39,6 +47,24 @@ def under_written_load(
         "noise_floor": noise_floor(bare, written),
     }
     return _with(content, told)
+
+
+def in_no_file(
+    told: Mapping[str, Mapping[str, Any]], as_read: Sequence[Holdout], given: Model, written: Model
+) -> list[str]:
+    """A sentence where ``fit.holdout`` after is of recordings put right, and no file puts them so.
+
+    ``as_read``: the hold-outs as their files have them, which is what the model file will meet.
+    """
+    left = torque_nrmse(as_read, given, written)
+    after = told["augmented"]["torque_nrmse"]
+    if not left > _MORE * after:
+        return []
+    return [
+        "The figures after are of recordings with that channel put right, which no model file "
+        "does: of the hold-outs as they were read the written model leaves torque_nrmse "
+        f"{left:.3g}, not {after:.3g}."
+    ]
 
 
 def under_any_force(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -72,16 +72,13 @@ def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[s
     ``common`` decides which samples count as sliding and what torque the residual is divided by,
     so that before, after and the noise floor are parts of the same whole.
     """
-    residual, torque, error, speed = [], [], [], []
+    error, speed = [], []
     for one in holdouts:
-        mask = one.judging(common)
-        residual.append(one.prepared.left_over(model)[mask])
-        torque.append(one.prepared.residual(common)[1][mask])
         _, simulated, measured = free_runs(one.prepared, model, one.quality)
         error.append(simulated - measured)
         speed.append(measured - np.mean(measured) if len(measured) else measured)
     result: dict[str, Any] = {
-        "torque_nrmse": _rms(residual) / max(_rms(torque), 1e-12),
+        "torque_nrmse": torque_nrmse(holdouts, common, model),
         "speed_fit_percent": 100.0 * (1.0 - _rms(error) / max(_rms(speed), 1e-12)),
     }
     force = rack_force_error_n(holdouts, common, model)
@@ -89,6 +86,14 @@ def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[s
         result["rack_force_rmse_n"] = force
     result["free_run"] = free_run(holdouts, model)
     return result
+
+
+def torque_nrmse(holdouts: Sequence[Holdout], common: Model, model: Model) -> float:
+    """What ``model`` leaves of the balance while sliding, over what ``common`` explains by it."""
+    masks = [one.judging(common) for one in holdouts]
+    residual = [one.prepared.left_over(model)[m] for one, m in zip(holdouts, masks, strict=True)]
+    torque = [one.prepared.residual(common)[1][m] for one, m in zip(holdouts, masks, strict=True)]
+    return _rms(residual) / max(_rms(torque), 1e-12)
 
 
 def rack_force_error_n(holdouts: Sequence[Holdout], common: Model, model: Model) -> float | None:

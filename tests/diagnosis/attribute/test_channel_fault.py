@@ -76,6 +76,7 @@ def test_a_load_cell_that_reads_wrong_is_no_ratio(
     error = {k: one["torque_nrmse"] for k, one in told.content["fit"]["holdout"].items()}
     assert error["augmented"] < 1.05 * error["noise_floor"] < error["baseline"]
     assert told.model == reference_model  # no entry of a model file says that
+    assert any("which no model file does" in one for one in told.content["limits"])
 
 
 @pytest.mark.slow

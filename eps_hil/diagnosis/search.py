@@ -1,0 +1,110 @@
+"""What the balance shows, and again beside what only then is known: sensors, bristle, a channel."""
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout
+from eps_hil.diagnosis.attribute.channel_fault import (
+    ChannelFault,
+    held_out_energy,
+    no_worse,
+    refined,
+)
+from eps_hil.diagnosis.attribute.select import Say, Selection, select
+from eps_hil.diagnosis.balance.fit import BRISTLE
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.direct.reversals import bristle, reversals_agree
+from eps_hil.diagnosis.direct.zero_reading import ZeroReadings
+from eps_hil.diagnosis.first_look import FirstLook
+from eps_hil.series import Series
+
+
+def searched(
+    look: FirstLook,
+    problem: Problem,
+    tied: Mapping[str, float],
+    judged: Sequence[Holdout],
+    say: Say | None,
+    without: Collection[str],
+) -> tuple[FirstLook, Problem, Selection]:
+    """Effects that the balance shows; again beside what only then is known of sensor and bristle.
+
+    Again where the balance takes back what sensors were read to be, and where full reversals show
+    another stiffness than the model's, or none where the balance named one.
+    """
+    selection = _selected(problem, look, say, without)
+    zero = look.zero.behind(selection.found)
+    if zero.refuted(problem, selection.found, [one.prepared for one in judged]):
+        zero = ZeroReadings()
+    if zero != look.zero:
+        look = look.with_zero(zero)
+        problem = Problem(look.fitted, look.model, tied=tied)
+        selection = _selected(problem, look, say, without)
+    asked = BRISTLE not in without and not tied  # a load that nobody measured moves the levels
+    seen = bristle(selection.part, selection.searched) if asked else None
+    if seen is None:
+        return look, problem, selection
+    named = any(entry["effect"] == BRISTLE for entry in selection.found.entries)
+    off = seen.off and reversals_agree(seen, problem, selection.found, judged)
+    if off:
+        look = look.with_bristle(seen)
+        problem = Problem(look.fitted, look.model, tied=tied)
+    if off or named:
+        selection = _selected(problem, look, say, {*without, BRISTLE})
+    return look, problem, selection
+
+
+def put_right(
+    wrong: ChannelFault,
+    given: tuple[FirstLook, Problem, Selection, list[Holdout]],
+    tied: Mapping[str, float],
+    say: Say | None,
+    without: Collection[str],
+    kept: Mapping[str, Mapping[str, Series]],
+) -> tuple[ChannelFault | None, FirstLook, Problem, Selection, list[Holdout]]:
+    """What is found beside a signal put right; what was ``given`` where hold-outs are worse so."""
+    found = _beside(wrong, given[0], tied, say, without)
+    better = refined(wrong, found[2].part, found[2])
+    if better is not wrong:
+        found = _beside(better, given[0], tied, say, without)
+    judged = holdouts(found[0], kept)
+    before, after = (
+        held_out_energy(problem, selection.found, [one.prepared for one in these])
+        for problem, selection, these in ((*given[1:3], given[3]), (*found[1:3], judged))
+    )
+    spared = len(given[2].found.names) - len(found[2].found.names) - 1
+    samples = sum(int(np.sum(one.judging(given[0].model))) for one in given[3])
+    borne = no_worse(before, after, spared, samples)
+    return (better, *found, judged) if borne else (None, *given)
+
+
+def _beside(
+    wrong: ChannelFault,
+    look: FirstLook,
+    tied: Mapping[str, float],
+    say: Say | None,
+    without: Collection[str],
+) -> tuple[FirstLook, Problem, Selection]:
+    """What is found once a signal that nobody has a name for is put right."""
+    right = look.with_signal(wrong.put_right, wrong.in_model(look.model))
+    problem = Problem(right.fitted, right.model, tied=tied)
+    seen = {one["effect"] for one in right.findings} & {BRISTLE}
+    return right, problem, _selected(problem, right, say, {*without, *seen})
+
+
+def _selected(
+    problem: Problem, look: FirstLook, say: Say | None, without: Collection[str]
+) -> Selection:
+    """Effects that the balance shows, its constant as sensors with nothing on them have settled."""
+    selection = select(problem, say, without, look.zero.settled)
+    selection.possible = frozenset(look.zero.possible)
+    return selection
+
+
+def holdouts(look: FirstLook, kept: Mapping[str, Mapping[str, Series]]) -> list[Holdout]:
+    """Recordings kept from the fit as the first look made them ready, with what was read."""
+    return [
+        Holdout(one, kept[one.name], data)
+        for one, data in zip(look.kept, look.kept_quality, strict=True)
+    ]
