@@ -76,8 +76,8 @@ class Track:
 class Cut:
     """``n`` buckets from ``begin_ns`` on, each ``bucket_ns`` long.
 
-    ``strips``: shape (traces, 2n), least and greatest; ``instants``: shape (quantities, n), at the
-    middle of each bucket. NaN where there is nothing.
+    ``strips``: shape (traces, 2n), least and greatest; ``instants``: shape (quantities, 2n), at a
+    quarter and three quarters of each bucket. NaN where there is nothing.
     """
 
     begin_ns: int
@@ -145,8 +145,8 @@ class Store:
             least_and_greatest(track.t_ns, track.value, begin_ns, bucket_ns, n)
             for track in self.tracks.values()
         ])  # fmt: skip
-        middle = begin_ns + bucket_ns // 2 + bucket_ns * np.arange(n, dtype=np.int64)
-        instants = np.stack([self.at(name, middle) for name in AT_ONE_INSTANT])
+        quarters = begin_ns + bucket_ns // 4 + bucket_ns * np.arange(2 * n, dtype=np.int64) // 2
+        instants = np.stack([self.at(name, quarters) for name in AT_ONE_INSTANT])
         return Cut(begin_ns, bucket_ns, n, strips, instants.astype(np.float32))
 
     def at(self, name: str, at_ns: npt.NDArray[np.int64]) -> Float64:

@@ -3,7 +3,7 @@
 To a page, little endian: ``EPS1``, kind (uint8: 0 goes on, 1 begins anew, 2 answers a question),
 three bytes of nothing, number (uint32), buckets n (uint32), begin (float64, s), length of a bucket
 (float64, s), then float32: the strips, trace after trace, 2n each; the quantities at one instant,
-n each (:class:`~eps_hil.dashboard.store.Cut`).
+2n each (:class:`~eps_hil.dashboard.store.Cut`).
 """
 
 import struct

@@ -22,7 +22,7 @@ def head(message: bytes | None) -> Any:
     magic, *rest = struct.unpack_from("<4sB3xIIdd", message)
     assert magic == b"EPS1"
     n = rest[2]
-    assert len(message) == 32 + 4 * n * (2 * len(NAMES) + len(AT_ONE_INSTANT))
+    assert len(message) == 32 + 8 * n * (len(NAMES) + len(AT_ONE_INSTANT))
     kind, number, n, begin, bucket = rest
     return kind, number, n, begin, bucket
 

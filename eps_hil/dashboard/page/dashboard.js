@@ -39,7 +39,7 @@ const hooks = {
   hover: (t) => { pointer = t; dirty = true; },
   picked: (t, which) => { if (which === "a") a = t; else b = t; dirty = true; },
 };
-const unit = Math.max(70, Math.min((innerHeight - 265) / 6.7, 210)); // of a strip's height: all fit
+const unit = Math.max(70, Math.min((innerHeight - 215 - (recorded ? 50 : 0)) / 6.7, 210)); // of a strip's height: all fit
 const strips = layout.strips.map((strip, k) => {
   const last = k === layout.strips.length - 1;
   const height = Math.round((k ? unit : 1.7 * unit) + (last ? 20 : 0));

@@ -11,7 +11,7 @@ export function read(buffer, traces, quantities) {
   const strips = [], instants = [];
   for (let k = 0; k < traces; k++) strips.push(plain(2 * n * k, 2 * n * (k + 1)));
   for (let k = 0; k < quantities; k++) {
-    instants.push(plain(2 * n * traces + n * k, 2 * n * traces + n * (k + 1)));
+    instants.push(plain(2 * n * (traces + k), 2 * n * (traces + k + 1)));
   }
   return { kind, number, n, begin, bucket, strips, instants };
 }
@@ -22,7 +22,7 @@ export class Stretch {
 
   clear(base) {
     this.base = base;
-    this.t = []; this.strips = []; this.at = []; this.instants = [];
+    this.t = []; this.strips = []; this.instants = [];
   }
 
   take(cut, keep) {
@@ -34,15 +34,12 @@ export class Stretch {
     for (let k = 0; k < cut.n; k++) {
       const begin = cut.begin - this.base + k * cut.bucket;
       this.t.push(begin + 0.25 * cut.bucket, begin + 0.75 * cut.bucket);
-      this.at.push(begin + 0.5 * cut.bucket);
     }
     cut.strips.forEach((values, k) => append(this.strips[k], values));
     cut.instants.forEach((values, k) => append(this.instants[k], values));
-    const excess = this.at.length - Math.ceil(keep / cut.bucket);
+    const excess = this.t.length - 2 * Math.ceil(keep / cut.bucket);
     if (excess > 0 && cut.kind !== ANSWERS) {
-      this.t.splice(0, 2 * excess); this.at.splice(0, excess);
-      for (const values of this.strips) values.splice(0, 2 * excess);
-      for (const values of this.instants) values.splice(0, excess);
+      for (const values of [this.t, ...this.strips, ...this.instants]) values.splice(0, excess);
     }
   }
 
@@ -51,7 +48,9 @@ export class Stretch {
   // Index of the point nearest to an instant; -1 where there is none.
   nearest(t) {
     const x = this.t;
-    if (!x.length) return -1;
+    if (x.length < 2) return -1;
+    const step = x[1] - x[0];
+    if (t < x[0] - step || t > x[x.length - 1] + step) return -1;
     let low = 0, high = x.length - 1;
     while (high - low > 1) {
       const middle = (low + high) >> 1;

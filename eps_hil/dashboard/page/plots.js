@@ -2,7 +2,9 @@
 
 /* global uPlot */
 const STEPS = 10; // of the fading trail
-const FONT = "12px system-ui, 'DejaVu Sans', sans-serif";
+const WALL = innerWidth >= 1900; // read from afar
+const FONT = `${WALL ? 15 : 12}px system-ui, 'DejaVu Sans', sans-serif`;
+const LOOP = WALL ? 340 : 210;
 const style = () => getComputedStyle(document.documentElement);
 let palette = {};
 
@@ -72,13 +74,13 @@ export class Strip {
       scales: { x: { time: false, auto: false }, y: { range: yRange } },
       axes: [
         axis({ size: last ? 26 : 6, values: (_u, ticks) => ticks.map(last ? hooks.clock : () => ""), space: 90 }),
-        axis({ size: 62, values: (_u, ticks) => ticks.map(short), space: 26 }),
+        axis({ size: WALL ? 76 : 62, values: (_u, ticks) => ticks.map(short), space: WALL ? 24 : 18 }),
       ],
       series: [{}, ...this.keys.map((key, k) => ({
         stroke: () => palette["c" + key.colour], width: k ? 1.2 : 1.8, dash: k ? [5, 3] : undefined,
         points: { show: false },
       }))],
-      cursor: { sync: { key: "strips" }, drag: { x: true, y: false, setScale: false },
+      cursor: { y: false, sync: { key: "strips" }, drag: { x: true, y: false, setScale: false },
         points: { size: 6 }, focus: { prox: -1 } },
       hooks: {
         setSelect: [(u) => {
@@ -126,6 +128,7 @@ function drawLines(u, lines) {
   const { ctx, bbox } = u;
   ctx.save();
   ctx.font = FONT;
+  ctx.textAlign = "left";
   for (const line of lines) {
     const x = Math.round(u.valToPos(line.t, "x", true));
     if (x < bbox.left || x > bbox.left + bbox.width) continue;
@@ -154,24 +157,24 @@ export class Loop {
     headOf(holder, `${loop.title}, ${this.keys[0].unit}`, this.keys);
     this.points = null;
     this.plot = new uPlot({
-      width: Math.max(holder.clientWidth, 200), height: 210, legend: { show: false },
+      width: Math.max(holder.clientWidth, 200), height: LOOP, legend: { show: false },
       scales: { x: { time: false, auto: false }, y: { auto: false } },
       cursor: { drag: { x: false, y: false } },
       axes: [
-        axis({ size: 44, values: (_u, ticks) => ticks.map(short), space: 60, labelSize: 16,
+        axis({ size: 26, values: (_u, ticks) => ticks.map(short), space: 60, labelSize: 16,
           label: `${xTrace.label}, ${xTrace.unit}`, labelFont: FONT }),
-        axis({ size: 62, values: (_u, ticks) => ticks.map(short), space: 26 }),
+        axis({ size: WALL ? 76 : 62, values: (_u, ticks) => ticks.map(short), space: WALL ? 24 : 18 }),
       ],
       series: [{}, {}], hooks: { draw: [(u) => this.trail(u)] },
     }, [[], []], holder);
-    this.draw({ at: [], instants: [] }, 0, 0);
+    this.draw({ t: [], instants: [] }, 0, 0);
   }
 
   // The stretch from `from` to `to`, the newest end brightest.
   draw(stretch, from, to) {
-    let begin = 0, end = stretch.at.length;
-    while (begin < end && stretch.at[begin] < from) begin++;
-    while (end > begin && stretch.at[end - 1] > to) end--;
+    let begin = 0, end = stretch.t.length;
+    while (begin < end && stretch.t[begin] < from) begin++;
+    while (end > begin && stretch.t[end - 1] > to) end--;
     const x = (stretch.instants[this.x] || []).slice(begin, end);
     this.points = { x, ys: this.ys.map((place) => (stretch.instants[place] || []).slice(begin, end)) };
     const [xLow, xHigh] = extent([x]), [yLow, yHigh] = extent(this.points.ys);
@@ -216,7 +219,7 @@ export class Loop {
     ctx.restore();
   }
 
-  fit() { this.plot.setSize({ width: Math.max(this.holder.clientWidth, 200), height: 210 }); }
+  fit() { this.plot.setSize({ width: Math.max(this.holder.clientWidth, 200), height: LOOP }); }
   again() { this.plot.redraw(false, true); }
 }
 

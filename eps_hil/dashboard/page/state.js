@@ -3,6 +3,7 @@
 import { short } from "./plots.js";
 
 const GOOD = new Set(["fine", "valid", "error_active"]);
+const UNITS = { degC: "°C", "m/s^2": "m/s²" };
 const byId = (id) => document.getElementById(id);
 
 function put(node, text, bad) {
@@ -68,7 +69,7 @@ export function show(state) {
   rows(byId("signals"), state.signals.map((one) => {
     const said = one.verdict + (one.service && one.service !== one.verdict ? `; service: ${one.service}` : "");
     return [one.name.replace(/_(nm|n|m|rad|rad_s|degc|m_s|m_s2)$/, "").replaceAll("_", " "),
-      { text: `${short(one.value)} ${one.unit}`, n: true }, { text: `${short(one.rate_hz)} Hz`, n: true },
+      { text: `${short(one.value)} ${UNITS[one.unit] || one.unit}`, n: true }, { text: `${short(one.rate_hz)} Hz`, n: true },
       { text: said, bad: one.verdict !== "fine" }];
   }));
   told(state.told);
@@ -99,8 +100,9 @@ export function readings(traces, stretch, a, b, clock) {
   const n = (text) => ({ text, n: true });
   const lines = [head.map((text, k) => (k ? n(text) : text))];
   const times = ["time", n(now < 0 ? "–" : clock(stretch.t[now]))];
-  if (a !== null) times.push(n(clock(a)));
-  if (b !== null) times.push(n(clock(b)));
+  const before = (t) => n(`${short(t - (now < 0 ? t : stretch.t[now]))} s`);
+  if (a !== null) times.push(before(a));
+  if (b !== null) times.push(before(b));
   if (a !== null && b !== null) times.push(n(`${short(b - a)} s`));
   lines.push(times);
   traces.forEach((trace, k) => {
