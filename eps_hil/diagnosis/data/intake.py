@@ -24,6 +24,10 @@ BELIEVABLE = {
 """Magnitudes beyond which a signal is no steering drive's, whatever the drive."""
 
 
+FEWEST_VALUES = 16
+"""Different values of the signal that tells the motion: of fewer nobody makes a speed."""
+
+
 class RecordingError(ValueError):
     """What a diagnosis needs and one recording, by its name, lacks."""
 
@@ -71,12 +75,29 @@ def prepared(
         if signal in series and (found := _largest(series[signal])) > most:
             problem = f"{signal} reaches {found:.3g}, which no drive does; check unit and scaling"
             raise RecordingError(name, problem)
+    check_values(name, series)
     try:
         one = prepare(name, series, unexplained_nm)
     except ValueError as error:
         there = ", ".join(sorted(series))
         raise RecordingError(name, f"{error} (it holds {there})") from None
     return one.changed(begins_s=_began_s(series, whole.get(name, series)))
+
+
+def check_values(name: str, series: Mapping[str, Series]) -> None:
+    """:class:`RecordingError` for a motion that is told in too few values to be one."""
+    moving = [one for one in ("motor_speed_rad_s", "motor_angle_rad") if one in series]
+    if not moving:
+        return
+    value = series[moving[0]].value
+    different = len(np.unique(value[np.isfinite(value)]))
+    if different < FEWEST_VALUES:
+        problem = (
+            f"{moving[0]} takes {different} different value{'' if different == 1 else 's'} in "
+            f"{len(value)} samples: too few to tell a motion by; record it in finer steps, or "
+            "more of the motion"
+        )
+        raise RecordingError(name, problem)
 
 
 def _largest(one: Series) -> float:

@@ -27,6 +27,15 @@ def test_what_no_drive_does_is_refused_by_name(signal: str) -> None:
     assert said.value.recording == "weave"
 
 
+def test_a_motion_in_five_values_is_said_to_be_one() -> None:
+    recording = {name: one for name, one in signals().items() if name != "motor_speed_rad_s"}
+    angle = recording["motor_angle_rad"]
+    coarse = Series(angle.t_ns, np.round(2.5 * angle.value))
+    problem = r"motor_angle_rad takes 5 different values in 5000 samples: too few"
+    with pytest.raises(RecordingError, match=problem):
+        prepared("weave", {**recording, "motor_angle_rad": coarse}, 0.0)
+
+
 def test_the_last_part_of_a_recording_knows_when_it_begins() -> None:
     """A clock that drifts goes on drifting."""
     whole = {"weave": signals(9000)}
