@@ -143,7 +143,7 @@ def run(name: str, plan: Plan, methods: Mapping[str, Callable[..., Learnt]]) -> 
     def figures(after: Floats, free: float) -> dict[str, Any]:
         left = float(np.mean(after[use] ** 2))
         return {
-            "share": (energy - left) / max(energy - floor, 1e-300),
+            "share": (energy - left) / (energy - floor) if plan.wanted else 0.0,
             "worse": left > energy,
             "changed": float(np.sqrt(np.mean((after - before)[use] ** 2) / floor)),
             "free": free / start,
@@ -231,7 +231,7 @@ def main(given: Sequence[str] | None = None) -> int:
             with chosen.out.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(cases[-1]) + "\n")
         told = ", ".join(
-            f"{method} {one['share']:.2f} {one['free']:.2f}"
+            f"{method} {one['share']:.2f} {one['free']:.2f} {one['changed']:.2f}"
             for method, one in cases[-1]["methods"].items()
         )
         sys.stderr.write(f"{name}: {told}; {cases[-1]['methods'][TOOL]['laws']}\n")
