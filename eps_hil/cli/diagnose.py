@@ -114,7 +114,7 @@ def diagnose(
     if report:
         from eps_hil.report import diagnosis_page, page
 
-        page.check()
+        page.check("--report", "uplot")
     rig = load_model(model)
     without = _known(without_effect or [])
     fitted = read_all(recording, reading)

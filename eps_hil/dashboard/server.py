@@ -25,6 +25,7 @@ from eps_hil.dashboard.store import Store
 from eps_hil.dashboard.traces import NAMES, layout
 from eps_hil.dashboard.wire import unpack
 from eps_hil.errors import BusError, InputError
+from eps_hil.report.page import library
 
 LIBRARIES = ("starlette", "uvicorn", "websockets", "uplot")
 KEPT_S = 120.0
@@ -168,11 +169,8 @@ def assets() -> dict[str, str]:
     own = files("eps_hil.dashboard") / "page"
     found = {each.name: each.read_text(encoding="utf-8") for each in own.iterdir()
              if Path(each.name).suffix in _MEDIA}  # fmt: skip
-    spec = importlib.util.find_spec("uplot")
-    folders = [] if spec is None else list(spec.submodule_search_locations or [])
-    static = Path(folders[0]) / "static"
     for name in ("uPlot.iife.js", "uPlot.min.css"):
-        found[name] = (static / name).read_text(encoding="utf-8")
+        found[name] = library(name)
     return found
 
 

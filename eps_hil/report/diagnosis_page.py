@@ -1,6 +1,6 @@
 """A diagnosis as one self-contained HTML page that a rig engineer reads in two minutes (issue 5).
 
-The page loads nothing: style, script (uPlot, MIT licence, in ``assets/uplot``) and data are inside,
+The page loads nothing: style, script (uPlot, from uplot-python) and data are inside,
 and its content security policy forbids the rest. What comes from files is escaped by the template.
 """
 
@@ -61,8 +61,8 @@ def render(diagnosis: Diagnosis, model_name: str) -> str:
         model_name=model_name,
         **values,
         plots=[plot.content() for plot in plots],
-        uplot_js=page.asset("uplot/uPlot.iife.min.js"),
-        uplot_css=page.asset("uplot/uPlot.min.css"),
+        uplot_js=page.library("uPlot.iife.js"),
+        uplot_css=page.library("uPlot.min.css"),
         page_js=page.asset("diagnosis.js"),
         page_css=page.asset("diagnosis.css"),
     )

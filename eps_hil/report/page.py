@@ -77,6 +77,15 @@ def asset(name: str) -> str:
     return (files("eps_hil.report") / "assets" / name).read_text(encoding="utf-8")
 
 
+def library(name: str) -> str:
+    """A script or style of uPlot (MIT licence), as the package uplot-python brings it."""
+    found = importlib.util.find_spec("uplot")
+    if found is None or not found.submodule_search_locations:
+        raise InputError("a page", "", "needs uPlot", "pip install uplot-python")
+    (folder, *_) = found.submodule_search_locations
+    return (Path(folder) / "static" / name).read_text(encoding="utf-8")
+
+
 def picture(path: Path) -> str:
     """A PNG file as the source of an image inside a page."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")

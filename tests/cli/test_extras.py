@@ -20,6 +20,7 @@ WITHOUT = {
         ["prove", "concealed", "--quick"],
     ],
     "jinja2": [["diagnose", "--recording", "not_there.csv", *MODEL, "--report", "f.html"]],
+    "uplot": [["diagnose", "--recording", "not_there.csv", *MODEL, "--report", "f.html"]],
     "pyarrow": [
         ["estimate", "not_there.csv", *MODEL, "--out", "f.parquet"],
         ["simulate", "--inputs", "not_there.csv", *MODEL, "--out", "f.parquet"],

@@ -30,6 +30,12 @@ def test_a_template_gets_all_it_names_or_fails() -> None:
         page.fill("none.html.jinja")
 
 
+def test_the_plotting_library_comes_from_its_package() -> None:
+    assert "uPlot" in page.library("uPlot.iife.js")
+    assert "</script" not in page.library("uPlot.iife.js")
+    assert ".uplot" in page.library("uPlot.min.css")
+
+
 def test_a_page_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     page.write(path, "<p>old")

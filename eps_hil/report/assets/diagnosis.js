@@ -1,24 +1,29 @@
 // Draws the page's plots with uPlot: drag to zoom, double click for everything again.
 (function () {
   "use strict";
+  const now = (name) => () => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const styles = {
-    before: { stroke: "#d55e00", width: 1.2 },
-    after: { stroke: "#0072b2", width: 1.5 },
-    recorded: { stroke: "#1b1f24", width: 1 },
-    noise: { stroke: "#57606a", width: 1, dash: [4, 3] },
+    before: { stroke: now("--before"), width: 1.2 },
+    after: { stroke: now("--after"), width: 1.5 },
+    recorded: { stroke: now("--ink"), width: 1 },
+    noise: { stroke: now("--soft"), width: 1, dash: [4, 3] },
     edge: { stroke: "rgba(120,120,120,.6)", width: 0.5 },
-    dots2: { stroke: "#009e73", width: 0, points: { show: true, size: 6, fill: "#009e73" } },
-    dots: { stroke: "#d55e00", width: 0, points: { show: true, size: 6, fill: "#d55e00" } },
+    dots2: { stroke: now("--third"), width: 0, points: { show: true, size: 6, fill: now("--third") } },
+    dots: { stroke: now("--before"), width: 0, points: { show: true, size: 6, fill: now("--before") } },
   };
   const short = (v) => (v == null ? "" : String(Number(v.toPrecision(4))));
   const axis = (label, size, space) => ({
-    label: label, stroke: "#1b1f24", grid: { stroke: "#e6e8eb", width: 1 },
-    ticks: { stroke: "#d0d7de" }, size: size, labelSize: label ? 20 : 0,
+    label: label, stroke: now("--ink"), grid: { stroke: now("--grid"), width: 1 },
+    ticks: { stroke: now("--rule") }, size: size, labelSize: label ? 20 : 0,
     font: "12px system-ui, 'DejaVu Sans', sans-serif",
     labelFont: "12px system-ui, 'DejaVu Sans', sans-serif",
     values: (_u, ticks) => ticks.map(short), space: space,
   });
   const fromZero = (_u, _low, high) => [0, 1.1 * (high || 1)];
+  // a value that is not there is shown as nothing
+  const quiet = (u) => u.root.querySelectorAll(".u-value").forEach((cell) => {
+    if (cell.textContent === "--") cell.textContent = "";
+  });
   function draw(holder, plot) {
     const series = [{ label: "\u00a0", value: (_u, v) => (v == null ? "" : `${plot.x_label || "time in s"}: ${short(v)}`) }];
     const bands = [];
@@ -31,10 +36,12 @@
       width: holder.clientWidth || 1100, height: plot.height, series: series, bands: bands,
       scales: { x: { time: false }, y: { range: plot.name.startsWith("profile-") ? fromZero : undefined } }, axes: [axis(plot.x_label, 34, 60), axis(plot.y_label, 58, 16)],
       cursor: { drag: { x: true, y: false } },
+      hooks: { ready: [quiet], setCursor: [quiet], setLegend: [quiet] },
     };
     if (plot.lines.length === 1 || plot.name.startsWith("profile-")) options.legend = { show: false };
     if (plot.sync) options.cursor.sync = { key: plot.sync };
     const drawn = new uPlot(options, plot.data, holder);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.redraw(false, true));
     // the upper edge of a band has no name of its own
     drawn.root.querySelectorAll(".u-legend .u-series").forEach((row, k) => {
       if (k && !plot.lines[k - 1].label) row.style.display = "none";
