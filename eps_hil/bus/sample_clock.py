@@ -25,7 +25,7 @@ What can go wrong, and what happens:
   look like those of a sender that paused: no counter tells a gateway's constant delay);
 * a lane that is late while another is in time: the lanes' counters stay in one relation unless a
   message was interrupted, so it is this lane's frames that wait. They keep the instants that their
-  counter says, and are not *trusted* from four periods on. A relation that stays changed for 1.2 s
+  counter says, and are not *trusted* from four periods on. A relation that stays changed for 0.8 s
   is taken for a message that was interrupted;
 * a counter that cannot be: not trusted, until eight frames in a row follow each other.
 
@@ -51,7 +51,7 @@ _LATE = 0.75  # of a period: further than a message of the same cycle can lie
 _LATE_RUN = 16
 _LATE_TOTAL = 128  # not one frame in time, though some caught up
 _SILENCE_PERIODS = 20
-_DOUBT_NS = 1_200_000_000  # how long a lane that alone is late is taken to wait
+_DOUBT_NS = 800_000_000  # how long a lane that alone is late is taken to wait
 _WAITED = 3.5  # periods of lateness from which that matters
 _RELATED = 64  # frames in time after which a lane's counter belongs to the line
 _IN_A_ROW = 8

@@ -17,11 +17,13 @@ from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.state import Records, record_of
 from eps_hil.estimation.torque_jumps import (
     RING,
+    bend_noise,
     blind,
     bridge,
     course,
     due_noise,
     hinge,
+    jumped_alone,
     latched,
     unseen,
     watch_jump,
@@ -41,6 +43,9 @@ _NO_ACCIDENT = math.log(1e-9)
 """A run of equal samples that is less likely than this, by how often neighbours are equal."""
 _TURNS = 0.9
 """The most that may be known of how often noise turns back; white noise does at two of three."""
+_WHITE_TURNS, _MOSTLY_NOISE = 2.0 / 3.0, 0.4
+_EQUAL_NOISE = 0.03
+"""The least that is taken for how often two samples of noise are equal."""
 _SPREAD_MEMORY_MS, _FIRST_SPREAD = 512.0, 1.0
 _TOLD_S, _EDGE_S, _WINDOW_S = 0.2, 0.002, 0.010
 _BRIDGED_S = 0.018
@@ -71,13 +76,17 @@ class Watch:
     still: Annotated[Ints, COUNT]
     change: Annotated[Floats, COUNT]
     turns: Annotated[Floats, COUNT]
+    equals: Annotated[Floats, COUNT]
     rested: Annotated[Ints, COUNT]
+    # How likely a run of equal samples as long as this one is (a logarithm).
+    chance: Annotated[Floats, COUNT]
     frozen: Annotated[Ints, COUNT]
     refused: Annotated[Ints, COUNT]
     moving: int
     # Aligned T_1m, less what is unexplained of it, and speed of the last steps.
     torque: Annotated[Floats, RING]
     speed: Annotated[Floats, RING]
+    bend: Annotated[Floats, RING]
     steps: int
     # Steps without inputs until now, or without a torque that was seen; its slope before them.
     hole: int
@@ -91,14 +100,18 @@ class Watch:
     missed: int
     told: int
     quiet: int
-    # For how many steps more the torque may be wrong since nobody looked; whether that is now.
+    # For how many steps more the torque may be wrong since nobody looked; whether that is now;
+    # whether it is since a start, which a recording is not asked to wait for.
     unsure: int
     missed_now: int
+    started: int
     # Angle less the speed's path, and what scales its tolerance; the angle of the step before.
     slip: float
     path: float
     gain: float
     angle: float
+    # The angle's way less the speed's, summed: a speed that leaves its own course bends it.
+    apart: Annotated[Floats, RING]
 
 
 WATCH = record_of(Watch)
@@ -125,6 +138,7 @@ class Limits(NamedTuple):
     edge: int
     hinge: Floats
     hinge_noise: float
+    bend_noise: float
     due_noise: float
     spread_memory: float
     leak: float
@@ -137,6 +151,7 @@ def new_watch() -> Records:
     """Nothing seen yet."""
     watch = np.zeros(1, WATCH)
     watch["spread"], watch["repeats"] = _FIRST_SPREAD, 1.0
+    watch["missed_now"] = watch["started"] = 1
     return watch
 
 
@@ -148,11 +163,11 @@ def watch_anew(watch: Records) -> None:
     """Nothing seen yet, after a jump of time; what is of the rig's signals stays known."""
     w = watch[0]
     spread, repeats, learnt = w.spread, w.repeats.copy(), w.learnt.copy()
-    turns, rested = w.turns.copy(), w.rested.copy()
+    turns, equals, rested = w.turns.copy(), w.equals.copy(), w.rested.copy()
     watch[0] = _NEW[0]
     w.spread, w.repeats[:], w.learnt[:] = spread, repeats, learnt
-    w.turns[:], w.rested[:] = turns, rested
-    w.missed_now = 1
+    w.turns[:], w.equals[:], w.rested[:] = turns, equals, rested
+    w.started = 0
 
 
 def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Limits:
@@ -184,6 +199,7 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
         edge=max(round(_EDGE_S / step_s), 1),
         hinge=hinge(window),
         hinge_noise=float(np.sum(hinge(window) ** 2)),
+        bend_noise=bend_noise(hinge(window)),
         due_noise=due_noise(window, step_s, 1.0 / model.inertia_kg_m2),
         spread_memory=step_ms / _SPREAD_MEMORY_MS,
         leak=_LEAK_PER_MS**step_ms,
@@ -206,45 +222,65 @@ def judge_sample(watch: Records, p: Limits, i: int, t: int, v: float) -> float:
         return math.nan
     if not 0 < since < _CONTINUOUS_NS:
         w.same[i] = w.still[i] = w.frozen[i] = 0
-        w.change[i] = 0.0
+        w.change[i] = w.chance[i] = 0.0
         return v
     if abs(v - before) > p.rate[i] * max(since * 1e-9, p.step_s):
         w.refused[i] = _RATE
         return math.nan
-    equal = v == before
-    if not equal:
+    if v != before:
+        _learn_rest(w, i, v - before)
         w.same[i] = 0
     elif w.moving:
         w.same[i] += 1
+    else:
+        w.still[i] += 1
     if w.moving and w.same[i] < p.frozen_samples:
         w.learnt[i] = min(w.learnt[i] + 1, _REPEATS_MEMORY)
-        w.repeats[i] += ((1.0 if equal else 0.0) - w.repeats[i]) / w.learnt[i]
-    chance = w.same[i] * math.log(max(w.repeats[i], 1e-3))
-    known = w.learnt[i] >= _LEARNT and v != 0.0
-    stands = known and w.same[i] >= p.frozen_samples and chance < _NO_ACCIDENT
-    rests = _stands_at_rest(w, p, i, v - before) and v != 0.0
-    w.frozen[i] = 1 if stands or rests else 0
+        w.repeats[i] += ((1.0 if v == before else 0.0) - w.repeats[i]) / w.learnt[i]
+    _judge_frozen(w, p, i, v != 0.0)
     return v
 
 
 @njit
-def _stands_at_rest(w: Watch, p: Limits, i: int, change: float) -> bool:
-    """Whether the noise that signal ``i`` has at rest is gone for too long to be an accident.
+def _judge_frozen(w: Watch, p: Limits, i: int, on: bool) -> None:
+    """Whether signal ``i`` stands still, by how likely its run of equal samples is an accident.
 
-    Noise turns back at every other sample. A quantised signal without noise stands still with the
+    Both torques may stand still together, and while the rotor moves and rests: where a signal is
+    noise in motion and at rest, all that counts together.
+    """
+    moved, rested, noise = 0.0, 0.0, False
+    if on and w.learnt[i] >= _LEARNT:
+        moved = w.same[i] * math.log(max(w.repeats[i], 1e-3))
+    if on and w.rested[i] >= _LEARNT:
+        turns = min(w.turns[i], _TURNS)
+        equal = 1.0 - turns
+        noise = turns > _MOSTLY_NOISE and i <= _SENSOR
+        if noise:  # what is equal there is so for all its noise
+            equal = min(equal, max(w.equals[i] * _WHITE_TURNS / turns, _EQUAL_NOISE))
+        rested = w.still[i] * math.log(equal)
+    w.chance[i] = moved + rested if noise else moved
+    long = w.same[i] + w.still[i] >= p.frozen_samples
+    w.frozen[i] = 1 if long and min(w.chance[i], rested) < _NO_ACCIDENT else 0
+    other = _SENSOR - i
+    if i <= _SENSOR and long and w.same[other] + w.still[other] >= p.frozen_samples:
+        both = w.chance[_TORQUE] + w.chance[_SENSOR]
+        w.frozen[i] = 1 if w.frozen[i] or both < _NO_ACCIDENT else 0
+
+
+@njit
+def _learn_rest(w: Watch, i: int, change: float) -> None:
+    """How often signal ``i`` turns back at rest, and how often it repeats itself there.
+
+    Noise turns back at two of three samples. A quantised signal without noise stands still with the
     rotor, and a creeping one goes one way: of these nothing is learnt that could be missed.
     """
-    if change == 0.0:
-        w.still[i] += 0 if w.moving else 1
-        chance = w.still[i] * math.log(1.0 - min(w.turns[i], _TURNS))
-        return w.rested[i] >= _LEARNT and w.still[i] >= p.frozen_samples and chance < _NO_ACCIDENT
     if not w.moving and not w.frozen[i]:
         n = min(w.still[i] + 1, _REPEATS_MEMORY)
         w.rested[i] = min(w.rested[i] + n, _REPEATS_MEMORY)
         turned = 1.0 if change * w.change[i] < 0.0 else 0.0
         w.turns[i] += (turned / n - w.turns[i]) * n / w.rested[i]
+        w.equals[i] += ((n - 1.0) / n - w.equals[i]) * n / w.rested[i]
     w.still[i], w.change[i] = 0, change
-    return False
 
 
 @njit
@@ -277,7 +313,10 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     watch_jump(w, p, u)
     reason |= latched(w, p)
     now = w.told > 0
-    if p.angle_seen and _angle_off(w, p, u, before):
+    off = p.angle_seen and _angle_off(w, p, u, before)
+    if p.angle_seen and jumped_alone(w, p, u):
+        w.stalled, w.missed, off = p.stalled_steps, 1, True
+    if off:
         reason |= _INCONSISTENT
         now = True
     for i in range(COUNT):
@@ -293,7 +332,9 @@ def _angle_off(w: Watch, p: Limits, u: Inputs, before: float) -> bool:
     """Whether the angle's way and the speed's differ by more than noise, gain and lag make."""
     speed = u.motor_speed_rad_s
     way = 0.5 * (speed + before) * p.step_s
-    w.slip = p.leak * w.slip + (u.motor_angle_rad - w.angle) - way
+    apart = (u.motor_angle_rad - w.angle) - way
+    w.apart[(w.steps - 1) % RING] = w.apart[(w.steps - 2) % RING] + apart
+    w.slip = p.leak * w.slip + apart
     w.path = p.leak * w.path + way
     w.gain = p.leak * w.gain + (speed - before)
     w.angle = u.motor_angle_rad

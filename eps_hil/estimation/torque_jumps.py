@@ -23,10 +23,12 @@ _INCONSISTENT, _SETTLING = int(Reason.INCONSISTENT), int(Reason.SETTLING)
 _FOLLOWS = 0.3
 """Share of what a torque jump should do to the speed, below which it was not there."""
 _CLIP, _LEAST_SPREAD = 6.6, 0.02**2
-_MOTION = 9.0
-"""A jump's own motion must exceed three deviations of what the load makes of the speed: load and
-friction bend its course too, but a torque that leaves its own at once is rare."""
+_MOTION = 4.0
+"""A jump's own motion must exceed two deviations of what the load makes of the speed: load and
+friction change its bend too, but a torque that leaves its own course at once is rare."""
 UNEXPLAINED_N = 50.0
+_SPEED_JUMP = 1.5
+"""A jump of the speed (rad/s) from one step to the next that is looked at."""
 _BACK = 0.4
 """Share of an unexplained torque that may be left when it has jumped back."""
 
@@ -43,6 +45,15 @@ def hinge(n: int) -> Floats:
     columns = np.stack([np.ones_like(t), t, np.maximum(t, 0.0)], axis=1)
     weights: Floats = n * np.linalg.pinv(columns)[2]
     return weights
+
+
+def bend_noise(weights: Floats) -> float:
+    """Variance of the bend (2n + 1 weights) less that of n steps before, for white noise of 1."""
+    n = len(weights) // 2
+    change = np.zeros(3 * n + 1)
+    change[n:] += weights
+    change[: 2 * n + 1] -= weights
+    return float(np.sum(change**2))
 
 
 def due_noise(n: int, step_s: float, inverse_inertia: float) -> float:
@@ -65,15 +76,20 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
     if k < 2 * n:
         return
     torque, speeds, weights = w.torque, w.speed, p.hinge
+    done = 0.0
+    for j in range(2 * n + 1):
+        done += weights[j] * speeds[(k - 2 * n + j) % RING]
+    w.bend[k % RING] = done
+    if k < 3 * n:
+        return
+    done -= w.bend[(k - n) % RING]  # the load goes on bending the course as it did
     base = torque[(k - n) % RING]
     slope = (base - torque[(k - 2 * n) % RING]) / n
-    edge, done = 0.0, 0.0
+    edge = 0.0
     for j in range(1, p.edge + 1):
         off = torque[(k - n + j) % RING] - base - j * slope
         edge = off if abs(off) > abs(edge) else edge
-    for j in range(2 * n + 1):
-        done += weights[j] * speeds[(k - 2 * n + j) % RING]
-    noise = p.hinge_noise * u.speed_noise + p.due_noise * u.drive_noise
+    noise = p.bend_noise * u.speed_noise + p.due_noise * u.drive_noise
     limit = max(p.jump * noise, _MOTION * w.spread)
     w.spread += p.spread_memory * (min(done * done, _CLIP * w.spread) - w.spread)
     w.spread = max(w.spread, _LEAST_SPREAD)
@@ -146,14 +162,16 @@ def unseen(w: "Watch", p: "Limits") -> int:
     """Settling while a torque may be wrong since a time at which nobody looked.
 
     Whatever began to be wrong in a hole of the inputs is not seen; only its end would be, and for
-    so long it is waited for.
+    so long it is waited for. After a start it is only not known which of both a jump is: who
+    begins amid traffic waits by himself (service/core.py), a recording begins before its faults.
     """
     if w.missed_now:
         w.unsure, w.missed_now = p.unsure_steps, 0
     if w.unsure == 0:
+        w.started = 0
         return 0
     w.unsure -= 1
-    return _SETTLING
+    return 0 if w.started else _SETTLING
 
 
 @njit
@@ -165,7 +183,7 @@ def blind(w: "Watch", p: "Limits", speed: float, refused: bool) -> None:
     w.speed[(w.steps + w.hole) % RING] = speed
     w.hole += 1
     if w.steps > 0 and (refused or w.hole > p.bridged):
-        w.missed_now = 1
+        w.missed_now, w.started = 1, 0
         w.steps, w.missed, w.hole = 0, 1, 0
 
 
@@ -196,8 +214,34 @@ def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
     slope = (u.motor_speed_rad_s - speed) / (missing + 1)
     for j in range(1, missing + 1):
         at = w.steps % RING
+        w.apart[at] = w.apart[(w.steps - 1) % RING]
         w.torque[at] = w.torque[(w.steps - 1) % RING] + w.slope_nm
         if not np.isfinite(w.speed[at]):
             w.speed[at] = speed + j * slope
         w.steps += 1
         watch_jump(w, p, u)
+
+
+@njit
+def jumped_alone(w: "Watch", p: "Limits", u: Inputs) -> bool:
+    """Whether the speed jumped ``window`` steps ago, and the angle did not go with it.
+
+    No load moves an inertia at once, but an impact nearly does; then the angle's slope changes by
+    as much. The sum of (dphi - omega dt) shows by its bend whether it did; a gain that is wrong
+    gives it a slope and no bend.
+    """
+    n, k = p.window, w.steps - 1
+    if k < 2 * n or n < 3:
+        return False
+    v, m = w.speed, k - n
+    jump = v[(m + 1) % RING] - v[m % RING]
+    course = v[m % RING] - v[(m - 1) % RING] + v[(m + 2) % RING] - v[(m + 1) % RING]
+    jump -= 0.5 * course
+    if jump * jump < max(2.5 * p.jump * u.speed_noise, _SPEED_JUMP**2):
+        return False
+    bend = 0.0
+    for j in range(2 * n + 1):
+        bend += p.hinge[j] * w.apart[(m - n + j) % RING]
+    due = jump * n * p.step_s
+    noise = p.jump * p.hinge_noise * u.angle_noise
+    return bool((bend + due) ** 2 < 0.25 * due * due and bend * bend > noise)

@@ -57,7 +57,9 @@ class RuntimeConfig:
     ``realtime``: ``auto`` takes real-time priority and locked memory where permitted,
     ``require`` ends without, ``off`` never asks. ``no_input_after_s``: silence of the sync frame
     after which status "no input" is published, every ``no_input_period_s``. ``reconnect_s``:
-    pause between attempts to open a lost bus again (``bus.reconnect``).
+    pause between attempts to open a lost bus again (``bus.reconnect``). ``start_wait_s``: for how
+    long the estimate is settling after a start amid traffic (with ``plausibility`` on): a torque
+    that was wrong or late before then shows it only where it ends.
     """
 
     realtime: Realtime = "auto"
@@ -65,6 +67,7 @@ class RuntimeConfig:
     no_input_after_s: Seconds = 0.02
     no_input_period_s: Seconds = 0.01
     reconnect_s: Seconds = 1.0
+    start_wait_s: Annotated[float, Field(ge=0, le=60)] = 0.75
 
 
 @with_config(_STRICT)

@@ -22,6 +22,9 @@ _FOREIGN_HOLD_NS = 1_000_000_000
 
 AGE_LIMIT_S = 0.02
 """By how much an estimate may be older than its look-back and be called valid."""
+AGE_DOUBT_N = 50.0
+"""By how much the force may change in the time by which frames wait, or the clock was set."""
+_LATE_NS = 1_500_000
 _SETTLING = Reason.SETTLING | Reason.FRICTION_UNKNOWN
 _NOT_SETTLING = ~int(_SETTLING)
 _STALE = int(Reason.STALE)
@@ -92,6 +95,36 @@ def aged(estimate: Estimate, age_ns: int, look_back_ns: int, limit_ns: int) -> E
     return estimate._replace(valid=False, reason=estimate.reason | Reason.STALE)
 
 
+class AgeDoubt:
+    """Whether the force may have changed by too much in the time that nobody is sure of.
+
+    Sync frames whose stamps are later than their counters make them were held up, or the clock was
+    set: the estimate's age is wrong by as much, until what was sampled then is out of the
+    ``look_back_ns``.
+    """
+
+    def __init__(self, look_back_ns: int) -> None:
+        self._look_back_ns = look_back_ns
+        self._late_ns, self._until_ns = 0, 0
+        self._t_ns, self._force_n, self._rate = 0, 0.0, 0.0
+
+    def stale(self, estimate: Estimate, receive_ns: int, sample_ns: int) -> bool:
+        """For each new estimate: whether its instant is too uncertain. N per ns inside."""
+        since = estimate.t_ns - self._t_ns
+        if since > 0:
+            rate = abs(estimate.rack_force_n - self._force_n) / since
+            self._rate = max(rate, 0.9 * self._rate) if since < 10 * _LATE_NS else 0.0
+            self._t_ns, self._force_n = estimate.t_ns, estimate.rack_force_n
+        elif since < 0:
+            self._t_ns, self._rate = 0, 0.0
+        late = receive_ns - sample_ns
+        if late > _LATE_NS and (late >= self._late_ns or receive_ns > self._until_ns):
+            self._late_ns, self._until_ns = late, receive_ns + self._look_back_ns
+        if not 0 <= self._until_ns - receive_ns <= self._look_back_ns:
+            self._late_ns = 0
+        return self._late_ns * self._rate > AGE_DOUBT_N
+
+
 def estimate_values(estimate: Estimate, status: Status, age_s: float) -> dict[str, float]:
     """Signals of ``EPSHIL_Estimate`` (force in N, torque in Nm, age in ms)."""
     return {
@@ -120,7 +153,8 @@ class ServiceCore:
     ``encoder`` None: nothing is ever returned (listen only). ``send_ids``: (id, extended) of
     everything the service sends; such a frame seen from the bus is another transmitter's.
     ``levels``: who looks after the friction levels of ``estimator``, where they may change.
-    ``age_limit_s``: see :func:`aged`.
+    ``age_limit_s``: see :func:`aged`. ``start_wait_s``: for how long after its first sync frame
+    it is settling: what is wrong with a torque since before then shows only where it ends.
     """
 
     def __init__(
@@ -131,6 +165,7 @@ class ServiceCore:
         send_ids: frozenset[tuple[int, bool]] = frozenset(),
         levels: FrictionLevelKeeper | None = None,
         age_limit_s: float = AGE_LIMIT_S,
+        start_wait_s: float = 0.0,
     ) -> None:
         self.decoder, self.estimator = decoder, estimator
         self.levels = levels
@@ -153,6 +188,9 @@ class ServiceCore:
         self._foreign_t_ns: int | None = None
         self._look_back_ns = round(estimator.latency_s * 1e9)
         self._age_limit_ns = round(age_limit_s * 1e9)
+        self._doubt = AgeDoubt(self._look_back_ns)
+        self._start_wait_ns = round(start_wait_s * 1e9)
+        self._started_ns: int | None = None
 
     def on_frames(
         self, frames: Sequence[Frame], now: Callable[[], int] | None = None
@@ -207,11 +245,24 @@ class ServiceCore:
             self.record.append((receive_ns, estimate))
         age_ns = receive_ns - estimate.t_ns
         estimate = aged(estimate, age_ns, self._look_back_ns, self._age_limit_ns)
+        if self._doubt.stale(estimate, receive_ns, sample_ns):
+            estimate = estimate._replace(valid=False, reason=estimate.reason | Reason.STALE)
+        if self._start_wait_ns:
+            estimate = self._waited(estimate, receive_ns)
         self.latest = estimate
         self.sync_t_ns = receive_ns
         self.steps += 1
         self.valid_steps += estimate.valid
         return receive_ns, estimate
+
+    def _waited(self, estimate: Estimate, receive_ns: int) -> Estimate:
+        """Settling for a while after the first sync frame; a clock that is set ends that."""
+        if self._started_ns is None:
+            self._started_ns = receive_ns
+        if 0 <= receive_ns - self._started_ns < self._start_wait_ns:
+            return estimate._replace(valid=False, reason=estimate.reason | Reason.SETTLING)
+        self._start_wait_ns = 0
+        return estimate
 
     def _published(
         self, receive_ns: int, estimate: Estimate, now: Callable[[], int] | None

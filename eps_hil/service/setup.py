@@ -102,7 +102,9 @@ def prepare(config: ServiceConfig, file: str | Path) -> Parts:
             )  # fmt: skip
     estimator = make_estimator(config, mapping, decoder, file)
     levels = _level_keeper(config, decoder, estimator, file)
-    core = ServiceCore(decoder, estimator, encoders[0], send_ids, levels)
+    judged = estimator.settings.plausibility.enabled
+    wait_s = config.service.start_wait_s if judged else 0.0
+    core = ServiceCore(decoder, estimator, encoders[0], send_ids, levels, start_wait_s=wait_s)
     sync_period_s = _sync_period_s(mapping, decoder)
     if config.service.no_input_after_s <= sync_period_s:
         raise InputError(

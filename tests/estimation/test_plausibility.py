@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from eps_hil.estimation.batch import estimate
+from eps_hil.estimation.plausibility import judge_sample, judge_step, limits_of, new_watch
 from eps_hil.estimation.settings import EstimatorSettings, PlausibilitySettings
+from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.stream import Trace
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.model import Model
@@ -263,3 +265,69 @@ def test_what_may_have_begun_in_a_hole_is_waited_for(
     assert np.count_nonzero(wrong) > 300
     assert not np.any(wrong & trace.valid)
     assert told(trace, SINCE + 700 + 1900, SINCE + 700 + 2900) == Reason.FINE
+
+
+def frozen_at(model: Model, torque: Any, sensor: Any) -> int:
+    """Sample at which either torque of a resting rotor is first told as frozen; -1: never."""
+    watch, limits = new_watch(), limits_of(model, EstimatorSettings(), True)
+    for k in range(len(torque)):
+        judge_sample(watch, limits, 0, k * 10**6, torque[k])
+        judge_sample(watch, limits, 1, k * 10**6, sensor[k])
+        if np.any(watch["frozen"][0, :2]):
+            return k
+    return -1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_torques_that_repeat_themselves_at_rest_are_late(reference_model: Model, seed: int) -> None:
+    """Old values under new counters begin with one value again and again: ten are enough."""
+    rng = np.random.default_rng(seed)
+    torque, sensor = 0.3 + 5e-3 * rng.standard_normal((2, 1000))
+    torque[600:611], sensor[600:611] = torque[600], sensor[600]
+    assert 604 < frozen_at(reference_model, torque, sensor) <= 610
+
+
+def test_torques_without_noise_may_rest(reference_model: Model) -> None:
+    """A creeping load and a coarse signal: each change goes the same way as the one before."""
+    creep = np.round(np.cumsum(np.r_[np.full(400, 1e-3), np.zeros(600)]), 2)
+    assert frozen_at(reference_model, creep + 0.3, creep + 0.5) == -1
+
+
+def told_at(model: Model, torque: Any, speed: Any, angle: Any) -> int:
+    """Step at which motion and torque (n,) are first told not to fit; -1: never."""
+    limits, watch = limits_of(model, EstimatorSettings(), True), new_watch()
+    for k in range(len(speed)):
+        u = Inputs(torque[k], 0.0, speed[k], angle[k], 0.0, 1e-6, 1e-3, 1e-7)
+        if judge_step(watch, limits, u, True, 0)[1]:
+            return k
+    return -1
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.0, 1.2])
+@pytest.mark.parametrize("jump", [5.0, -3.0, 15.0])
+def test_a_speed_that_jumps_alone_is_told(reference_model: Model, jump: float, gain: float) -> None:
+    """At 30 rad/s, faster and faster; where the angle goes with the speed it was an impact."""
+    t = 1e-3 * np.arange(400)
+    true = 30.0 + 100.0 * t
+    angle = np.r_[0.0, np.cumsum(0.5 * (true[1:] + true[:-1]) * 1e-3)]
+    false = gain * true + jump * (t >= 0.2)
+    assert told_at(reference_model, 0.0 * t, gain * true, angle) == -1
+    assert 200 < told_at(reference_model, 0.0 * t, false, angle) <= 200 + 11
+    hit = true + jump * (t >= 0.2)
+    struck = np.r_[0.0, np.cumsum(0.5 * (hit[1:] + hit[:-1]) * 1e-3)]
+    assert told_at(reference_model, 0.0 * t, gain * hit, struck) == -1
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.7, 1.4, 2.1, 2.8])
+@pytest.mark.parametrize("offset_nm", [0.15, -0.15])
+def test_an_offset_on_a_swing_of_4_hz_is_told(
+    reference_model: Model, offset_nm: float, phase: float
+) -> None:
+    """The swing bends the speed's course by as much as the offset ought to, but steadily."""
+    t = 1e-3 * np.arange(1200)
+    swing = 2.0 * np.pi * 4.0
+    speed = 60.0 * np.sin(swing * t + phase)
+    angle = -60.0 / swing * np.cos(swing * t + phase)
+    torque = 0.3 * np.sin(swing * t)
+    assert told_at(reference_model, torque, speed, angle) == -1
+    assert 1000 < told_at(reference_model, torque + offset_nm * (t >= 1.0), speed, angle) < 1014

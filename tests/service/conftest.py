@@ -87,7 +87,7 @@ def config_text() -> str:
 dbc: [{ROOT}/dbc/eps_rig.dbc]
 signals: {ROOT}/configs/eps_rig_signals.yaml
 model: {ROOT}/configs/reference_rig.yaml
-service: {{realtime: off}}
+service: {{realtime: off, start_wait_s: 0}}
 """
 
 

@@ -15,7 +15,7 @@ from eps_hil.bus.frame import Frame
 from eps_hil.estimation.stream import SIGNALS, Estimate
 from eps_hil.estimation.validity import Reason
 from eps_hil.service.config import ServiceConfig
-from eps_hil.service.core import ServiceCore, Status, status_of
+from eps_hil.service.core import AgeDoubt, ServiceCore, Status, status_of
 from eps_hil.service.setup import Parts, prepare
 
 from .conftest import T0_NS, Receiver, TinyRig
@@ -47,6 +47,44 @@ def test_one_frame_a_millisecond_with_value_status_age_and_counter(
     assert [int(receiver.read(f)["Counter"]) for f in sent] == [k % 16 for k in range(400)]
     assert parts.core.steps == 400
     assert 200 < parts.core.valid_steps < 400
+
+
+def test_a_start_amid_traffic_is_waited_for(config: ServiceConfig, rig: TinyRig) -> None:
+    """A torque that was wrong or late before the service began shows it only where it ends."""
+    service = replace(config.service, start_wait_s=0.75)
+    waits = prepare(replace(config, service=service), CONFIG).core
+    at_once = fresh(config)
+    for k in range(900):
+        frames = rig.millisecond(k)
+        for core in (waits, at_once):
+            core.on_frames(frames)
+        assert waits.latest is not None
+        assert at_once.latest is not None
+        assert waits.latest.rack_force_n == at_once.latest.rack_force_n
+        assert waits.latest.valid == (at_once.latest.valid and k >= 750)
+        if 300 < k < 749:
+            assert waits.latest.reason == Reason.SETTLING
+    assert waits.latest == at_once.latest
+
+
+@pytest.mark.parametrize(
+    ("late_ms", "rate_n_per_ms", "told"),
+    [(5, 30.0, True), (5, 5.0, False), (1, 45.0, False), (0, 900.0, False)],
+)
+def test_an_age_that_nobody_knows_is_told_where_the_force_is_fast(
+    late_ms: int, rate_n_per_ms: float, told: bool
+) -> None:
+    """Frames waited, or the clock was set: until what was sampled then is out of the look-back."""
+    doubt, ms = AgeDoubt(22 * 10**6), 10**6
+    said = []
+    for k in range(200):
+        late = late_ms * ms if 100 <= k < 116 else 0
+        estimate = Estimate((k - 22) * ms, rate_n_per_ms * k, 0.0, True, Reason.FINE)
+        said.append(doubt.stale(estimate, k * ms + late, k * ms))
+    assert not any(said[:100])
+    assert all(said[100:130]) == told
+    assert not any(said[145:])
+    assert any(said) == told
 
 
 def test_settling_is_told_from_invalid(parts: Parts, rig: TinyRig, receiver: Receiver) -> None:
