@@ -77,10 +77,11 @@ def test_an_age_that_nobody_knows_is_told_where_the_force_is_fast(
     """Frames waited, or the clock was set: until what was sampled then is out of the look-back."""
     doubt, ms = AgeDoubt(22 * 10**6), 10**6
     said = []
-    for k in range(200):
-        late = late_ms * ms if 100 <= k < 116 else 0
-        estimate = Estimate((k - 22) * ms, rate_n_per_ms * k, 0.0, True, Reason.FINE)
-        said.append(doubt.stale(estimate, k * ms + late, k * ms))
+    for k in range(200):  # the clock is set at 100, and the samples' line begins anew at 116
+        receive = k + (late_ms if k >= 100 else 0)
+        sample = k + (late_ms if k >= 116 else 0)
+        estimate = Estimate((sample - 22) * ms, rate_n_per_ms * k, 0.0, True, Reason.FINE)
+        said.append(doubt.stale(estimate, receive * ms, sample * ms))
     assert not any(said[:100])
     assert all(said[100:130]) == told
     assert not any(said[145:])
