@@ -24,7 +24,7 @@ AGE_LIMIT_S = 0.02
 """By how much an estimate may be older than its look-back and be called valid."""
 AGE_DOUBT_N = 50.0
 """By how much the force may change in the time by which frames wait, or the clock was set."""
-_LATE_NS = 1_500_000
+_LATE_NS = 1_500_000  # a move of the line that counts
 _SETTLING = Reason.SETTLING | Reason.FRICTION_UNKNOWN
 _NOT_SETTLING = ~int(_SETTLING)
 _STALE = int(Reason.STALE)
@@ -98,14 +98,14 @@ def aged(estimate: Estimate, age_ns: int, look_back_ns: int, limit_ns: int) -> E
 class AgeDoubt:
     """Whether the force may have changed by too much in the time that nobody is sure of.
 
-    Sync frames whose stamps are later than their counters make them were held up, or the clock was
-    set: the estimate's age is wrong by as much, until what was sampled then is out of the
-    ``look_back_ns``.
+    Where the line of the samples' instants moves against the stamps, the clock was set or the
+    sender paused: the estimate's age is wrong by as much, until what was sampled before is out of
+    the ``look_back_ns``. Frames that only waited catch up, and move no line.
     """
 
     def __init__(self, look_back_ns: int) -> None:
         self._look_back_ns = look_back_ns
-        self._late_ns, self._until_ns = 0, 0
+        self._late_ns, self._moved_ns, self._until_ns = 0, 0, 0
         self._t_ns, self._force_n, self._rate = 0, 0.0, 0.0
 
     def stale(self, estimate: Estimate, receive_ns: int, sample_ns: int) -> bool:
@@ -117,12 +117,13 @@ class AgeDoubt:
             self._t_ns, self._force_n = estimate.t_ns, estimate.rack_force_n
         elif since < 0:
             self._t_ns, self._rate = 0, 0.0
-        late = receive_ns - sample_ns
-        if late > _LATE_NS and (late >= self._late_ns or receive_ns > self._until_ns):
-            self._late_ns, self._until_ns = late, receive_ns + self._look_back_ns
+        moved = self._late_ns - (receive_ns - sample_ns)
+        self._late_ns = receive_ns - sample_ns
+        if moved > _LATE_NS:
+            self._moved_ns, self._until_ns = moved, receive_ns + self._look_back_ns
         if not 0 <= self._until_ns - receive_ns <= self._look_back_ns:
-            self._late_ns = 0
-        return self._late_ns * self._rate > AGE_DOUBT_N
+            self._moved_ns = 0
+        return self._moved_ns * self._rate > AGE_DOUBT_N
 
 
 def estimate_values(estimate: Estimate, status: Status, age_s: float) -> dict[str, float]:

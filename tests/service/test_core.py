@@ -82,8 +82,8 @@ def test_an_age_that_nobody_knows_is_told_where_the_force_is_fast(
         sample = k + (late_ms if k >= 116 else 0)
         estimate = Estimate((sample - 22) * ms, rate_n_per_ms * k, 0.0, True, Reason.FINE)
         said.append(doubt.stale(estimate, receive * ms, sample * ms))
-    assert not any(said[:100])
-    assert all(said[100:130]) == told
+    assert not any(said[:116])
+    assert all(said[116:138]) == told
     assert not any(said[145:])
     assert any(said) == told
 
