@@ -78,8 +78,6 @@ class Watch:
     turns: Annotated[Floats, COUNT]
     equals: Annotated[Floats, COUNT]
     rested: Annotated[Ints, COUNT]
-    # How likely a run of equal samples as long as this one is (a logarithm).
-    chance: Annotated[Floats, COUNT]
     frozen: Annotated[Ints, COUNT]
     refused: Annotated[Ints, COUNT]
     moving: int
@@ -222,7 +220,7 @@ def judge_sample(watch: Records, p: Limits, i: int, t: int, v: float) -> float:
         return math.nan
     if not 0 < since < _CONTINUOUS_NS:
         w.same[i] = w.still[i] = w.frozen[i] = 0
-        w.change[i] = w.chance[i] = 0.0
+        w.change[i] = 0.0
         return v
     if abs(v - before) > p.rate[i] * max(since * 1e-9, p.step_s):
         w.refused[i] = _RATE
@@ -243,28 +241,17 @@ def judge_sample(watch: Records, p: Limits, i: int, t: int, v: float) -> float:
 
 @njit
 def _judge_frozen(w: Watch, p: Limits, i: int, on: bool) -> None:
-    """Whether signal ``i`` stands still, by how likely its run of equal samples is an accident.
-
-    Both torques may stand still together, and while the rotor moves and rests: where a signal is
-    noise in motion and at rest, all that counts together.
-    """
-    moved, rested, noise = 0.0, 0.0, False
-    if on and w.learnt[i] >= _LEARNT:
+    """Whether signal ``i`` stands still, by how likely its run of equal samples is an accident."""
+    moved, rested = 0.0, 0.0
+    if on and w.learnt[i] >= _LEARNT and w.same[i] >= p.frozen_samples:
         moved = w.same[i] * math.log(max(w.repeats[i], 1e-3))
-    if on and w.rested[i] >= _LEARNT:
+    if on and w.rested[i] >= _LEARNT and w.still[i] >= p.frozen_samples:
         turns = min(w.turns[i], _TURNS)
         equal = 1.0 - turns
-        noise = turns > _MOSTLY_NOISE and i <= _SENSOR
-        if noise:  # what is equal there is so for all its noise
+        if turns > _MOSTLY_NOISE and i <= _SENSOR:  # what is equal there is so for all its noise
             equal = min(equal, max(w.equals[i] * _WHITE_TURNS / turns, _EQUAL_NOISE))
         rested = w.still[i] * math.log(equal)
-    w.chance[i] = moved + rested if noise else moved
-    long = w.same[i] + w.still[i] >= p.frozen_samples
-    w.frozen[i] = 1 if long and min(w.chance[i], rested) < _NO_ACCIDENT else 0
-    other = _SENSOR - i
-    if i <= _SENSOR and long and w.same[other] + w.still[other] >= p.frozen_samples:
-        both = w.chance[_TORQUE] + w.chance[_SENSOR]
-        w.frozen[i] = 1 if w.frozen[i] or both < _NO_ACCIDENT else 0
+    w.frozen[i] = 1 if min(moved, rested) < _NO_ACCIDENT else 0
 
 
 @njit

@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, concealed: Case) -> Path:
     (place / "service.yaml").write_text(
         f"bus: {{interface: virtual, channel: loop-test}}\n"
         f"dbc: [{ROOT}/dbc/eps_rig.dbc]\nsignals: {ROOT}/configs/eps_rig_signals.yaml\n"
-        "model: model.yaml\n"
+        "model: model.yaml\nservice: {start_wait_s: 0}\n"
     )
     return place
 

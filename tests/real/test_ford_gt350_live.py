@@ -65,7 +65,9 @@ def test_foreign_traffic_is_no_second_transmitter(frames: list[Frame]) -> None:
 def test_the_service_publishes_kilonewtons_while_the_log_plays(frames: list[Frame]) -> None:
     """Four strokes at the log's own pace on a bus in this process, estimates read off the bus."""
     bus = BusConfig("virtual", "ford_gt350")
-    config = replace(load_config(CONFIG), bus=bus, service=RuntimeConfig(realtime="off"))
+    config = replace(
+        load_config(CONFIG), bus=bus, service=RuntimeConfig(realtime="off", start_wait_s=0.0)
+    )
     parts = prepare(config, CONFIG)
     parts.estimator.warm_up()
     begin_ns = frames[0].t_ns + 2_500_000_000

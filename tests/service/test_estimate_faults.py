@@ -68,6 +68,7 @@ def test_without_the_crc_check_the_judge_finds_fault(
 def test_without_a_look_at_the_data_a_second_ecu_is_found(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(World, "copy", _that_believes_values)
     monkeypatch.setattr(Seen, "again", lambda self, t_ns, counter, data: None)
     monkeypatch.setattr(
         SampleClock, "_early", lambda self, *frame: self._restart(*frame, frame[1] - frame[0].stamp)
