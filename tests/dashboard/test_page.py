@@ -121,7 +121,7 @@ def test_freeze_zoom_cursors_and_going_on(live: Live, open_page: Make) -> None:
     page.mouse.down()
     page.mouse.move(box["x"] + 0.75 * box["width"], middle, steps=5)
     page.mouse.up()
-    page.wait_for_function("document.querySelectorAll('.u-over').length > 0")
+    page.wait_for_function("Math.abs(document.documentElement.dataset.seconds - 5.0) < 0.1")
     page.mouse.click(box["x"] + 0.3 * box["width"], middle)
     page.keyboard.down("Shift")
     page.mouse.click(box["x"] + 0.6 * box["width"], middle)

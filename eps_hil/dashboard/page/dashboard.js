@@ -200,6 +200,7 @@ function draw(now_ms) {
   words.readings(layout.traces, shown, a, b, clock);
   if (recorded) byId("at").textContent = `${clock(from)} … ${clock(to)} of ${short(layout.span[1] - layout.span[0])} s`;
   if (undrawn !== null) { say({ drawn: undrawn }); undrawn = null; }
+  document.documentElement.dataset.seconds = (to - from).toFixed(3); // of the window that is drawn
   document.documentElement.dataset.drawn = String(Number(document.documentElement.dataset.drawn || 0) + 1);
 }
 
