@@ -85,15 +85,18 @@ def prepared(
 
 
 def check_values(name: str, series: Mapping[str, Series]) -> None:
-    """:class:`RecordingError` for a motion that is told in too few values to be one."""
+    """:class:`RecordingError` for a motion that is told in too few values to be one.
+
+    A signal of one value rests; what that means is said where the motion is looked for.
+    """
     moving = [one for one in ("motor_speed_rad_s", "motor_angle_rad") if one in series]
     if not moving:
         return
     value = series[moving[0]].value
     different = len(np.unique(value[np.isfinite(value)]))
-    if different < FEWEST_VALUES:
+    if 1 < different < FEWEST_VALUES:
         problem = (
-            f"{moving[0]} takes {different} different value{'' if different == 1 else 's'} in "
+            f"{moving[0]} takes {different} different values in "
             f"{len(value)} samples: too few to tell a motion by; record it in finer steps, or "
             "more of the motion"
         )
