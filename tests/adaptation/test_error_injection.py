@@ -53,6 +53,7 @@ WIDE = ErrorInjectionSettings()
 
 
 @pytest.mark.parametrize("factors", [(0.6, 1.4), (1.4, 0.6)])
+@pytest.mark.slow
 def test_both_levels_are_found(
     reference_model: Model,
     scaled_levels: Any,

@@ -148,6 +148,7 @@ def test_a_zoom_is_a_span(recording: Path, zoom: str, capsys: pytest.CaptureFixt
     assert "FROM:TO" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_second_estimator_stands_beside_the_papers(recording: Path, tmp_path: Path) -> None:
     summary, figure = tmp_path / "c.json", tmp_path / "c.png"
     words = ["compare", str(recording), "--model", str(MODEL), "--second", "--json", str(summary)]

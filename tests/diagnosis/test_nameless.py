@@ -25,6 +25,7 @@ def series_of(columns: Mapping[str, Floats]) -> dict[str, Series]:
     return {name: Series(t_ns, values) for name, values in columns.items() if name != "time_s"}
 
 
+@pytest.mark.slow
 def test_a_loss_that_looks_like_a_ratio_is_modelled(reference_model: Model) -> None:
     """Dead time of an inverter: the balance wants another ratio, which is measured to be right."""
     content = diagnosed(reference_model, "alien_dead_time").content

@@ -170,6 +170,7 @@ def test_every_finding_that_is_listed_is_judged_on_the_heldout_record(
         assert " Nm" not in finding["summary"]
 
 
+@pytest.mark.slow
 def test_the_free_run_scores_as_it_is_told(proof: dict[str, Any], folder: Path) -> None:
     """By the benchmark's own rule, from the file alone: position, after the first 20 samples."""
     from scipy.io import loadmat

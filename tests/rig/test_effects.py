@@ -269,6 +269,7 @@ def test_the_rig_on_a_bus_has_the_effect(tmp_path: Path, config_file: Path) -> N
     assert any("effects: torque_sensor_offset" in line for line in said)
 
 
+@pytest.mark.slow
 def test_frames_are_lost_as_often_as_told(tmp_path: Path, config_file: Path) -> None:
     lossy = {"effect": "dropped_frames", "count": 300, "signal": "motor_speed_rad_s"}
     plain = RigSimulation(load_rig_setup(config_file))

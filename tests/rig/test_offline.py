@@ -70,7 +70,15 @@ def test_equation_1d_holds_for_the_five_masses_below_their_resonances(
 
 
 @pytest.mark.parametrize(
-    "name", ["constant_speed_preload", "demo", "dwell", "multisine", "steps", "weave"]
+    "name",
+    [
+        pytest.param("constant_speed_preload", marks=pytest.mark.slow),
+        "demo",
+        "dwell",
+        "multisine",
+        "steps",
+        "weave",
+    ],
 )
 def test_every_manoeuvre_stays_within_the_travel_and_the_ranges_of_the_bus(
     name: str, quiet: Quiet
@@ -103,6 +111,7 @@ def test_the_dwells_rest_and_break_away(quiet: Quiet) -> None:
             assert speed[-300:].max() < 0.5
 
 
+@pytest.mark.slow
 def test_the_robot_holds_its_speed(model: Model, quiet: Quiet) -> None:
     """Figs 4 and 7: at constant speed the torque sensor reads the friction."""
     truth = quiet("constant_speed_preload")
