@@ -89,9 +89,13 @@ def _missing() -> str:
     return "" if Path(CHROMIUM).exists() else "there is no Chromium (apt-get install chromium)"
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
-    """The browser; where there is none the test is skipped, or fails if that is forbidden."""
+    """The browser; where there is none the test is skipped, or fails if that is forbidden.
+
+    Ended with the file: playwright's loop runs in this thread until then, and no ``asyncio.run``
+    of another test could.
+    """
     if missing := _missing():
         said = f"THE PAGE WAS NOT TESTED: {missing}"
         if os.environ.get("EPS_HIL_REQUIRE_CHROMIUM") == "1":
