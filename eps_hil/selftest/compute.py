@@ -84,7 +84,7 @@ class Pauses:
 
 
 def collections() -> Pauses:
-    """Measured in this process, which is left as it was."""
+    """Measured in this process, whose heap is unfrozen again afterwards."""
     gc.collect()
     before_ms = min(_collection_ms() for _ in range(3))
     gc.freeze()

@@ -1,1 +1,1 @@
-"""Whether recordings that took no part bear it out: before and after, ablations, placebos."""
+"""Whether recordings that took no part confirm it: before and after, ablations, placebos."""

@@ -60,7 +60,7 @@ def refined_by_simulation(
 ) -> Model:
     """``model`` with learnt sizes (and ``own`` numbers) refined.
 
-    Itself where the balance leaves nothing but noise, and where hold-outs do not bear it out.
+    Itself where the balance leaves nothing but noise, and where hold-outs do not confirm it.
     """
     left = problem.residual(model)[problem.sliding]
     if float(np.mean(left**2)) < CLEARLY**2:  # nothing but noise is left: likelihood has its say

@@ -30,7 +30,7 @@ def standing(
     """Places of the findings without those that the hold-outs are better off without.
 
     One at a time, the worst first; the others are refitted once it has gone. None where all that is
-    left together does worse than the model as it was given.
+    left together does worse than the baseline.
     """
     left = refitted(problem, selection, findings)
     while left:

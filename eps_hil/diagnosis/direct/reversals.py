@@ -27,7 +27,7 @@ from eps_hil.physics.model import Model
 Integers = npt.NDArray[np.intp]
 
 FEWEST, FEWEST_KEPT = 20, 8
-"""Reversals that an answer needs, and that a hold-out needs to bear it out."""
+"""Reversals that an answer needs, and that a hold-out needs to confirm it."""
 HALF_WINDOW_S = 0.12
 LONGEST_INTERVAL_S = 2e-3
 """Between samples: a reversal is over in ten to thirty milliseconds."""
