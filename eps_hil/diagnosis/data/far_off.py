@@ -2,8 +2,9 @@
 
 No physics does that, and nothing sensible can be said beside it. Below 3 Hz the torques of a drive
 add up by a rough linear balance, and the rack goes with the rotor; where they do not as recorded,
-but do with one channel moved by a tenth of a second or more, that channel is named. In
-motion of one or two frequencies a channel that is off looks like spring and damper: it is not told.
+but do with one channel moved by a tenth of a second or more, and so that each half of the recording
+follows from the other, that channel is named. In motion of one or two frequencies a channel that is
+off looks like spring and damper: it is not told.
 """
 
 from collections.abc import Sequence
@@ -23,6 +24,8 @@ FARTHEST_S, NEAREST_S = 5.0, 0.1
 UNEXPLAINED, EXPLAINED, BETTER = 0.1, 0.05, 0.2
 """Shares of the variance: more is left as recorded, less with the channel moved; and of the former
 by the latter at most."""
+ELSEWHERE = 0.5
+"""Of what is left as recorded: more of either half, by the other half's fit, and it is chance."""
 _SHORTEST = 200
 _TURNS = 0.1
 """Of the usual speed, below which friction turns over."""
@@ -73,16 +76,22 @@ def _moved(
     inside = slice(most, n - most)
     fixed = np.column_stack([np.ones(n - 2 * most), *(c[inside] for c in motion)])
 
-    def left(k: int, by: int) -> float:
+    def rows(k: int, by: int) -> tuple[Floats, Floats]:
         moved = [c[inside] for c in channels]
         moved[k] = channels[k][most + by : n - most + by]
         target, *others = moved
-        variance = float(np.var(target))
-        columns = np.column_stack([fixed, *others])
-        size = np.sqrt(np.sum(columns**2, axis=0)) + 1e-300
-        found = np.linalg.lstsq(columns / size, target, rcond=1e-9)[0]
-        rest = float(np.mean((target - columns / size @ found) ** 2))
-        return rest / variance if variance > 0.0 else 0.0
+        return target, np.column_stack([fixed, *others])
+
+    def left(k: int, by: int) -> float:
+        target, columns = rows(k, by)
+        return _left(target, columns, slice(None), slice(None))
+
+    def left_elsewhere(k: int, by: int) -> float:
+        """Of either half by the other: a few free numbers explain a slow swing at some shift."""
+        target, columns = rows(k, by)
+        half = len(target) // 2
+        first, second = slice(None, half), slice(half, None)
+        return max(_left(target, columns, first, second), _left(target, columns, second, first))
 
     recorded = left(0, 0)
     if recorded < UNEXPLAINED:
@@ -94,4 +103,17 @@ def _moved(
         if abs(by) * step_s >= NEAREST_S
     ]
     best, k, by = min(tries)
-    return (names[k], by * step_s) if best < min(EXPLAINED, BETTER * recorded) else None
+    if best >= min(EXPLAINED, BETTER * recorded) or abs(by) == most:
+        return None
+    return (names[k], by * step_s) if left_elsewhere(k, by) < ELSEWHERE * recorded else None
+
+
+def _left(target: Floats, columns: Floats, fitted: slice, judged: slice) -> float:
+    """Share of the variance that a fit to some rows leaves of others."""
+    variance = float(np.var(target))
+    if variance <= 0.0:
+        return 0.0
+    size = np.sqrt(np.sum(columns**2, axis=0)) + 1e-300
+    found = np.linalg.lstsq(columns[fitted] / size, target[fitted], rcond=1e-9)[0]
+    rest = target[judged] - columns[judged] / size @ found
+    return float(np.mean(rest**2)) / variance

@@ -67,3 +67,14 @@ def test_a_model_that_lacks_most_of_the_torque_refuses_no_recording(
 ) -> None:
     plant = {other_rig.SPRING: 0.02, other_rig.SAT: 0.5, other_rig.STRIB: 0.1}
     check_channels(record(plant, ("sweep", "slow"), seconds=25.0), reference_model)
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4, 6, 11])
+def test_a_short_slow_recording_is_not_explained_by_a_shift(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any, seed: int
+) -> None:
+    """Ten seconds below 0.2 Hz follow from a few numbers at some shift or other."""
+    plant = {other_rig.STRIB: 0.06, other_rig.STRIB_W: 10.0}
+    made = other_rig.record(other_rig.Effects(plant), "slow", seed, 1.0, 20.0)
+    t_ns = np.round(made.pop("time_s") * 1e9).astype(np.int64)
+    check_channels({"r": {name: Series(t_ns, one) for name, one in made.items()}}, reference_model)
