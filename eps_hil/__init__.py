@@ -15,14 +15,22 @@ from typing import TYPE_CHECKING, Any
 from eps_hil.version import VERSION as __version__
 
 if TYPE_CHECKING:
-    from eps_hil.api.jobs import compare, diagnose, estimate, identify, load, simulate
+    from eps_hil.api.jobs import changes, compare, diagnose, estimate, identify, load, simulate
     from eps_hil.api.recording import Recording
     from eps_hil.api.results import Comparison, Diagnosis, Estimate, Identification, Simulation
     from eps_hil.errors import EpsHilError, InputError
     from eps_hil.physics.model import Model
 
 _PLACES = {
-    "eps_hil.api.jobs": ("compare", "diagnose", "estimate", "identify", "load", "simulate"),
+    "eps_hil.api.jobs": (
+        "changes",
+        "compare",
+        "diagnose",
+        "estimate",
+        "identify",
+        "load",
+        "simulate",
+    ),
     "eps_hil.api.recording": ("Recording",),
     "eps_hil.api.results": (
         "Comparison",
@@ -47,6 +55,7 @@ __all__ = [
     "Recording",
     "Simulation",
     "__version__",
+    "changes",
     "compare",
     "diagnose",
     "estimate",

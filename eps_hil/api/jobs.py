@@ -1,4 +1,4 @@
-"""The jobs of a program: load, estimate, simulate, identify, diagnose, compare."""
+"""The jobs of a program: load, estimate, simulate, identify, diagnose, changes, compare."""
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -119,6 +119,24 @@ def diagnose(
         raise InputError(error.recording, "", str(error)) from None
     except ValueError as error:
         raise InputError(", ".join(together), "", str(error)) from None
+
+
+def changes(before: Sources, after: Sources, model: Rig) -> Diagnosis:
+    """What the rig does in the recordings ``after`` that it did not do ``before``.
+
+    The diagnosis of the second state against all that was found in the first; each finding of its
+    ``content`` holds ``change``. :class:`InputError` where a recording lacks what it needs.
+    """
+    from eps_hil.diagnosis.changes import changes as run
+    from eps_hil.diagnosis.data.intake import RecordingError
+
+    first, second = _by_name(_recordings(before)), _by_name(_recordings(after))
+    try:
+        return Diagnosis(run(_model(model), first, second).after)
+    except RecordingError as error:
+        raise InputError(error.recording, "", str(error)) from None
+    except ValueError as error:
+        raise InputError(", ".join([*first, *second]), "", str(error)) from None
 
 
 def compare(

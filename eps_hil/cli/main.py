@@ -42,7 +42,7 @@ for _file in pkgutil.iter_modules(cli.__path__):
 
 INTERRUPTED = 130
 """Status after Ctrl-C, as a shell gives it."""
-SEVERAL = ("--recording", "--holdout", "--simulation")
+SEVERAL = ("--recording", "--holdout", "--simulation", "--before", "--after")
 """Options that several files may follow (CONTRACT 6)."""
 
 

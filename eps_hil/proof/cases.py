@@ -67,10 +67,10 @@ def make(plan: Plan) -> Case:
     rng = np.random.default_rng([plan.seed, KINDS.index(plan.kind)])
     *train, last = programme(plan.programme, rng)
     world = _with_decoy(World(plan.simple), plan.decoy, rng)
-    noise = _noise(world, train, rng)
-    form = _measure(world, train, noise)
+    noise = usual_noise(world, train, rng)
+    form = measure(world, train, noise)
     same_form = replace(world, simple=True)
-    base = _measure(same_form, train, noise)
+    base = measure(same_form, train, noise)
 
     def ground(effect: HiddenEffect) -> tuple[World, Strength]:
         # the model file's own form, so that what the form leaves over is no part of a strength
@@ -80,7 +80,7 @@ def make(plan: Plan) -> Case:
     hidden = []
     for name, ratio in plan.wanted:
         effect = find(name)
-        hidden.append(_hide(*ground(effect), effect, ratio, train, rng, raw=raw or effect.free))
+        hidden.append(hide(*ground(effect), effect, ratio, train, rng, raw=raw or effect.free))
     drive = world.drive
     judge = ground(hidden[-1].effect)[0] if hidden else world
     last, kept = _judging(plan, judge, hidden, last, noise, rng)
@@ -88,9 +88,9 @@ def make(plan: Plan) -> Case:
     def again(one: _Hidden) -> Strength:
         plain, without = ground(one.effect)
         changed = one.effect.apply(plain, one.strength, one.shape)
-        return _beyond(_measure(changed, train, noise), without)
+        return _beyond(measure(changed, train, noise), without)
 
-    bare = _clean(world, last)
+    bare = noiseless(world, last)
     world, hidden, truth = _with_hidden(world, hidden, (*train, last), again)
     clean = [_seen(world, one) for one in truth]
     noisy = [measured(one, world.instruments, rng) for one in clean]
@@ -152,7 +152,7 @@ def _judging(
         ratio, truth = 0.0, changed.run(last)
         # one that runs away on this drive judges nothing
         if np.max(np.abs(truth["motor_speed_rad_s"])) < _RUNAWAY_RAD_S:
-            base = _measure(world, [last], noise_nm)
+            base = measure(world, [last], noise_nm)
             found = strength(Drive(), [_seen(changed, truth)], noise_nm)
             found = _beyond(found, base)
             ratio = found.raw_ratio if asked.raw else found.ratio
@@ -170,7 +170,8 @@ def _oracle(drive: Drive, hidden: Sequence["_Hidden"]) -> str:
     return model_yaml(drive, known) if len(known) == len(entries) else ""
 
 
-def _clean(world: World, program: Floats) -> dict[str, Floats]:
+def noiseless(world: World, program: Floats) -> dict[str, Floats]:
+    """What the sensors would report of a programme if they had no noise."""
     return _seen(world, world.run(program))
 
 
@@ -181,16 +182,18 @@ def _seen(world: World, truth: Mapping[str, Floats]) -> dict[str, Floats]:
     return columns
 
 
-def _noise(world: World, train: Sequence[Floats], rng: np.random.Generator) -> float:
+def usual_noise(world: World, train: Sequence[Floats], rng: np.random.Generator) -> float:
+    """Rms (Nm at the rotor) that the sensors' noise leaves of the torque balance."""
     rms = []
     for program in train:
-        clean = _clean(world, program)
+        clean = noiseless(world, program)
         rms.append(noise_rms(Drive(), clean, measured(clean, world.instruments, rng)))
     return float(np.sqrt(np.mean(np.square(rms))))
 
 
-def _measure(world: World, train: Sequence[Floats], noise_nm: float) -> Strength:
-    return strength(Drive(), [_clean(world, program) for program in train], noise_nm)
+def measure(world: World, train: Sequence[Floats], noise_nm: float) -> Strength:
+    """What this world leaves of the nominal model, beside the noise."""
+    return strength(Drive(), [noiseless(world, program) for program in train], noise_nm)
 
 
 def _beyond(found: Strength, base: Strength) -> Strength:
@@ -202,7 +205,7 @@ def _beyond(found: Strength, base: Strength) -> Strength:
     )
 
 
-def _hide(
+def hide(
     world: World,
     base: Strength,
     effect: HiddenEffect,
@@ -222,7 +225,7 @@ def _hide(
     before: tuple[float, float] | None = None
     for _ in range(_ROUNDS):
         changed = effect.apply(world, sign * value, shape)
-        found = _beyond(_measure(changed, train, base.noise_nm), base)
+        found = _beyond(measure(changed, train, base.noise_nm), base)
         ratio = max(found.raw_ratio if raw else found.ratio, 1e-3)
         if abs(ratio - wanted) < 0.05 * wanted or (value == strong and ratio < wanted):
             break

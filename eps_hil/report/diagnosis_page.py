@@ -12,6 +12,7 @@ from typing import Any
 
 from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, score, threshold
 from eps_hil.diagnosis.balance.problem import term_of
+from eps_hil.diagnosis.changes import in_words
 from eps_hil.diagnosis.diagnose import Diagnosis
 from eps_hil.diagnosis.remainder.ceiling import left_by_trees
 from eps_hil.physics.effects.catalogue import catalogue
@@ -57,7 +58,7 @@ def render(diagnosis: Diagnosis, model_name: str) -> str:
     values = _values(diagnosis, plots)
     return page.fill(
         "diagnosis.html.jinja",
-        filters={"plain": plain, "titled": titled, "named": named},
+        filters={"plain": plain, "titled": titled, "named": named, "changed": in_words},
         model_name=model_name,
         **values,
         plots=[plot.content() for plot in plots],

@@ -1,0 +1,111 @@
+"""``eps-hil changes``: what differs between two states of one rig (CONTRACT 6)."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from eps_hil.cli._files import write_json
+from eps_hil.cli._inputs import ModelPath, Reading, progress, read_all, reads_recordings, stages
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("changes")(reads_recordings(changes))
+
+
+def changes(
+    model: ModelPath,
+    before: Annotated[
+        list[Path], typer.Option("--before", help="Recordings of the first state, one or more.")
+    ],
+    after: Annotated[
+        list[Path], typer.Option("--after", help="Recordings of the second state, one or more.")
+    ],
+    json: Annotated[Path | None, typer.Option("--json", help="The result as JSON.")] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="The second state as one HTML page, for people.")
+    ] = None,
+    write_model: Annotated[
+        Path | None, typer.Option("--write-model", help="Model file of the second state.")
+    ] = None,
+    *,
+    reading: Reading,
+) -> None:
+    """What does the rig do now that it did not do before?
+
+    Both states are diagnosed, the second one against all that was found in the first: friction,
+    effects of the catalogue, and what has no name. Only what the first recordings would have shown,
+    and do not, is a change. Of each state the last recording, or the last third of a single one, is
+    kept from the fit.
+    """
+    from eps_hil.diagnosis.changes import changes as run
+    from eps_hil.diagnosis.data.intake import RecordingError
+    from eps_hil.errors import InputError
+    from eps_hil.physics.model import dump_model, load_model
+    from eps_hil.recordings.files import check_writable, replacing
+
+    for path in (json, report, write_model):
+        if path:
+            check_writable(path)
+    if report:
+        from eps_hil.report import diagnosis_page, page
+
+        page.check("--report", "uplot")
+    rig = load_model(model)
+    for path in before:
+        if path in after:
+            raise InputError(path, "", "is both --before and --after", "two states are compared")
+    first, second = read_all(before, reading), read_all(after, reading)
+    with stages("aligning the recordings") as say:
+        try:
+            found = run(rig, first, second, say)
+        except RecordingError as error:
+            raise InputError(error.recording, "", str(error)) from None
+        except ValueError as error:
+            raise InputError(", ".join([*first, *second]), "", str(error)) from None
+    _say(found.after.content)
+    if json:
+        write_json(json, found.after.content)
+    if report:
+        with progress("drawing the page"):
+            diagnosis_page.write(found.after, report, f"{model} with what was there before")
+    if write_model:
+        with replacing(write_model) as temporary:
+            temporary.write_text(dump_model(found.after.model), encoding="utf-8")
+        typer.echo(f"model of the second state written to {write_model}")
+
+
+def _say(content: Mapping[str, Any]) -> None:
+    from eps_hil.diagnosis.changes import in_words
+    from eps_hil.physics.effects.catalogue import catalogue
+
+    known = [_named(one["effect"], catalogue()) for one in content["before"]["findings"]]
+    if known:
+        typer.echo(f"Beyond the model file, the first state has {', '.join(known)}.")
+    if content["findings"]:
+        typer.echo("What has changed:")
+    else:
+        typer.echo("Nothing has changed that these recordings could show.")
+    for one in content["findings"]:
+        typer.echo(f"  {_named(one['effect'], catalogue())} ({100 * one['confidence']:.0f} %), "
+                   f"{in_words(one['change'])}: {one['summary']}")  # fmt: skip
+        if one["confusable_with"]:
+            typer.echo(f"    could also be {', '.join(one['confusable_with'])}; "
+                       f"{one['next_experiment']}")  # fmt: skip
+    for limit in content["limits"]:
+        typer.echo(f"  note: {limit}")
+    holdout = content["fit"]["holdout"]
+    units = {"torque_nrmse": "", "speed_fit_percent": " %", "rack_force_rmse_n": " N"}
+    for name, unit in units.items():
+        if all(holdout[one].get(name) is not None for one in ("baseline", "augmented")):
+            before, after = (holdout[one][name] for one in ("baseline", "augmented"))
+            typer.echo(f"  second state's hold-outs, {name}: {before:.4g}{unit} as before, "
+                       f"{after:.4g}{unit} with the changes")  # fmt: skip
+    floor = holdout["noise_floor"]["torque_nrmse"]
+    typer.echo(f"  sensor noise alone: torque_nrmse {floor:.4g}")
+
+
+def _named(effect: str, known: Mapping[str, Any]) -> str:
+    return f"{known[effect].name} [{effect}]" if effect in known else effect

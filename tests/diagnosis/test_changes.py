@@ -1,0 +1,132 @@
+"""Two states of one rig of other code: what is new, gone, stronger; what is no change."""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.cli.main import main
+from eps_hil.diagnosis.changes import Changes, Share, changes, in_words
+from eps_hil.physics.model import Model, load_model
+
+MODEL = str(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
+
+
+@pytest.mark.parametrize(
+    ("share", "shown", "changed"),
+    [
+        (Share(0.0, 0.1, 0.1), True, True),
+        (Share(1.0, 0.1, 0.1), True, False),
+        (Share(0.8, 0.1, 0.1), True, False),
+        (Share(0.5, 0.2, 0.1), True, True),
+        (Share(0.0, np.inf, 0.1), False, False),
+        (Share(-0.2, 0.9, 0.1), False, False),
+    ],
+)
+def test_a_change_is_beyond_the_intervals_of_both_states(
+    share: Share, shown: bool, changed: bool
+) -> None:
+    assert share.shown is shown
+    assert share.changed is changed
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "words"),
+    [
+        ("new", None, "new"),
+        ("gone", 0.05, "gone"),
+        ("different", None, "different"),
+        ("stronger", 1.42, "stronger: 1.42 times what it was"),
+        ("weaker", 0.5, "weaker: 0.5 times what it was"),
+        ("weaker", -0.8, "other sign than before"),
+    ],
+)
+def test_a_change_in_words(kind: str, size: float | None, words: str) -> None:
+    assert in_words({"is": kind, "size_after": size}) == words
+
+
+def test_the_same_recording_in_both_states_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = tmp_path / "one.csv"
+    one.write_text("time_s\n0\n")
+    assert main(["changes", "--before", str(one), "--after", str(one), "--model", MODEL]) == 2
+    assert "one.csv: is both --before and --after" in capsys.readouterr().err
+
+
+def run(
+    record: Callable[..., Any],
+    model: Model,
+    before: Mapping[int, float],
+    after: Mapping[int, float],
+) -> Changes:
+    return changes(model, record(before, seed=3, seconds=20.0), record(after, seed=4, seconds=20.0))
+
+
+def told(found: Changes) -> list[tuple[str, str]]:
+    return [(one["effect"], one["change"]["is"]) for one in found.after.content["findings"]]
+
+
+@pytest.mark.slow
+def test_what_came_what_went_and_nothing(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    stribeck = {other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0}
+    came = run(record, reference_model, {}, stribeck)
+    assert told(came) == [("stribeck", "new")]
+    (finding,) = came.after.content["findings"]
+    assert finding["parameters"]["level_nm"]["value"] == pytest.approx(0.03, rel=0.05)
+    assert abs(finding["change"]["share_before"]["value"]) < 0.1
+    went = run(record, reference_model, stribeck, {})
+    assert told(went) == [("stribeck", "gone")]
+    assert went.before.content["findings"][0]["effect"] == "stribeck"
+    holdout = went.after.content["fit"]["holdout"]
+    assert holdout["augmented"]["torque_nrmse"] < 0.7 * holdout["baseline"]["torque_nrmse"]
+    same = run(record, reference_model, stribeck, stribeck)
+    assert told(same) == []
+    assert same.after.content["verdict"] == "no_mismatch"
+
+
+@pytest.mark.slow
+def test_an_effect_of_another_size_and_shape_says_how_much(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    small = {other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0}
+    large = {other_rig.STRIB: 0.06, other_rig.STRIB_W: 10.0}
+    found = run(record, reference_model, small, large)
+    assert told(found) == [("stribeck", "stronger")]
+    (finding,) = found.after.content["findings"]
+    assert finding["change"]["size_after"] == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.slow
+def test_the_verb_writes_json_page_and_the_model_of_the_second_state(
+    record: Callable[..., Any],
+    other_rig: Any,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    names = {}
+    for state, plant in (
+        ("before", {}),
+        ("after", {other_rig.STRIB: 0.04, other_rig.STRIB_W: 8.0}),
+    ):
+        series = record(plant, ("weave",), seed=len(state), seconds=30.0)[f"weave_{len(state)}"]
+        names[state] = tmp_path / f"{state}.csv"
+        first = next(iter(series.values()))
+        table = [first.t_ns * 1e-9, *(one.value for one in series.values())]
+        header = ",".join(["time_s", *series])
+        np.savetxt(names[state], np.column_stack(table), delimiter=",", header=header, comments="")
+    out, page, model = (tmp_path / one for one in ("out.json", "page.html", "after.yaml"))
+    words = ["changes", "--model", MODEL, "--before", str(names["before"])]
+    words += ["--after", str(names["after"]), "--json", str(out)]
+    assert main([*words, "--report", str(page), "--write-model", str(model)]) == 0
+    assert "Stribeck friction [stribeck]" in capsys.readouterr().out
+    content = json.loads(out.read_text())
+    assert content["before"]["verdict"] == "no_mismatch"
+    assert [one["change"]["is"] for one in content["findings"]] == ["new"]
+    assert "against the first state" in page.read_text()
+    assert [one["effect"] for one in load_model(model).effects] == ["stribeck"]
