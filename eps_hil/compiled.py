@@ -56,7 +56,7 @@ def _source_hash() -> str:
     digest = hashlib.sha256(numba.__version__.encode())
     for source in sorted(_PACKAGE.rglob("*.py")):
         text = source.read_bytes()
-        if b"njit" in text:
+        if b"eps_hil.compiled import" in text:
             digest.update(str(source.relative_to(_PACKAGE)).encode() + text)
     return digest.hexdigest()[:16]
 
@@ -114,16 +114,40 @@ def njit(
     ``error_model``: what a division by zero does; only "numpy" (an infinity, no exception) lets
     a loop with divisions run on several numbers at once.
     """
-    decorate: Any = numba.njit(
-        cache=FOLDER is not None, nogil=True, inline=inline, error_model=error_model
-    )
+    decorate = _decorator(inline=inline, error_model=error_model, _nrt=True)
+    return decorate if function is None else decorate(function)
+
+
+@overload
+def kernel(function: F, /) -> F: ...
+
+
+@overload
+def kernel(*, inline: Literal["never", "always"] = "never") -> Callable[[F], F]: ...
+
+
+def kernel(
+    function: F | None = None, /, *, inline: Literal["never", "always"] = "never"
+) -> F | Callable[[F], F]:
+    """As :func:`njit`, without counting references to arrays: for the hot path.
+
+    Such a function works on the arrays that it is given. It makes none (numba refuses to compile
+    it then) and must return none: nobody would own what it returns. What it calls is a kernel
+    too, or pays for its own counting.
+    """
+    decorate = _decorator(inline=inline, _nrt=False)
+    return decorate if function is None else decorate(function)
+
+
+def _decorator(**options: Any) -> Callable[[F], F]:
+    decorate: Any = numba.njit(cache=FOLDER is not None, nogil=True, **options)
 
     def decorated(function: F) -> F:
         with _cached_there(function):
             compiled: F = decorate(function)
         return compiled
 
-    return decorated if function is None else decorated(function)
+    return decorated
 
 
 def direct(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:

@@ -1,13 +1,23 @@
 """Where compiled functions are kept: the user's cache, else a private folder, else nowhere."""
 
+import importlib
 import json
 import os
+import pkgutil
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, get_args, get_origin
 
+import numba
+import numpy as np
+import numpy.typing as npt
 import pytest
+
+from eps_hil import estimation
+from eps_hil.compiled import kernel
+from eps_hil.physics import effects
 
 SOURCES = Path(__file__).parents[1] / "eps_hil"
 NOWHERE = "/proc/eps_hil"  # not even root makes a folder there
@@ -111,3 +121,33 @@ def test_no_folder_that_others_could_have_written_to(
 
 def test_it_compiles_where_nothing_can_be_written(read_only_install: Path) -> None:
     assert said_by(read_only_install)["folder"] == "None"
+
+
+def owns(kind: Any) -> bool:
+    """Whether a value of this type holds an array."""
+    inside = (*get_args(kind), *getattr(kind, "__annotations__", {}).values())
+    return get_origin(kind) is np.ndarray or any(owns(each) for each in inside)
+
+
+def test_a_kernel_returns_no_array() -> None:
+    """Nobody counts references there, so nobody would own what it returns."""
+    assert owns(tuple[int, npt.NDArray[np.float64]])
+    seen = 0
+    for package in (estimation, effects):
+        for found in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+            module = importlib.import_module(found.name)
+            for name, function in vars(module).items():
+                if getattr(function, "targetoptions", {}).get("_nrt") is False:
+                    returned = function.py_func.__annotations__["return"]
+                    assert not owns(returned), f"{found.name}.{name}"
+                    seen += 1
+    assert seen > 60
+
+
+def test_a_kernel_makes_no_array() -> None:
+    @kernel
+    def made(n: int) -> float:
+        return float(np.zeros(n)[0])
+
+    with pytest.raises(numba.core.errors.TypingError, match="zeros"):
+        made(3)

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import STEP_NS, STEP_S
@@ -25,7 +25,7 @@ Float64 = npt.NDArray[np.float64]
 Int64 = npt.NDArray[np.int64]
 
 
-@njit
+@kernel
 def _advance(m: Memory, timing: Timing, t: int, at: Int64, rows: Float64) -> int:
     """Read what is due by sync stamp ``t`` into ``at`` and ``rows``; how many."""
     if m.grid[1] == 0:

@@ -8,7 +8,7 @@ integer nanoseconds, so that a clock of seconds since 1970 loses nothing.
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation.validity import Reason
 
 RING = 512
@@ -22,7 +22,7 @@ Stamps = npt.NDArray[np.int64]
 Values = npt.NDArray[np.float64]
 
 
-@njit
+@kernel
 def push_sample(stamps: Stamps, values: Values, count: Stamps, i: int, t: int, v: float) -> bool:
     """Append to ring ``i``; False (and nothing stored) for a stamp that does not go forward."""
     n = count[i]
@@ -34,7 +34,7 @@ def push_sample(stamps: Stamps, values: Values, count: Stamps, i: int, t: int, v
     return True
 
 
-@njit
+@kernel
 def read_at(
     stamps: Stamps, values: Values, count: Stamps, i: int, t: int, stale: int, lost: int
 ) -> tuple[float, int]:
@@ -47,7 +47,7 @@ def read_at(
     return value, why
 
 
-@njit
+@kernel
 def read_between(
     stamps: Stamps, values: Values, count: Stamps, i: int, t: int, stale: int, lost: int
 ) -> tuple[float, int, int]:
@@ -75,7 +75,7 @@ def read_between(
     return value, (_GAP if t1 - t0 > stale else 0), t1 - t0
 
 
-@njit
+@kernel
 def learn_noise(
     stamps: Stamps, values: Values, n: int, i: int, known: Values, memory_ns: float
 ) -> None:
@@ -100,7 +100,7 @@ def learn_noise(
     known[i, 0] += (power - known[i, 0]) / known[i, 1]
 
 
-@njit
+@kernel
 def slope(
     stamps: Stamps, values: Values, count: Stamps, i: int, window: int
 ) -> tuple[bool, int, float]:

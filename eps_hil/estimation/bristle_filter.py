@@ -13,7 +13,7 @@ from typing import NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation.bristle_model import Step, transition
 from eps_hil.estimation.bristle_setup import (
     BRISTLE,
@@ -83,7 +83,7 @@ def physics_inside(
     )
 
 
-@njit
+@kernel
 def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: int) -> int:
     """One millisecond: updates belief and what is carried; returns the reason bits.
 
@@ -133,7 +133,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     return verdict(c, s) | beyond
 
 
-@njit
+@kernel
 def _follow_unknown(f: FilterConstants, law: FrictionLaw, b: Belief, s: Moment, u: Inputs) -> None:
     """The unknown part of the friction: what sliding, or what was learned, left of it."""
     sigma0 = law.sigma0_nm_per_rad
@@ -147,13 +147,13 @@ def _follow_unknown(f: FilterConstants, law: FrictionLaw, b: Belief, s: Moment, 
     s.speed, s.last_angle = u.motor_speed_rad_s, u.motor_angle_rad
 
 
-@njit
+@kernel
 def _slip_from(f: FilterConstants, b: Belief) -> float:
     """Speed (rad/s) from which the rotor is taken to slide."""
     return max(f.slip_least_rad_s, f.slip_sigma * math.sqrt(b.cov[OMEGA, OMEGA]))
 
 
-@njit
+@kernel
 def friction_nm(law: FrictionLaw, extra: Floats, mean: Floats) -> float:
     """T_f of eq. 2d and added torques (Nm) for a state; ``extra`` as in :class:`Belief`.
 
@@ -164,7 +164,7 @@ def friction_nm(law: FrictionLaw, extra: Floats, mean: Floats) -> float:
     return extra[1] + friction_torque_nm(mean[BRISTLE], mean[OMEGA], level, law)
 
 
-@njit
+@kernel
 def in_mid_travel(law: FrictionLaw, local: float) -> FrictionLaw:
     """The law for a force as it would be in mid travel, where dφ/dx is ``local`` of that there."""
     return FrictionLaw(
@@ -180,7 +180,7 @@ def in_mid_travel(law: FrictionLaw, local: float) -> FrictionLaw:
     )
 
 
-@njit
+@kernel
 def _law_in_use(law: FrictionLaw, r: Rig) -> FrictionLaw:
     """The friction law with what adaptation has added to k0± so far."""
     return FrictionLaw(
@@ -196,7 +196,7 @@ def _law_in_use(law: FrictionLaw, r: Rig) -> FrictionLaw:
     )
 
 
-@njit
+@kernel
 def _extra_level_nm(x: Physics, i: Instant, mean: Floats) -> float:
     """What added effects make of T_fs (Nm) at this state, beyond eq. 3."""
     if not x.use.level:
@@ -206,7 +206,7 @@ def _extra_level_nm(x: Physics, i: Instant, mean: Floats) -> float:
     return added.level_nm(x.effects, now, level) - level
 
 
-@njit
+@kernel
 def _start(
     c: Constants,
     f: FilterConstants,
@@ -248,7 +248,7 @@ def _start(
     s.running, s.settle_steps, s.held_steps = RUNS, max(c.settle_steps, f.lag), 0
 
 
-@njit
+@kernel
 def _predict(f: FilterConstants, law: FrictionLaw, b: Belief, s: Moment, torque: float) -> None:
     cov, a, t = b.cov, b.jacobian, b.scratch
     step = Step(torque, b.extra[0], _slip_from(f, b), s.held, f.gap_rad)
@@ -281,19 +281,21 @@ def _predict(f: FilterConstants, law: FrictionLaw, b: Belief, s: Moment, torque:
             for m in range(SIZE):
                 total += a[i, m] * b.ring_cov[k, m]
             t[0, i] = total
-        b.ring_cov[k, :] = t[0, :]
+        for i in range(SIZE):
+            b.ring_cov[k, i] = t[0, i]
     b.place[1] = 0
 
 
-@njit
+@kernel
 def _open(f: FilterConstants, b: Belief) -> None:
     """The present rack force enters the ring, in the place of the oldest."""
     at = b.place[0] % (f.lag + 1)
     b.ring[at] = b.mean[FORCE]
-    b.ring_cov[at, :] = b.cov[FORCE, :]
+    for i in range(SIZE):
+        b.ring_cov[at, i] = b.cov[FORCE, i]
 
 
-@njit
+@kernel
 def _correct(
     f: FilterConstants, b: Belief, which: int, i: int, measured: float, variance: float
 ) -> None:
@@ -316,7 +318,7 @@ def _correct(
             cov[m, j] = cov[j, m]
 
 
-@njit
+@kernel
 def _possible(b: Belief) -> bool:
     for i in range(SIZE):
         if not b.cov[i, i] >= 0.0:

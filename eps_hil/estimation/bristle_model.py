@@ -12,7 +12,7 @@ eq. 2a, the mean of z carries σ0, and (z⁺ − z)/Δt is the exact mean of ż 
 import math
 from typing import NamedTuple
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation.bristle_setup import BRISTLE, FORCE, OMEGA, PHI, RATE, Drive, Floats
 from eps_hil.physics.friction import SMALLEST_LEVEL_NM, FrictionLaw
 
@@ -36,7 +36,7 @@ class Step(NamedTuple):
     gap_rad: float
 
 
-@njit
+@kernel
 def _level(
     law: FrictionLaw, direction: float, speed: float, force: float, extra: float
 ) -> tuple[float, float, float]:
@@ -61,7 +61,7 @@ def _level(
     return level, viscous * sign, load * side
 
 
-@njit
+@kernel
 def _damping(law: FrictionLaw, speed: float) -> tuple[float, float]:
     """σ1 of eq. 2c (Nm s/rad) and its derivative by speed."""
     part = speed / law.sigma1_speed_rad_s
@@ -71,7 +71,7 @@ def _damping(law: FrictionLaw, speed: float) -> tuple[float, float]:
     return value, -2.0 * part / law.sigma1_speed_rad_s * value
 
 
-@njit
+@kernel
 def transition(  # noqa: PLR0915
     d: Drive, law: FrictionLaw, u: Step, x: Floats, jacobian: Floats
 ) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 import math
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation.gap import still_unknown
 from eps_hil.estimation.levels import adapted_level_nm, approach
 from eps_hil.estimation.setup import Constants, Inputs, Physics
@@ -19,7 +19,7 @@ CREEP_SIGMA = 3.0
 """Half width of the gap in which a resting rotor's angle is taken as noise."""
 
 
-@njit
+@kernel
 def instant_of(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> Instant:
     """What the physics is told of this millisecond; T_fs and effects need the load.
 
@@ -50,7 +50,7 @@ def instant_of(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> Instan
     return moved(i, i.speed_rad_s, i.position_m, s.local * load)
 
 
-@njit
+@kernel
 def drive_torque_nm(c: Constants, x: Physics, i: Instant, u: Inputs) -> float:
     """T_1m of eq. 1a (Nm, at the rotor), with what is known to be wrong with its two sensors."""
     motor, sensor = u.motor_torque_nm, u.torque_sensor_nm
@@ -61,7 +61,7 @@ def drive_torque_nm(c: Constants, x: Physics, i: Instant, u: Inputs) -> float:
     return motor + c.sensor_to_rotor * sensor
 
 
-@njit
+@kernel
 def friction_step(
     c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs, i: Instant, torque: float
 ) -> float:
@@ -99,7 +99,7 @@ def friction_step(
     return friction + added.torque_nm(x.effects, i, 0.0) if x.use.torque else friction
 
 
-@njit
+@kernel
 def moved(i: Instant, speed_rad_s: float, position_m: float, rack_force_n: float) -> Instant:
     """The same instant with another motion and load."""
     return Instant(
@@ -115,7 +115,7 @@ def moved(i: Instant, speed_rad_s: float, position_m: float, rack_force_n: float
     )
 
 
-@njit
+@kernel
 def _noise(c: Constants, variance: float, bend: float, known: float) -> float:
     """Variance of an input's white noise: the known one, else followed by second differences."""
     if known >= 0.0:
@@ -123,7 +123,7 @@ def _noise(c: Constants, variance: float, bend: float, known: float) -> float:
     return variance + c.noise_memory * (bend * bend / 6.0 - variance)
 
 
-@njit
+@kernel
 def _is_resting(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
     """Whether the observed speed is no more than the noise that is there would make it."""
     speed = u.motor_speed_rad_s
@@ -136,7 +136,7 @@ def _is_resting(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
     return c.use_dead_zone and abs(s.omega) < max(c.dead_zone, c.dead_zone_sigma * sigma)
 
 
-@njit
+@kernel
 def _follow(c: Constants, s: Moment, u: Inputs, travel: float, resting: bool) -> float:
     """How far the rotor went in this step, by speed and angle together.
 
@@ -164,7 +164,7 @@ def _follow(c: Constants, s: Moment, u: Inputs, travel: float, resting: bool) ->
     return kept
 
 
-@njit
+@kernel
 def _path(c: Constants, s: Moment, u: Inputs, resting: bool) -> tuple[float, float]:
     """Displacement of the step that bends the bristle, and the path that wears it down (rad).
 

@@ -8,7 +8,7 @@ hundredths of a radian of sliding are enough, and no time at rest is.
 
 import math
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation.setup import Constants, Inputs
 from eps_hil.estimation.state import NEVER_RAN, Moment
 from eps_hil.physics.friction import bristle_step
@@ -17,7 +17,7 @@ KNOWN_NM = 1e-6
 """Less than this is nothing, and costs no exponential."""
 
 
-@njit(inline="always")
+@kernel(inline="always")
 def still_unknown(unknown_nm: float, slip_rad: float, level_nm: float, sigma0: float) -> float:
     """What is unknown of the friction (Nm) after a path of ``slip_rad``."""
     if unknown_nm < KNOWN_NM or slip_rad == 0.0:
@@ -25,7 +25,7 @@ def still_unknown(unknown_nm: float, slip_rad: float, level_nm: float, sigma0: f
     return unknown_nm * math.exp(-slip_rad * sigma0 / level_nm)
 
 
-@njit
+@kernel
 def bridge(c: Constants, s: Moment, u: Inputs, level: float, most: float, sigma0: float) -> None:
     """Bristle and what is unknown of it as estimating begins, or begins again after held steps.
 

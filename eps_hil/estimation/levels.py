@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation.setup import Constants, Physics
 from eps_hil.estimation.state import Rig
 from eps_hil.physics.friction import SMALLEST_LEVEL_NM, static_level_nm
@@ -73,7 +73,7 @@ def queue_of(changes: Sequence[LevelChange], x: Physics) -> Queue:
     return queue
 
 
-@njit
+@kernel
 def enqueue(q: Queue, t: int, added_pos: float, added_neg: float) -> bool:
     """Let a change wait for grid point ``t``; False (and nothing changed) where the queue is full.
 
@@ -88,7 +88,7 @@ def enqueue(q: Queue, t: int, added_pos: float, added_neg: float) -> bool:
     return True
 
 
-@njit
+@kernel
 def hand_over(q: Queue, r: Rig, t: int) -> None:
     """Make everything that is due at grid point ``t`` the goal of the estimator's levels."""
     while q.filled[0] > 0 and q.due[0] <= t:
@@ -100,14 +100,14 @@ def hand_over(q: Queue, r: Rig, t: int) -> None:
         q.filled[0] = n
 
 
-@njit
+@kernel
 def approach(c: Constants, r: Rig) -> None:
     """Move the levels in use one step towards their goals."""
     r.added_pos += min(max(r.goal_pos - r.added_pos, -c.level_step), c.level_step)
     r.added_neg += min(max(r.goal_neg - r.added_neg, -c.level_step), c.level_step)
 
 
-@njit
+@kernel
 def adapted_level_nm(x: Physics, r: Rig, direction: float, load_n: float) -> float:
     """T_fs of eq. 3 with what adaptation has added to k0± so far."""
     added_nm = r.added_pos if direction >= 0.0 else r.added_neg

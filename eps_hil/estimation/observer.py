@@ -1,11 +1,11 @@
 """The linear disturbance observer at work: one predict-and-correct step (PAPER eq. 5 to 11)."""
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation.setup import Constants, Inputs
 from eps_hil.estimation.state import Moment
 
 
-@njit
+@kernel
 def observer_step(c: Constants, s: Moment, torque: float, u: Inputs) -> None:
     """Predict with the mean torque of the step, correct on the measured outputs (eq. 5 to 11)."""
     mean = 0.5 * (torque + s.torque)

@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel, njit
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.state import Records, record_of
@@ -207,7 +207,7 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
     )
 
 
-@njit
+@kernel
 def judge_sample(watch: Records, p: Limits, i: int, t: int, v: float) -> float:
     """The sample of signal ``i``, or NaN where it cannot be what it says."""
     if not p.on or not np.isfinite(v):
@@ -239,7 +239,7 @@ def judge_sample(watch: Records, p: Limits, i: int, t: int, v: float) -> float:
     return v
 
 
-@njit
+@kernel
 def _judge_frozen(w: Watch, p: Limits, i: int, on: bool) -> None:
     """Whether signal ``i`` stands still, by how likely its run of equal samples is an accident."""
     moved, rested = 0.0, 0.0
@@ -254,7 +254,7 @@ def _judge_frozen(w: Watch, p: Limits, i: int, on: bool) -> None:
     w.frozen[i] = 1 if min(moved, rested) < _NO_ACCIDENT else 0
 
 
-@njit
+@kernel
 def _learn_rest(w: Watch, i: int, change: float) -> None:
     """How often signal ``i`` turns back at rest, and how often it repeats itself there.
 
@@ -270,7 +270,7 @@ def _learn_rest(w: Watch, i: int, change: float) -> None:
     w.still[i], w.change[i] = 0, change
 
 
-@njit
+@kernel
 def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -> tuple[int, bool]:
     """Reason bits of signals that do not fit each other, and whether that is seen at this moment.
 
@@ -314,7 +314,7 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     return reason, now
 
 
-@njit
+@kernel
 def _angle_off(w: Watch, p: Limits, u: Inputs, before: float) -> bool:
     """Whether the angle's way and the speed's differ by more than noise, gain and lag make."""
     speed = u.motor_speed_rad_s

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation.compensation import drive_torque_nm, friction_step, instant_of
 from eps_hil.estimation.gap import bridge
 from eps_hil.estimation.levels import FrictionLevels, adapted_level_nm, levels_in_use
@@ -53,7 +53,7 @@ class Output(NamedTuple):
     reason: Reason
 
 
-@njit
+@kernel
 def start(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
     """Begin, or begin again after a gap, from the inputs of one instant."""
     law = x.law
@@ -87,7 +87,7 @@ def start(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
     s.running, s.settle_steps, s.held_steps = RUNS, c.settle_steps, 0
 
 
-@njit
+@kernel
 def estimator_step(c: Constants, x: Physics, e: Carried, u: Inputs, reason: int) -> int:
     """One millisecond: updates what is carried; returns the reason bits.
 
@@ -120,7 +120,7 @@ def estimator_step(c: Constants, x: Physics, e: Carried, u: Inputs, reason: int)
     return verdict(c, s) | beyond
 
 
-@njit
+@kernel
 def verdict(c: Constants, s: Moment) -> int:
     """Whether the observer has settled and the friction is known: reason bits of the step."""
     reason = 0
@@ -136,7 +136,7 @@ def verdict(c: Constants, s: Moment) -> int:
     return reason
 
 
-@njit
+@kernel
 def publish(c: Constants, s: Moment, friction: float) -> None:
     """Outputs of one instant: the friction waits for as long as the force was filtered."""
     if c.known_force:

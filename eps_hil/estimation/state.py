@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.added import Added
 
 LINE_LENGTH = 640
@@ -132,7 +132,7 @@ def new_kept() -> Kept:
 _NEW = new_moment()
 
 
-@njit
+@kernel
 def keep(e: Carried, kept: Kept, good: bool, every: int) -> None:
     """Take the state ``every`` so many steps, while nothing is wrong with the inputs."""
     kept.steps[0] += 1
@@ -145,7 +145,7 @@ def keep(e: Carried, kept: Kept, good: bool, every: int) -> None:
     kept.steps[2] = min(kept.steps[2] + 1, 2)
 
 
-@njit
+@kernel
 def roll_back(e: Carried, kept: Kept) -> None:
     """The state from before inputs that turned out to be false: a doubt comes some steps late.
 
@@ -162,7 +162,7 @@ def roll_back(e: Carried, kept: Kept) -> None:
     s.running, s.held_steps = HELD, kept.steps[1]
 
 
-@njit
+@kernel
 def begin_anew(e: Carried, effects: Added) -> None:
     """The state before the first step once more, for what a jump of time or nonsense spoilt.
 

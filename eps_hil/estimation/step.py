@@ -1,7 +1,7 @@
 """One step of whichever estimator it is, chosen while compiling by what the physics holds.
 
 The stream's compiled loop is the same for both; which step it calls follows from the type of its
-physics, so neither estimator pays for the other (an ``njit`` function that may call both carries
+physics, so neither estimator pays for the other (a compiled function that may call both carries
 the memory of both).
 """
 

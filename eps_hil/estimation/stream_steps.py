@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment, levels
 from eps_hil.estimation.plausibility import judge_sample, judge_step, new_watch, watch_anew
 from eps_hil.estimation.setup import Constants, Inputs, Physics
@@ -109,7 +109,7 @@ def new_waiting() -> Waiting:
     return Waiting(np.zeros(WAITING, np.int64), np.zeros(WAITING, np.int64), np.zeros(WAITING))
 
 
-@njit(inline="always")
+@kernel(inline="always")
 def time_jumped(grid: Int64, step_ns: int, t: int) -> bool:
     """Whether sync stamp ``t`` is of another time than the ones before: back, or far ahead.
 
@@ -120,7 +120,7 @@ def time_jumped(grid: Int64, step_ns: int, t: int) -> bool:
     return t - grid[0] > _JUMP_NS or grid[2] - t > step_ns
 
 
-@njit
+@kernel
 def push(m: Memory, timing: Timing, i: int, t: int, v: float) -> None:
     """One sample of signal ``i`` (place in SIGNALS) with its stamp."""
     v = judge_sample(m.watch, timing.limits, i, t, v)
@@ -132,14 +132,14 @@ def push(m: Memory, timing: Timing, i: int, t: int, v: float) -> None:
             alignment.push_sample(m.stamps, m.values, m.filled, SPEED, stamp, speed)
 
 
-@njit
+@kernel
 def _learn(m: Memory, timing: Timing, i: int, t: int) -> None:
     """The noise of ring ``i`` up to stamp ``t``: of what was read, not of what happens to be there.
 
     How far samples are ahead of the step that is made differs between a live bus and a recording.
     """
     if m.noise[i, 1] == 0.0:
-        m.noise[i] = timing.first_noise[i]
+        m.noise[i, 0], m.noise[i, 1] = timing.first_noise[i, 0], timing.first_noise[i, 1]
     ring = alignment.RING
     n = max(m.learnt[i], m.filled[i] - ring + 4)
     while n < m.filled[i] and m.stamps[i, n % ring] <= t:
@@ -148,7 +148,7 @@ def _learn(m: Memory, timing: Timing, i: int, t: int) -> None:
     m.learnt[i] = n
 
 
-@njit
+@kernel
 def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
     """All inputs at physical instant ``at``, what is wrong with them, and whether T_1m was seen.
 
@@ -188,7 +188,7 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
     return inputs, reason, seen
 
 
-@njit
+@kernel
 def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     """Step the grid up to sync stamp ``t``; results in m.t_ns, m.estimate, m.reason [0:n]."""
     extra = 0
@@ -234,14 +234,14 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     return n
 
 
-@njit
+@kernel
 def take_all(m: Memory, timing: Timing, waiting: Waiting, n: int) -> None:
     """The first ``n`` samples that wait."""
     for k in range(n):
         push(m, timing, waiting.signal[k], waiting.t_ns[k], waiting.value[k])
 
 
-@njit
+@kernel
 def take_and_advance(
     m: Memory, timing: Timing, c: Constants, x: Physics, waiting: Waiting, n: int, t: int
 ) -> tuple[int, int, float, float, int]:
@@ -255,7 +255,7 @@ def take_and_advance(
     return rows, m.t_ns[k], m.estimate[k, 0], m.estimate[k, 1], m.reason[k]
 
 
-@njit
+@kernel
 def run(
     m: Memory,
     timing: Timing,
@@ -280,9 +280,9 @@ def run(
             push(m, timing, signal[k], t_ns[k], value[k])
         else:
             n = advance(m, timing, c, x, t_ns[k])
-            out_t[rows : rows + n] = m.t_ns[:n]
-            out[rows : rows + n] = m.estimate[:n]
-            out_reason[rows : rows + n] = m.reason[:n]
+            for j in range(n):
+                out_t[rows + j], out_reason[rows + j] = m.t_ns[j], m.reason[j]
+                out[rows + j, 0], out[rows + j, 1] = m.estimate[j, 0], m.estimate[j, 1]
             rows += n
         k += 1
     return k, rows

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.validity import Reason
 
@@ -69,7 +69,7 @@ def due_noise(n: int, step_s: float, inverse_inertia: float) -> float:
     return total
 
 
-@njit
+@kernel
 def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
     """Look at the torque of ``window`` steps ago: did it jump there, and did the rotor follow?"""
     n, k = p.window, w.steps - 1
@@ -111,7 +111,7 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
     _found(w, p, base, slope, before)
 
 
-@njit
+@kernel
 def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> None:
     """Take a jump that nothing followed out of the ring; ``level`` (Nm) is what is left of it."""
     n, k = p.window, w.steps - 1
@@ -130,14 +130,14 @@ def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> 
         w.told = p.told_steps
 
 
-@njit
+@kernel
 def forget_unexplained(w: "Watch") -> None:
     """Believe the torque again as it is."""
     w.torque += w.unexplained_nm
     w.unexplained_nm = 0.0
 
 
-@njit
+@kernel
 def latched(w: "Watch", p: "Limits") -> int:
     """Inconsistent while a jump that nothing followed stays, or is too near in the past.
 
@@ -157,7 +157,7 @@ def latched(w: "Watch", p: "Limits") -> int:
     return 0
 
 
-@njit
+@kernel
 def unseen(w: "Watch", p: "Limits") -> int:
     """Settling while a torque may be wrong since a time at which nobody looked.
 
@@ -174,7 +174,7 @@ def unseen(w: "Watch", p: "Limits") -> int:
     return 0 if w.started else _SETTLING
 
 
-@njit
+@kernel
 def blind(w: "Watch", p: "Limits", speed: float, refused: bool) -> None:
     """Inputs are missing: for longer than a bridge carries, the torque's course is lost.
 
@@ -187,7 +187,7 @@ def blind(w: "Watch", p: "Limits", speed: float, refused: bool) -> None:
         w.steps, w.missed, w.hole = 0, 1, 0
 
 
-@njit
+@kernel
 def course(w: "Watch", p: "Limits", torque: float, seen: bool) -> float:
     """``torque`` (Nm) of this step, or how it would have gone on where it was not seen.
 
@@ -201,7 +201,7 @@ def course(w: "Watch", p: "Limits", torque: float, seen: bool) -> float:
     return torque
 
 
-@njit
+@kernel
 def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
     """Fill a hole of some steps: the torque as in :func:`course`, the speed as measured.
 
@@ -222,7 +222,7 @@ def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
         watch_jump(w, p, u)
 
 
-@njit
+@kernel
 def jumped_alone(w: "Watch", p: "Limits", u: Inputs) -> bool:
     """Whether the speed jumped ``window`` steps ago, and the angle did not go with it.
 

@@ -7,7 +7,7 @@ rack. The same compiled functions run in the plant, in the estimator and in iden
 import math
 from typing import NamedTuple
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.model import Friction
 
 SMALLEST_LEVEL_NM = 1e-6
@@ -33,7 +33,7 @@ def friction_law(friction: Friction) -> FrictionLaw:
     return FrictionLaw(*(float(getattr(friction, name)) for name in FrictionLaw._fields))
 
 
-@njit(inline="always")
+@kernel(inline="always")
 def static_level_nm(speed_rad_s: float, rack_force_n: float, law: FrictionLaw) -> float:
     """T_fs of eq. 3 (Nm, at the rotor): k0 + kω|ω| + kr|F_r|, by the direction of the speed."""
     speed, load = abs(speed_rad_s), abs(rack_force_n)
@@ -48,7 +48,7 @@ def static_level_nm(speed_rad_s: float, rack_force_n: float, law: FrictionLaw) -
     return max(level, SMALLEST_LEVEL_NM)
 
 
-@njit(inline="always")
+@kernel(inline="always")
 def bristle_step(
     bristle_rad: float, travel_rad: float, slip_rad: float, level_nm: float, sigma0: float
 ) -> float:
@@ -65,7 +65,7 @@ def bristle_step(
     return bristle_rad * (1.0 - lost) + travel_rad * share
 
 
-@njit(inline="always")
+@kernel(inline="always")
 def friction_torque_nm(
     bristle_rad: float, speed_rad_s: float, level_nm: float, law: FrictionLaw
 ) -> float:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.catalogue import catalogue, values_of
 from eps_hil.physics.effects.effect import (
     STATES,
@@ -133,7 +133,7 @@ def _compiled(function: _F, name: str) -> _F:
     for one another, and one effect would act as another.
     """
     function.__qualname__ = function.__name__ = name
-    return njit(function)
+    return kernel(function)
 
 
 def _fused(slot: str, effects: list[Acting]) -> Callable[[Added, Instant, float], float]:
@@ -211,7 +211,7 @@ def _fused_outside(effects: list[Effect]) -> Callable[[Added, Instant], bool]:
     return build(len(effects) - 1)
 
 
-@njit(inline="always")
+@kernel(inline="always")
 def instant(motion: Any, k: int, ratios: Ratios) -> Instant:
     """Sample ``k`` of a measured motion (``balance.Motion``) as a kernel is given it."""
     angle = motion.angle_rad[k]
@@ -228,7 +228,7 @@ def instant(motion: Any, k: int, ratios: Ratios) -> Instant:
     )
 
 
-@njit(inline="always")
+@kernel(inline="always")
 def crept(motion: Any, k: int, u: Instant, step_s: float) -> Instant:
     """The same with the speed of a resting rotor's creep: what remembers rest wants to know."""
     speed = u.speed_rad_s if u.speed_rad_s != 0.0 else motion.travel_rad[k] / step_s
@@ -300,7 +300,7 @@ def _fused_levels(effects: list[Acting]) -> Callable[[Added, Any, Ratios, Floats
     return build(len(effects) - 1)
 
 
-@njit(inline="always")
+@kernel(inline="always")
 def _stay(_p: Floats, _s: Floats, _u: Instant, _dt: float) -> None:
     return None
 

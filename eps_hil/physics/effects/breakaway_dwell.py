@@ -7,18 +7,18 @@ bristle, not sliding.
 
 import math
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 REST_RAD_S = 0.05
 
 
-@njit
+@kernel
 def _level_nm(p: Floats, s: Floats, _u: Instant, level: float) -> float:
     return level + p[0] * s[0]
 
 
-@njit
+@kernel
 def _advance(p: Floats, s: Floats, u: Instant, dt: float) -> None:
     slid = abs(u.speed_rad_s) * dt / p[2]
     s[0] = s[0] * math.exp(-slid)

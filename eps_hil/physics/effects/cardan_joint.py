@@ -2,11 +2,11 @@
 
 import math
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
-@njit
+@kernel
 def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
     return torque * (1.0 + p[0] * math.cos(2.0 * u.pinion_rad + p[1]))
 

@@ -2,7 +2,7 @@
 
 import math
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import (
     Effect,
     Floats,
@@ -15,7 +15,7 @@ from eps_hil.physics.effects.effect import (
 )
 
 
-@njit
+@kernel
 def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
     share = resolved(p[1] * u.speed_rad_s)
     return torque + share * p[0] * math.sin(p[1] * u.angle_rad + p[2])

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -65,7 +65,7 @@ class Ratios(NamedTuple):
 _WHOLE_RAD_S, _NONE_RAD_S = 2.0 * math.pi * 400.0, 2.0 * math.pi * 500.0
 
 
-@njit
+@kernel
 def resolved(rate_rad_s: float) -> float:
     """Share of a ripple that passes at this rate (rad/s of its own phase) which is counted.
 

@@ -10,7 +10,7 @@ the range of inputs that was seen, g fades to nothing over a fifth of that range
 import math
 from collections.abc import Callable, Mapping
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import (
     Effect,
     Floats,
@@ -42,7 +42,7 @@ _TURNING_RAD_S = 0.5
 """Speed at which a torque counts as driving or braking to seven tenths."""
 
 
-@njit
+@kernel
 def _raw(code: float, u: Instant) -> float:  # noqa: PLR0911, PLR0912 (a table of inputs)
     """An input at this instant; 0 for one that only memory knows."""
     kind = int(code)
@@ -80,12 +80,12 @@ def _raw(code: float, u: Instant) -> float:  # noqa: PLR0911, PLR0912 (a table o
     return 0.0
 
 
-@njit
+@kernel
 def _sign(value: float) -> float:
     return 1.0 if value > 0.0 else (-1.0 if value < 0.0 else 0.0)
 
 
-@njit
+@kernel
 def _seen(p: Floats, s: Floats, u: Instant, i: int) -> float:
     """Input ``i``, or what is remembered of it."""
     at = _FIRST + i * _EACH
@@ -100,7 +100,7 @@ def _seen(p: Floats, s: Floats, u: Instant, i: int) -> float:
     return raw
 
 
-@njit
+@kernel
 def _shaped(p: Floats, at: int, x: float, rate: float) -> float:  # noqa: PLR0911
     shape = int(p[at + _SHAPE])
     if shape == 1:
@@ -132,7 +132,7 @@ def _shaped(p: Floats, at: int, x: float, rate: float) -> float:  # noqa: PLR091
     return 1.0
 
 
-@njit
+@kernel
 def _left(low: float, high: float, x: float) -> float:
     """Share of the effect at ``x``: 1 inside the range, falling to 0 beyond it."""
     if low >= high:
@@ -141,7 +141,7 @@ def _left(low: float, high: float, x: float) -> float:
     return 1.0 if beyond <= 0.0 else max(1.0 - beyond / (FADE * (high - low)), 0.0)
 
 
-@njit
+@kernel
 def _place(p: Floats, first: int, n: int, x: float) -> tuple[int, float]:
     """Interval of ``n`` knots from ``p[first]`` on that ``x`` is in, and how far into it (0..1)."""
     if x <= p[first]:
@@ -152,7 +152,7 @@ def _place(p: Floats, first: int, n: int, x: float) -> tuple[int, float]:
     return n - 2, 1.0
 
 
-@njit
+@kernel
 def _from_table(p: Floats, x: float, y: float) -> float:
     n, m = int(p[_TABLE_AT]), int(p[_TABLE_AT + 1])
     knots = _TABLE_AT + 2
@@ -167,7 +167,7 @@ def _from_table(p: Floats, x: float, y: float) -> float:
     )
 
 
-@njit
+@kernel
 def term(p: Floats, s: Floats, u: Instant) -> float:
     """g of the module's equations for packed numbers ``p`` (:func:`numbers`) and its memory."""
     left, x, y = 1.0, 0.0, 0.0
@@ -192,13 +192,13 @@ def term(p: Floats, s: Floats, u: Instant) -> float:
     return left * p[_SIZE] * product
 
 
-@njit
+@kernel
 def _kernel(p: Floats, s: Floats, u: Instant, value: float) -> float:
     change = term(p, s, u)
     return value * (1.0 + change) if p[_HOW] == 1.0 else value + change
 
 
-@njit
+@kernel
 def remember(p: Floats, s: Floats, u: Instant, dt: float) -> None:
     """Moves what the inputs remember on by ``dt`` (s)."""
     for i in range(int(p[_COUNT])):
@@ -229,7 +229,7 @@ def remember(p: Floats, s: Floats, u: Instant, dt: float) -> None:
             s[own] = min(max(s[own], raw - size), raw + size)
 
 
-@njit
+@kernel
 def outside(p: Floats, u: Instant) -> bool:
     """Whether an input is so far beyond the range that half the effect is faded out, or more."""
     for i in range(int(p[_COUNT])):

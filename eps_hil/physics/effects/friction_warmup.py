@@ -2,11 +2,11 @@
 
 import math
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
-@njit
+@kernel
 def _level_nm(p: Floats, _s: Floats, u: Instant, level: float) -> float:
     return level * (1.0 + p[0] * math.exp(-u.time_s / p[1]))
 

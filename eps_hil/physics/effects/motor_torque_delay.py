@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 from eps_hil.physics.model import Model
 
@@ -27,7 +27,7 @@ def _left(values: Mapping[str, float]) -> Mapping[str, float] | None:
 _RUNNING, _OUT, _IN, _STEP_S = 0, 1, 2, 3
 
 
-@njit
+@kernel
 def _shaft_nm(p: Floats, s: Floats, _u: Instant, torque: float) -> float:
     """A first-order lag of straight lines, exactly; it begins as if it had always been so."""
     if s[_RUNNING] == 0.0:
@@ -38,7 +38,7 @@ def _shaft_nm(p: Floats, s: Floats, _u: Instant, torque: float) -> float:
     return even + (torque - s[_IN]) * (1.0 - (1.0 - kept) * lag / step)
 
 
-@njit
+@kernel
 def _advance(p: Floats, s: Floats, u: Instant, step_s: float) -> None:
     s[_OUT] = _shaft_nm(p, s, u, u.motor_torque_nm)
     s[_RUNNING], s[_IN], s[_STEP_S] = 1.0, u.motor_torque_nm, step_s

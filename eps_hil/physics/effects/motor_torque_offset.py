@@ -1,10 +1,10 @@
 """A constant error of the reported motor torque."""
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
-@njit
+@kernel
 def _torque_nm(p: Floats, _s: Floats, _u: Instant, torque: float) -> float:
     return torque + p[0]
 

@@ -2,11 +2,11 @@
 
 import math
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
-@njit
+@kernel
 def _level_nm(p: Floats, _s: Floats, u: Instant, level: float) -> float:
     ratio = (u.position_m - p[1]) / p[2]
     return level + p[0] * math.exp(-ratio * ratio)

@@ -1,6 +1,6 @@
 """A static torque over rack position that is no spring, stop or ripple: gravity, imbalance."""
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import (
     Effect,
     Floats,
@@ -13,7 +13,7 @@ from eps_hil.physics.effects.effect import (
 )
 
 
-@njit
+@kernel
 def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
     n = int(p[0])  # knots: p[1], p[2] = position and torque of the first, and so on
     if n == 0:

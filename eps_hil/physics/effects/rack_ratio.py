@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 from eps_hil.physics.model import Model
 
@@ -37,7 +37,7 @@ def _left(values: Mapping[str, float]) -> Mapping[str, float] | None:
     return {"scale": 0.0, "slope_per_m": slope / middle, "bend_per_m2": bend / middle}
 
 
-@njit
+@kernel
 def _local(p: Floats, position_m: float) -> float:
     """dφ/dx over i_APA: what a torque at the rotor is worth at the rack, here over mid travel.
 
@@ -47,7 +47,7 @@ def _local(p: Floats, position_m: float) -> float:
     return min(max(local, 1.0 / _MOST), _MOST)
 
 
-@njit
+@kernel
 def _position_m(p: Floats, _s: Floats, _u: Instant, middle_m: float) -> float:
     """The rack's position x at which φ = i_APA·x · (1 + a·x + b·x²); Newton's method."""
     x = middle_m
@@ -57,12 +57,12 @@ def _position_m(p: Floats, _s: Floats, _u: Instant, middle_m: float) -> float:
     return x
 
 
-@njit
+@kernel
 def _sensor_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
     return torque / _local(p, u.position_m)
 
 
-@njit
+@kernel
 def _load_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
     return torque / _local(p, u.position_m)
 

@@ -2,7 +2,7 @@
 
 import math
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import (
     Effect,
     Floats,
@@ -16,7 +16,7 @@ from eps_hil.physics.effects.effect import (
 )
 
 
-@njit
+@kernel
 def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
     share = resolved(p[2] * u.speed_rad_s / p[3])
     return torque + share * p[0] * math.sin(p[2] * u.angle_rad / p[3] + p[1])

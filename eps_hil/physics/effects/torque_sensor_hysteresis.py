@@ -6,19 +6,19 @@ back with a lead (s[0]) that runs to the half width in the direction in which th
 measures the true torque by the torsion bar's twist instead (``diagnosis/direct/torsion_bar.py``).
 """
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Slot
 
 _SMOOTH_S = 0.01
 _LEAD = 10.0
 
 
-@njit
+@kernel
 def _torque_nm(_p: Floats, s: Floats, _u: Instant, torque: float) -> float:
     return torque + s[0]
 
 
-@njit
+@kernel
 def _advance(p: Floats, s: Floats, u: Instant, dt: float) -> None:
     if s[2] == 0.0:
         s[1], s[2] = u.torque_sensor_nm, 1.0
@@ -27,7 +27,7 @@ def _advance(p: Floats, s: Floats, u: Instant, dt: float) -> None:
     s[0] = min(max(s[0] + _LEAD * (s[1] - before), -p[0]), p[0])
 
 
-@njit
+@kernel
 def _told_nm(p: Floats, s: Floats, _u: Instant, true: float) -> float:
     """Play: the reading is dragged along by the true torque; s[3] is where it stands."""
     s[3] = min(max(s[3], true - p[0]), true + p[0])

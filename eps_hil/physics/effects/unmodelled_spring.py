@@ -1,10 +1,10 @@
 """A spring on the rotor (or the rack) that the model does not have: a boot, a hose, a cable."""
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import Effect, Floats, Instant, Kind, Parameter, Probe, Slot
 
 
-@njit
+@kernel
 def _torque_nm(p: Floats, _s: Floats, u: Instant, torque: float) -> float:
     return torque + p[0] * u.angle_rad
 
