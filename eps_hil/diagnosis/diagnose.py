@@ -1,13 +1,18 @@
 """The whole way from recordings to a verdict (CONTRACT 7)."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.accept.as_written import in_no_file, under_any_force, under_written_load
+from eps_hil.diagnosis.accept.as_written import (
+    as_the_file_does,
+    in_no_file,
+    under_any_force,
+    under_written_load,
+)
 from eps_hil.diagnosis.accept.free_run import worse_free_run
 from eps_hil.diagnosis.accept.holdout_support import (
     augmented_by,
@@ -21,14 +26,14 @@ from eps_hil.diagnosis.accept.placebo import placebos
 from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
     beside_a_gap,
-    measures,
     only_kept,
     still_left,
     worse_force,
 )
-from eps_hil.diagnosis.accept.standing import standing, worse
+from eps_hil.diagnosis.accept.standing import price, price_of_one, standing, worse
 from eps_hil.diagnosis.attribute.beside import not_whitened, selected_beside
 from eps_hil.diagnosis.attribute.channel_fault import (
+    ChannelFault,
     channel_fault,
     with_channel_fault,
 )
@@ -68,8 +73,8 @@ from eps_hil.diagnosis.direct.kinematics import small_ratio
 from eps_hil.diagnosis.first_look import FirstLook, first_look
 from eps_hil.diagnosis.mismatch.leftover import Leftover, how_held, late_torque, leftover
 from eps_hil.diagnosis.remainder.find import Remainder, with_remainder
+from eps_hil.diagnosis.search import Searched, likelier, put_right, searched
 from eps_hil.diagnosis.search import holdouts as kept_holdouts
-from eps_hil.diagnosis.search import put_right, searched
 from eps_hil.diagnosis.verdict.content import content_of, without_nan
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -105,6 +110,8 @@ class Diagnosis:
     """The model file's own with a load that nobody measured, as figures before are made."""
     beside_load: Model | None = None
     """``model`` without a load that nobody measured, which ``problem`` has as its rack force."""
+    price: float = np.inf
+    """What the hold-outs' residual and the numbers of the written model cost (``standing.py``)."""
 
 
 def diagnose(
@@ -231,10 +238,16 @@ def _under(
     say: Say | None,
     without: Collection[str],
 ) -> Diagnosis:
-    """The diagnosis where a load that nobody measured is taken to be ``load``."""
-    others = load_knobs(load)
-    every = [one for one, _ in (*ready, *spare)]
+    """The diagnosis where a load that nobody measured is taken to be ``load``.
+
+    Of a channel that is wrong and physics that is left out, what hold-outs are better off with.
+    """
     kept = {one.name: series for one, series in spare}
+
+    def again(more: Collection[str]) -> Diagnosis:
+        return _under(load, model, bare[0], bare[1], say, more)
+
+    bare = ready, spare
     if load is not None:
         ready = [(with_load(one, model, load), series) for one, series in ready]
         spare = [(with_load(one, model, load), series) for one, series in spare]
@@ -250,11 +263,37 @@ def _under(
         )
     look, problem, selection = searched(look, problem, load_knobs(load), judged, say, without)
     measured = set.intersection(*(set(series) for _, series in ready))
+    case = _Case(load, model, ready, spare, say, without, again)
+    given = look, problem, selection, judged
     wrong = channel_fault(selection.part, selection, measured, without)
-    if wrong is not None:
-        wrong, look, problem, selection, judged = put_right(
-            wrong, (look, problem, selection, judged), load_knobs(load), say, without, kept
-        )
+    right = wrong and put_right(wrong, given, load_knobs(load), say, without, kept)
+    if not right:
+        return _told(case, given)
+    fault, so_found = right
+    return likelier(
+        given, so_found, lambda one: _told(case, one, fault if one is so_found else None)
+    )
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What a diagnosis is made of; ``again``: the same, without some effects (ids)."""
+
+    load: Load | None
+    model: Model
+    ready: Sequence[tuple[Prepared, Mapping[str, Series]]]
+    spare: Sequence[tuple[Prepared, Mapping[str, Series]]]
+    say: Say | None
+    without: Collection[str]
+    again: Callable[[Collection[str]], Diagnosis]
+
+
+def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None) -> Diagnosis:
+    """What is said of a selection, once what is left beside it is modelled."""
+    look, problem, selection, judged = searched_for
+    load, model, spare, say, without = case.load, case.model, case.spare, case.say, case.without
+    others = load_knobs(load)
+    every = [one for one, _ in (*case.ready, *spare)]
     findings, force = settled(
         problem, selection, holdout_support(problem, selection, judged), look.ratio_is_measured
     )
@@ -269,7 +308,7 @@ def _under(
             problem, selection, judged, look, force
         )
     if left is not None and BRISTLE not in without and bristle_of_unknown(problem, selection.found):
-        return _under(load, model, ready, spare, say, {*without, BRISTLE})
+        return case.again({*without, BRISTLE})
     if left is None and not hidden and HOLD in without:
         left = late_torque(problem, selection.found)
     extra = None
@@ -286,12 +325,15 @@ def _under(
     content["fit"]["placebo"] = placebos(weighed, told, findings, judged)
     as_read: list[Holdout] = []
     ready_to_write = look.in_model(written)
-    if look.model is not model or look.put_right or wrong is not None:
+    if look.model is not model or look.put_right or look.entries or wrong is not None:
         as_read = [
             Holdout(one.changed(barred=right.barred), series, data)
             for (one, series), right, data in zip(spare, look.kept, look.kept_quality, strict=True)
         ]
-        content["fit"]["holdout"]["baseline"] = measures(as_read, model, model)
+        shown = look.put_right_in_no_file or wrong is not None
+        content["fit"]["holdout"] = as_the_file_does(
+            content["fit"]["holdout"], as_read, model, ready_to_write, balance=shown
+        )
     content["limits"] = [
         *([] if load is None else [load.sentence]),
         *unseen(every),
@@ -303,7 +345,7 @@ def _under(
             [] if left is not None or hidden else how_held(problem, selection.found),
         ),
         *beside_a_gap(judged, problem.model),
-        *(in_no_file(content["fit"]["holdout"], as_read, model, ready_to_write) if wrong else []),
+        *in_no_file(content["fit"]["holdout"]),
         *unjudged(told.found, findings, judged, weighed),
         *worse_force(content["fit"]["holdout"]),
         *worse_free_run(content["fit"]["holdout"]),
@@ -319,6 +361,8 @@ def _under(
         findings,
         extra,
         as_read,
+        price=price(problem, selection, findings, judged, written, extra)
+        + (wrong is not None) * price_of_one(problem, judged),
     )
 
 

@@ -61,6 +61,11 @@ class FirstLook:
         return bool(self.remarks) or any(one["effect"] in _PUT_RIGHT for one in self.findings)
 
     @property
+    def put_right_in_no_file(self) -> bool:
+        """Whether that is so in a way that no model file holds: a clock's, a smoothed speed's."""
+        return bool(self.remarks) or any(one["effect"] == _DRIFT for one in self.findings)
+
+    @property
     def ratio_is_measured(self) -> bool:
         """Whether rotor against rack has shown what the ratio is."""
         return "ratio_error" in self.kinematics

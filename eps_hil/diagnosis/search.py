@@ -1,10 +1,13 @@
 """What the balance shows, and again beside what only then is known: sensors, bristle, a channel."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Protocol, TypeVar
 
 import numpy as np
 
+from eps_hil.diagnosis.accept.holdout_support import augmented_by
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
+from eps_hil.diagnosis.accept.standing import only_noise, price, price_of_one
 from eps_hil.diagnosis.attribute.channel_fault import (
     ChannelFault,
     held_out_energy,
@@ -17,6 +20,7 @@ from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.direct.reversals import bristle, reversals_agree
 from eps_hil.diagnosis.direct.zero_reading import ZeroReadings
 from eps_hil.diagnosis.first_look import FirstLook
+from eps_hil.diagnosis.remainder.find import Remainder
 from eps_hil.series import Series
 
 
@@ -55,15 +59,58 @@ def searched(
     return look, problem, selection
 
 
+Searched = tuple[FirstLook, Problem, Selection, list[Holdout]]
+"""What is known of recordings, what was found in them, and the hold-outs that go with it."""
+
+
+class Told(Protocol):
+    """What a diagnosis says, as far as it is weighed against another."""
+
+    @property
+    def price(self) -> float:
+        """What its written model leaves of the hold-outs, and its numbers (``standing.py``)."""
+
+    @property
+    def remainder(self) -> Remainder | None:
+        """Its model of what has no name."""
+
+
+AnyTold = TypeVar("AnyTold", bound=Told)
+
+
+def likelier(given: Searched, right: Searched, told: Callable[[Searched], AnyTold]) -> AnyTold:
+    """What is ``told`` with a signal put ``right``, or as ``given``: where hold-outs cost less.
+
+    A law beside no fault of a channel has to leave less than the fault and the names beside it, at
+    Schwarz's price for every number. A constant factor of the load is no law of its own: that is
+    the load cell, in other words.
+    """
+    _, problem, selection, judged = right
+    names = range(len(selection.found.entries))
+    written = augmented_by(problem, selection.found, names)
+    least = price(problem, selection, names, judged, written) + price_of_one(problem, judged)
+    settled = only_noise(least, problem, judged)
+    if settled and not names:
+        return told(right)
+    physics = told(given)
+    laws = () if physics.remainder is None else physics.remainder.entries
+    if not laws or any(one.get("shapes") == ["one"] for one in laws):
+        return told(right)
+    if (settled or only_noise(physics.price, given[1], given[3])) and physics.price < least:
+        return physics
+    channel = told(right)
+    return physics if physics.price < channel.price else channel
+
+
 def put_right(
     wrong: ChannelFault,
-    given: tuple[FirstLook, Problem, Selection, list[Holdout]],
+    given: Searched,
     tied: Mapping[str, float],
     say: Say | None,
     without: Collection[str],
     kept: Mapping[str, Mapping[str, Series]],
-) -> tuple[ChannelFault | None, FirstLook, Problem, Selection, list[Holdout]]:
-    """What is found beside a signal put right; what was ``given`` where hold-outs are worse so."""
+) -> tuple[ChannelFault, Searched] | None:
+    """What is found beside a signal put right, and that signal; None: hold-outs are worse so."""
     found = _beside(wrong, given[0], tied, say, without)
     better = refined(wrong, found[2].part, found[2])
     if better is not wrong:
@@ -76,7 +123,7 @@ def put_right(
     spared = len(given[2].found.names) - len(found[2].found.names) - 1
     samples = sum(int(np.sum(one.judging(given[0].model))) for one in given[3])
     borne = no_worse(before, after, spared, samples)
-    return (better, *found, judged) if borne else (None, *given)
+    return (better, (*found, judged)) if borne else None
 
 
 def _beside(

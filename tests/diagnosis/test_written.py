@@ -1,10 +1,10 @@
 """What a diagnosis reports of hold-outs is what the model file that it writes does with them."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -36,7 +36,15 @@ KINDS = {
     "a curve": Plan("singles", 25, (("position_torque", 3.0),), simple=True,
                     withheld=("position_torque", "position_dependent_friction")),
     "a late signal": Plan("singles", 26, (("speed_sensor_delay", 3.0),), simple=True),
+    "a loss like a load cell's gain": Plan("nameless", 27, (("late_nut_loss", 3.0),)),
+    "a loss while braking": Plan("nameless", 28, (("late_braking_loss", 3.0),)),
 }  # fmt: skip
+JOINTS = {
+    "a belt": Plan("singles", 29, (("belt_compliance", 3.0),)),
+    "play": Plan("singles", 30, (("backlash", 3.0),)),
+    "a sensor's play": Plan("singles", 31, (("torque_sensor_hysteresis", 3.0),)),
+}
+QUIET = Plan("decoys", 32, (), decoy="nothing")
 
 
 def recordings_of(plan: Plan) -> tuple[Recordings, Recordings]:
@@ -81,6 +89,71 @@ def test_what_is_reported_is_what_was_written(
         )
     for name, value in told["augmented"]["free_run"].items():
         assert again["free_run"][name] == pytest.approx(value, rel=0.02), name
+
+
+def as_simulated_and_estimated(
+    result: Diagnosis, kept: Mapping[str, Series], folder: Path
+) -> dict[str, Any]:
+    """What the written file does with the hold-out as it was read, held against what is told."""
+    model, told = written(result, folder), result.content["fit"]["holdout"]["augmented"]
+    json.dumps(result.content, allow_nan=False)
+    again = measures([Holdout(prepared("holdout", kept, 0.0), kept)], model, model)
+    assert again["speed_fit_percent"] == pytest.approx(told["speed_fit_percent"], rel=0.02)
+    for name, value in told["free_run"].items():
+        assert again["free_run"][name] == pytest.approx(value, rel=0.02), name
+    force = score(batch.estimate(dict(kept), model), kept, model)
+    assert force is not None
+    assert force.rmse_moving_n == pytest.approx(told["rack_force_rmse_n"], rel=0.01)
+    return again
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("kind", JOINTS)
+def test_a_joint_acts_in_the_figures_as_it_is_written(
+    kind: str, reference_model: Model, tmp_path: Path
+) -> None:
+    """In simulation and estimate; a torque balance of one mass holds none."""
+    fitted, kept = recordings_of(JOINTS[kind])
+    result = diagnose(reference_model, fitted, kept)
+    assert JOINTS[kind].wanted[0][0] in [one["effect"] for one in result.model.effects]
+    as_simulated_and_estimated(result, kept["holdout"], tmp_path)
+
+
+def reads_more(recordings: Recordings) -> Recordings:
+    """With a load cell that reads 4 % too much."""
+    return {
+        name: {**one, "rack_force_n": Series(force.t_ns, 1.04 * force.value)}
+        for name, one in recordings.items()
+        for force in [one["rack_force_n"]]
+    }
+
+
+def is_adrift(recordings: Recordings) -> Recordings:
+    """With a load cell on a clock of its own, 200 ppm slow."""
+    out = {}
+    for name, one in recordings.items():
+        force = one["rack_force_n"]
+        late_ns = np.round(2e-4 * (force.t_ns - force.t_ns[0])).astype(np.int64)
+        out[name] = {**one, "rack_force_n": Series(force.t_ns + late_ns, force.value)}
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("wrong", [reads_more, is_adrift])
+def test_a_channel_that_no_file_puts_right_is_not_put_right_in_the_figures(
+    wrong: Callable[[Recordings], Recordings], reference_model: Model, tmp_path: Path
+) -> None:
+    fitted, kept = (wrong(one) for one in recordings_of(QUIET))
+    result = diagnose(reference_model, fitted, kept)
+    told = result.content["fit"]["holdout"]
+    assert result.content["findings"][0]["kind"] == "instrument"
+    assert "empirical" not in [one["effect"] for one in result.model.effects]
+    again = as_simulated_and_estimated(result, kept["holdout"], tmp_path)
+    assert again["torque_nrmse"] == pytest.approx(told["augmented"]["torque_nrmse"], rel=0.02)
+    assert told["put_right"]["torque_nrmse"] < 0.8 * told["augmented"]["torque_nrmse"]
+    assert any("which no model file does" in one for one in result.content["limits"])
 
 
 class Unmeasured(NamedTuple):

@@ -131,7 +131,8 @@ def only_kept(holdouts: Sequence[Holdout], before: Model, after: Model, fitted: 
 
 def still_left(told: Mapping[str, Mapping[str, float]]) -> list[str]:
     """A sentence where hold-outs (``fit.holdout`` of the JSON) keep clearly more than noise."""
-    times = told["augmented"]["torque_nrmse"] / max(told["noise_floor"]["torque_nrmse"], 1e-300)
+    after = told.get("put_right", told["augmented"])["torque_nrmse"]
+    times = after / max(told["noise_floor"]["torque_nrmse"], 1e-300)
     if times < CLEARLY:
         return []
     return [

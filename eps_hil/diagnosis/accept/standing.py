@@ -6,16 +6,20 @@ were dropped on the way, and that is judged here as it is reported: the hold-out
 residual while sliding, outliers and all.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.accept.holdout_support import augmented_by, refitted
-from eps_hil.diagnosis.accept.proof_of_fit import Holdout
+from eps_hil.diagnosis.accept.proof_of_fit import CLEARLY, Holdout
 from eps_hil.diagnosis.attribute.scoring import LEAST_GAIN
 from eps_hil.diagnosis.attribute.select import Selection
+from eps_hil.diagnosis.balance.baseline import ALL
 from eps_hil.diagnosis.balance.problem import BLOCK_S, Problem
+from eps_hil.diagnosis.remainder.as_effect import numbers_of
+from eps_hil.diagnosis.remainder.find import Remainder
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -51,6 +55,46 @@ def worse(problem: Problem, model: Model, judged: Sequence[Holdout]) -> bool:
     """Whether hold-outs are worse under a model, as it is written, than under the one given."""
     before, after = (_energies(problem, one, judged) for one in (problem.model, model))
     return bool(np.sum(after) > np.sum(before) + _NOTHING * LEAST_GAIN)
+
+
+def price(
+    problem: Problem,
+    selection: Selection,
+    findings: Sequence[int],
+    judged: Sequence[Holdout],
+    written: Model,
+    extra: Remainder | None = None,
+) -> float:
+    """The hold-outs' energy under ``written`` (noise variances), and ln n for each of its numbers.
+
+    Numbers are those of the findings, of laws, the knots of tables, and what was fitted beside.
+    """
+    numbers = sum(k in findings for k, _ in selection.found.names)
+    if extra is not None:
+        numbers += len(ALL) * extra.refitted + sum(_numbers(one) for one in extra.entries)
+    energy = float(np.sum(_energies(problem, written, judged)))
+    return energy + numbers * price_of_one(problem, judged)
+
+
+def price_of_one(problem: Problem, judged: Sequence[Holdout]) -> float:
+    """Of one number (Schwarz): ln n."""
+    return float(np.log(max(_samples(problem, judged), 1)))
+
+
+def only_noise(price: float, problem: Problem, judged: Sequence[Holdout]) -> bool:
+    """Whether what costs ``price`` leaves the hold-outs hardly more than the sensors' noise."""
+    return price < CLEARLY**2 * _samples(problem, judged)
+
+
+def _samples(problem: Problem, judged: Sequence[Holdout]) -> int:
+    return sum(int(np.sum(one.judging(problem.model))) for one in judged)
+
+
+def _numbers(entry: Mapping[str, Any]) -> int:
+    if "values" in entry:
+        return int(np.size(entry["values"]))
+    fixed = [f"centre_{i}" for i, one in enumerate(entry["inputs"], 1) if one.endswith("_sign")]
+    return len(numbers_of(entry).keys() - fixed)
 
 
 def _loss(problem: Problem, before: Model, after: Model, judged: Sequence[Holdout]) -> float:
