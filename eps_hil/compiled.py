@@ -24,6 +24,8 @@ import numba
 
 _KEPT_FOLDERS = 4
 _PACKAGE = Path(__file__).resolve().parent
+_COMPILED = b"eps_hil.compiled import", b"# frozen into compiled code"
+"""What marks a source as one that machine code depends on; the second one, constants."""
 
 
 def _bases() -> Iterator[Path]:
@@ -56,7 +58,7 @@ def _source_hash() -> str:
     digest = hashlib.sha256(numba.__version__.encode())
     for source in sorted(_PACKAGE.rglob("*.py")):
         text = source.read_bytes()
-        if b"eps_hil.compiled import" in text:
+        if any(mark in text for mark in _COMPILED):
             digest.update(str(source.relative_to(_PACKAGE)).encode() + text)
     return digest.hexdigest()[:16]
 

@@ -48,6 +48,31 @@ class MessageDecoder:
         self._faults = faults
         self._last_ns: int | None = None
 
+    @property
+    def length(self) -> int:
+        """Bytes of the message, as the database has it."""
+        return self._length
+
+    @property
+    def signals(self) -> tuple[ReadSignal, ...]:
+        """What is read of it, in the order of the mapping."""
+        return self._signals
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Names of the signals that are read, with the counter."""
+        names = tuple(signal.name for signal in self._signals)
+        return names if self.counter is None else (*names, self.counter)
+
+    @property
+    def multiplexed(self) -> bool:
+        """Whether it depends on the frame which signals there are."""
+        return bool(self._message.is_multiplexed())
+
+    def signal(self, name: str) -> Any:
+        """The database's signal of that name."""
+        return self._message.get_signal_by_name(name)
+
     def decode(self, frame: Frame) -> list[Sample]:
         """Samples of a frame of this message; NaN in all of them if it cannot be trusted."""
         stamp = (frame.t_ns + STAMP_RESOLUTION_NS // 2) // STAMP_RESOLUTION_NS * STAMP_RESOLUTION_NS

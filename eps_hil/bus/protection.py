@@ -88,12 +88,12 @@ class Seen:
     ``period_ns``: the message's cycle; ``modulo``: where its counter wraps.
     """
 
-    __slots__ = ("_recent_ns", "_ring", "_size")
+    __slots__ = ("_ring", "recent_ns", "size")
 
     def __init__(self, modulo: int, period_ns: int) -> None:
-        self._size = max(1, min(16, modulo // 2))
-        self._recent_ns = self._size * period_ns
-        self._ring: list[tuple[int, int, bytes]] = [(-1, 0, b"")] * self._size
+        self.size = max(1, min(16, modulo // 2))
+        self.recent_ns = self.size * period_ns
+        self._ring: list[tuple[int, int, bytes]] = [(-1, 0, b"")] * self.size
 
     def again(self, t_ns: int, counter: int, data: bytes) -> bool | None:
         """None: a new counter; True: the same frame again, bit for bit; False: other data.
@@ -101,9 +101,9 @@ class Seen:
         Other data under a counter that was there a moment ago are another sender's, or the
         sender's counter stands still; either way nobody knows which frame is true.
         """
-        place = counter % self._size
+        place = counter % self.size
         before, stamp, payload = self._ring[place]
-        if before == counter and abs(t_ns - stamp) < self._recent_ns:
+        if before == counter and abs(t_ns - stamp) < self.recent_ns:
             self._ring[place] = (counter, t_ns, payload)
             return payload == data
         self._ring[place] = (counter, t_ns, data)

@@ -35,19 +35,22 @@ sequence of (stamp, counter, lane): live and replayed frames give the same insta
 """
 
 from collections import deque
+from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any
 
 from eps_hil.bus.lane import Instant, Lane
 
 __all__ = ["MIN_STEP_NS", "Instant", "SampleClock"]
 
+# frozen into compiled code (instants.py)
 MIN_STEP_NS = 1_000
-_BLOCK = 64  # cycles (milliseconds, where those are longer) whose lowest stamp stands for them
-_ENVELOPE_BLOCKS = 8
-_SLOPE_BLOCKS = 64
-_SLOPE_MIN_BLOCKS = 16
-_MAX_DRIFT = 300e-6
-_LATE = 0.75  # of a period: further than a message of the same cycle can lie
+BLOCK = 64  # cycles (milliseconds, where those are longer) whose lowest stamp stands for them
+ENVELOPE_BLOCKS = 8
+SLOPE_BLOCKS = 64
+SLOPE_MIN_BLOCKS = 16
+MAX_DRIFT = 300e-6
+LATE = 0.75  # of a period: further than a message of the same cycle can lie
 _LATE_RUN = 16
 _LATE_TOTAL = 128  # not one frame in time, though some caught up
 _SILENCE_PERIODS = 20
@@ -80,18 +83,41 @@ class SampleClock:
         self.silence_ns = usual if silence_ns is None else silence_ns
         self.restarts = 0
         self._lanes: dict[str, Lane] = {}
-        self._last: Lane | None = None
+        self.last: Lane | None = None
         self._paused = False  # whether the sender was silent before the line began
         self._origin = 0
         self._slope = 0.0  # ns per cycle against the nominal period
         self._anchor, self._level = 0, 0
         self._block_start, self._low_cycle, self._low = 0, 0, 0
-        self._lows: deque[tuple[int, int]] = deque(maxlen=_SLOPE_BLOCKS)
+        self.lows: deque[tuple[int, int]] = deque(maxlen=SLOPE_BLOCKS)
 
     @property
     def drift_ppm(self) -> float:
         """How much slower (+) than ours the sender's clock is taken to run."""
         return self._slope / self.period_ns * 1e6
+
+    def line(self) -> dict[str, int | float]:
+        """What :meth:`instant` goes on from, beside the lanes and the lowest stamps."""
+        return {
+            "scale": self._scale, "unit": self._unit_ns, "origin": self._origin,
+            "slope": self._slope, "anchor": self._anchor, "level": self._level,
+            "block_start": self._block_start, "low_cycle": self._low_cycle, "low": self._low,
+        }  # fmt: skip
+
+    def go_on(self, line: Mapping[str, Any], lows: Sequence[tuple[int, int]], last: str) -> None:
+        """Go on from there, after frames that were placed on the line elsewhere (instants.py)."""
+        self._origin, self._slope = line["origin"], line["slope"]
+        self._anchor, self._level = line["anchor"], line["level"]
+        self._block_start, self._low_cycle = line["block_start"], line["low_cycle"]
+        self._low = line["low"]
+        self.lows.clear()
+        self.lows.extend(lows)
+        if self.last is not None:
+            self.last = self.lane(last)
+
+    def lane(self, name: str) -> Lane:
+        """The message of that name, from its first frame on."""
+        return self._lanes.setdefault(name, Lane())
 
     def instant(self, t_ns: int, counter: int, lane: str = "") -> Instant | None:
         """The sample instant of a frame stamped ``t_ns``; None for a repeated frame."""
@@ -113,7 +139,7 @@ class SampleClock:
         at.in_a_row = 0
         cycles = skip + (elapsed - skip) // modulo * modulo
         late = early - period // 2 - cycles * period
-        if late <= _LATE * self._unit_ns:
+        if late <= LATE * self._unit_ns:
             at.late_total = at.late_run = 0
             at.late_last = 0
             at.behind_since = None
@@ -139,7 +165,7 @@ class SampleClock:
         if skip == 0 and not first:
             return None
         silence = 0 if first else t_ns - at.stamp
-        last = self._last
+        last = self.last
         since = 0 if last is None else t_ns - last.stamp
         if last is None or not 0 <= since <= self.silence_ns:
             return self._restart(at, t_ns, counter, 1 if first else skip, silence)
@@ -196,14 +222,14 @@ class SampleClock:
             lane is not at
             and lane.joined
             and lane.in_time >= _RELATED
-            and lane.late_last <= _LATE * self._unit_ns
+            and lane.late_last <= LATE * self._unit_ns
             and 0 <= t_ns - lane.stamp <= self.silence_ns
             for lane in self._lanes.values()
         )
 
     def _restart(self, at: Lane, t_ns: int, counter: int, skip: int, silence: int) -> Instant:
         """A new line through this frame; the drift is the quartz's and stays."""
-        last = self._last
+        last = self.last
         again = last is not None
         self._paused = last is None or t_ns - last.stamp > self.silence_ns
         phase = at.counter - at.cycle if at.joined else at.phase
@@ -221,7 +247,7 @@ class SampleClock:
             lane.behind_since = None
         self._origin, self._anchor, self._level = t_ns, 0, 0
         self._block_start, self._low_cycle, self._low = 0, 0, 0
-        self._lows.clear()
+        self.lows.clear()
         self.restarts += again
         return Instant(self._place(at, t_ns, counter, 0), self._held(skip, silence), again)
 
@@ -232,7 +258,7 @@ class SampleClock:
 
     def _place(self, at: Lane, t_ns: int, counter: int, cycle: int) -> int:
         at.joined, at.counter, at.cycle, at.stamp = True, counter, cycle, t_ns
-        self._last = at
+        self.last = at
         residual = t_ns - self._origin - cycle * self.period_ns
         self._remember(cycle, residual)
         if residual < self._level + self._slope * (cycle - self._anchor):
@@ -267,21 +293,21 @@ class SampleClock:
         return late > at.late_first - self._unit_ns
 
     def _remember(self, cycle: int, residual: int) -> None:
-        if cycle - self._block_start >= _BLOCK * self._scale:
-            self._lows.append((self._low_cycle, self._low))
+        if cycle - self._block_start >= BLOCK * self._scale:
+            self.lows.append((self._low_cycle, self._low))
             self._refit()
             self._block_start, self._low_cycle, self._low = cycle, cycle, residual
         elif residual - self._low < self._slope * (cycle - self._low_cycle):
             self._low_cycle, self._low = cycle, residual
 
     def _refit(self) -> None:
-        lows = list(self._lows)
-        if len(lows) >= _SLOPE_MIN_BLOCKS:
+        lows = list(self.lows)
+        if len(lows) >= SLOPE_MIN_BLOCKS:
             old, new = self._lowest(lows[: len(lows) // 2]), self._lowest(lows[len(lows) // 2 :])
-            limit = _MAX_DRIFT * self.period_ns
+            limit = MAX_DRIFT * self.period_ns
             slope = (new[1] - old[1]) / (new[0] - old[0])
             self._slope += 0.5 * (max(-limit, min(limit, slope)) - self._slope)
-        self._anchor, self._level = self._lowest(lows[-_ENVELOPE_BLOCKS:])
+        self._anchor, self._level = self._lowest(lows[-ENVELOPE_BLOCKS:])
 
     def _lowest(self, lows: list[tuple[int, int]]) -> tuple[int, int]:
         return min(lows, key=lambda low: low[1] - self._slope * low[0])

@@ -4,11 +4,15 @@ import math
 import re
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 _NO_VALUE = re.compile(
     r"sna|signal\W?not\W?available|not\W?available|n/?a|invalid|not\W?valid|undefined|error|fault",
     re.IGNORECASE,
 )
 _HALF_QUANTUM = 0.5001
+_EXACT = 1 << 53
 
 
 def no_value_raws(signal: Any) -> frozenset[int]:
@@ -43,6 +47,27 @@ class ReadSignal:
         if not self._low <= value <= self._high:
             return math.nan
         return value * self._factor + self._offset
+
+    def read_all(
+        self, raw: npt.NDArray[Any]
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+        """:meth:`read` of raw numbers (n,), and where the sender says that there is no value."""
+        none = np.isin(raw, list(self._none)) if self._none else np.zeros(len(raw), bool)
+        if raw.dtype.kind == "f":
+            none |= np.isnan(raw)
+        elif len(raw) and not self._exact(int(raw.min()), int(raw.max())):
+            return np.array([self.read(each) for each in raw.tolist()]), none
+        with np.errstate(all="ignore"):
+            value = raw.astype(np.float64) * self._linear + self._shift
+            good = (self._low <= value) & (value <= self._high) & ~none
+            return np.where(good, value * self._factor + self._offset, math.nan), none
+
+    def _exact(self, least: int, most: int) -> bool:
+        """Whether floats hold what whole numbers in this range come to on the way."""
+        size = max(abs(least), abs(most))
+        if isinstance(self._linear, int):
+            size = max(size, size * abs(self._linear) + abs(self._shift))
+        return size < _EXACT
 
     def why_not(self, raw: Any) -> str:
         """The fault of a raw number that read as NaN."""

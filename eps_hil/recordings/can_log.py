@@ -14,7 +14,7 @@ from eps_hil.recordings.vendor_log import VendorLog
 SUFFIXES = (".log", ".blf", ".asc", ".trc", ".mf4")
 
 _NS = 1_000_000_000
-_LOOK_AHEAD_NS = _NS // 2  # loggers write several buses slightly out of order
+LOOK_AHEAD_NS = _NS // 2  # loggers write several buses slightly out of order
 _REPORT_EVERY = 4096
 _MAX_SHOWN = 8
 
@@ -89,14 +89,14 @@ def _ordered(
     for number, (channel, frame) in enumerate(frames):
         if frame.t_ns < newest:
             moved += 1
-            if frame.t_ns < newest - _LOOK_AHEAD_NS:
+            if frame.t_ns < newest - LOOK_AHEAD_NS:
                 back_s = (newest - frame.t_ns) / _NS
                 problem = f"time goes back by {back_s:.6g} s"
                 raise InputError(path, log.place, problem, "split the log there")
         else:
             newest = frame.t_ns
         heapq.heappush(waiting, (frame.t_ns, number, channel, frame))
-        while waiting[0][0] < newest - _LOOK_AHEAD_NS:
+        while waiting[0][0] < newest - LOOK_AHEAD_NS:
             yield heapq.heappop(waiting)[2:]
     while waiting:
         yield heapq.heappop(waiting)[2:]

@@ -14,12 +14,12 @@ from eps_hil.errors import InputError
 from eps_hil.recordings.files import refused_by_system
 from eps_hil.recordings.table import shown
 
-_LINE = re.compile(
+LINE = re.compile(
     rb"\s*\((\d{1,10})\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     rb"(?:([Rr])[0-9A-Fa-f]?|#([0-9A-Fa-f])((?:[0-9A-Fa-f]{2}){0,64})"
     rb"|((?:[0-9A-Fa-f]{2}){0,8})(?:_[0-9A-Fa-f])?)(?:\s+([RrTt]))?\s*"
 )
-_ERROR_FLAG, _ID = 0x2000_0000, 0x1FFF_FFFF
+ERROR_FLAG, ID_MASK = 0x2000_0000, 0x1FFF_FFFF
 _BRS_FLAG = 0x01
 _NS = 1_000_000_000
 
@@ -48,7 +48,7 @@ class CandumpLog:
         with refused_by_system(self._path), self._path.open("rb") as file:
             for self._line, line in enumerate(file, start=1):
                 self._bytes += len(line)
-                match = _LINE.fullmatch(line)
+                match = LINE.fullmatch(line)
                 if match is not None:
                     yield _frame(*match.groups())
                 elif line.strip() and not self._cut_off(line):
@@ -79,11 +79,11 @@ def _frame(
     payload = fd_data if fd_flags is not None else data
     return channel.decode("latin-1"), Frame(
         t_ns=int(seconds) * _NS + int(fraction.ljust(9, b"0")),
-        can_id=can_id & _ID,
+        can_id=can_id & ID_MASK,
         data=bytes.fromhex(payload.decode()) if payload else b"",
         extended=len(identifier) == 8,
         fd=fd_flags is not None,
-        error=len(identifier) == 8 and bool(can_id & _ERROR_FLAG),
+        error=len(identifier) == 8 and bool(can_id & ERROR_FLAG),
         own=direction in (b"T", b"t"),
         remote=remote is not None,
         brs=fd_flags is not None and bool(int(fd_flags, 16) & _BRS_FLAG),

@@ -1,14 +1,16 @@
 """CAN log + DBC + mapping -> signals, through the same decoder that the live service uses."""
 
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from eps_hil.bus.codec import FrameDecoder
 from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
+from eps_hil.bus.frame_columns import FrameColumns
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_frames
@@ -27,7 +29,7 @@ _FAULTS = {
     "clock_restarts": "times the sender's clock was found anew",
 }
 
-Samples = tuple["array[int]", "array[float]"]
+Samples = tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]
 
 
 def read_log(
@@ -50,32 +52,75 @@ def read_log(
         problem = f"is a CAN log, which needs {missing}"
         raise InputError(path, "", problem, "give the database and the mapping of its signals")
     mapping = load_mapping(signals)
-    decoder = FrameDecoder(
-        load_database(dbc, strict=mapping.strict),
-        mapping,
-        mapping_file=signals,
-        dbc_file=", ".join(map(str, dbc)),
-    )
+
+    def decoder() -> FrameDecoder:
+        return FrameDecoder(
+            database, mapping, mapping_file=signals, dbc_file=", ".join(map(str, dbc))
+        )
+
+    database = load_database(dbc, strict=mapping.strict)
+    ids = decoder().receive_ids
     notes: list[str] = []
-    samples: dict[str, Samples] = {}
+    found = None
+    columns = _columns(path, ids, channel, on_progress)
+    if columns is not None:
+        found = decoder().decode_all(columns[0])
+        notes += columns[1]
+    if found is None:
+        notes.clear()
+        log = read_frames(path, ids=ids, channel=channel, notes=notes, on_progress=on_progress)
+        found_samples, faults = _one_by_one(decoder(), log)
+    else:
+        found_samples, faults = found.samples, found.faults
+    if not found_samples:
+        shown = ", ".join(f"0x{i:X}" for i in ids[:_MAX_SHOWN])
+        more = ", ..." if len(ids) > _MAX_SHOWN else ""
+        problem = f"no mapped frame occurs (ids {shown}{more})"
+        raise InputError(path, "", problem, "check the mapping, the DBC and the bus")
+    notes += _told(faults)
+    notes += _absent(mapping.signals, found_samples)
+    series = {name: _series(name, *found_samples[name], notes) for name in found_samples}
+    return series, tuple(notes)
+
+
+def _columns(
+    path: Path, ids: Sequence[int], channel: str | None, on_progress: Callable[[float], None] | None
+) -> tuple[FrameColumns, list[str]] | None:
+    """The frames of the log at once, and notes; None where they are to be read one by one."""
+    if path.suffix.lower() != ".log":
+        return None
+    from eps_hil.recordings.candump_columns import read_columns_of
+
+    return read_columns_of(path, ids=ids, channel=channel, on_progress=on_progress)
+
+
+def _one_by_one(
+    decoder: FrameDecoder, frames: Iterable[Frame]
+) -> tuple[dict[str, Samples], dict[str, dict[str, int]]]:
+    """Samples by signal, and faults by kind and message."""
+    kept: dict[str, tuple[array[int], array[float]]] = {}
     faults = _Faults(decoder)
-    for frame in read_frames(
-        path, ids=decoder.receive_ids, channel=channel, notes=notes, on_progress=on_progress
-    ):
+    for frame in frames:
         for name, t_ns, value in decoder.decode(frame):
-            times, values = samples.setdefault(name, (array("q"), array("d")))
+            times, values = kept.setdefault(name, (array("q"), array("d")))
             times.append(t_ns)
             values.append(value)
         faults.after(frame)
-    if not samples:
-        ids = ", ".join(f"0x{i:X}" for i in decoder.receive_ids[:_MAX_SHOWN])
-        more = ", ..." if len(decoder.receive_ids) > _MAX_SHOWN else ""
-        problem = f"no mapped frame occurs (ids {ids}{more})"
-        raise InputError(path, "", problem, "check the mapping, the DBC and the bus")
-    notes += faults.notes()
-    notes += _absent(mapping.signals, samples)
-    series = {name: _series(name, *samples[name], notes) for name in samples}
-    return series, tuple(notes)
+    samples = {
+        name: (np.frombuffer(times, np.int64), np.frombuffer(values, np.float64))
+        for name, (times, values) in kept.items()
+    }
+    return samples, faults.counts
+
+
+def _told(faults: Mapping[str, Mapping[str, int]]) -> list[str]:
+    """One line for each kind that occurred, with its messages."""
+    return [
+        f"{sum(counts.values())} {text} "
+        f"({', '.join(f'{name} {count}' for name, count in counts.items())})"
+        for fault, text in _FAULTS.items()
+        if (counts := faults.get(fault))
+    ]
 
 
 class _Faults:
@@ -85,7 +130,7 @@ class _Faults:
         self._decoder = decoder
         self._told = dict(decoder.faults)
         self._sum = 0
-        self._counts: dict[str, dict[str, int]] = {fault: {} for fault in _FAULTS}
+        self.counts: dict[str, dict[str, int]] = {fault: {} for fault in _FAULTS}
 
     def after(self, frame: Frame) -> None:
         """Put what decoding this frame added down to its message."""
@@ -95,20 +140,11 @@ class _Faults:
             return
         self._sum = total
         message = self._decoder.message_of(frame)
-        for fault, counts in self._counts.items():
+        for fault, counts in self.counts.items():
             if now[fault] != self._told[fault]:
                 more = now[fault] - self._told[fault]
                 counts[message] = counts.get(message, 0) + more
                 self._told[fault] = now[fault]
-
-    def notes(self) -> list[str]:
-        """One line for each kind that occurred, with its messages."""
-        return [
-            f"{sum(counts.values())} {_FAULTS[fault]} "
-            f"({', '.join(f'{name} {count}' for name, count in counts.items())})"
-            for fault, counts in self._counts.items()
-            if counts
-        ]
 
 
 def _absent(mapped: Mapping[str, object], samples: Mapping[str, Samples]) -> list[str]:
@@ -118,9 +154,9 @@ def _absent(mapped: Mapping[str, object], samples: Mapping[str, Samples]) -> lis
     return [f"signals that never occur: {', '.join(absent)}"] if absent else []
 
 
-def _series(name: str, times: "array[int]", values: "array[float]", notes: list[str]) -> Series:
-    t_ns = np.frombuffer(times, dtype=np.int64)
-    value = np.frombuffer(values, dtype=np.float64)
+def _series(
+    name: str, t_ns: npt.NDArray[np.int64], value: npt.NDArray[np.float64], notes: list[str]
+) -> Series:
     newest = np.maximum.accumulate(t_ns)
     kept = np.concatenate(([True], t_ns[1:] > newest[:-1]))  # a clock that restarted may step back
     if not kept.all():

@@ -1,0 +1,116 @@
+"""A sample clock and its messages, between compiled columns and the objects that judge frames."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.bus import instants
+from eps_hil.bus.message_decoder import MessageDecoder
+from eps_hil.bus.sample_clock import SLOPE_BLOCKS
+
+Ints = npt.NDArray[np.int64]
+_MOST_SEEN = 16
+_PLAIN = (
+    "counter", "cycle", "stamp", "late_total", "late_run", "late_last", "in_time", "in_a_row",
+)  # fmt: skip
+
+
+class ClockState:
+    """Messages of one clock, or one message without any; their decoders have seen nothing yet."""
+
+    def __init__(self, plans: Sequence[MessageDecoder]) -> None:
+        n = len(plans)
+        self._plans = plans
+        self._clock = plans[0].clock
+        self._lanes = np.zeros(n, instants.LANE)
+        self._lanes["counter"] = -1
+        self._modulo = np.array([p.check.modulo if p.check else 0 for p in plans], np.int64)
+        seen = [plan.seen for plan in plans]
+        self._ring = instants.Ring(
+            np.full((n, _MOST_SEEN), -1, np.int64),
+            np.zeros((n, _MOST_SEEN), np.int64),
+            np.zeros((n, _MOST_SEEN), np.int64),
+            np.array([0 if one is None else one.size for one in seen], np.int64),
+            np.array([0 if one is None else one.recent_ns for one in seen], np.int64),
+        )
+        self._line = np.zeros(1, instants.LINE)
+        self._lows = np.zeros((SLOPE_BLOCKS, 2), np.int64)
+
+    def run(
+        self, rows: instants.Rows, data: npt.NDArray[np.uint8], number: Ints, width: Ints
+    ) -> npt.NDArray[np.bool_]:
+        """Fill ``rows.state``, ``rows.t_ns``, ``rows.lost``; where the clock was found anew, (n,).
+
+        ``data[number[k]]`` is the payload of row k, of ``width[lane]`` bytes.
+        """
+        restarted = np.zeros(len(rows.stamp), bool)
+        if self._clock is None:
+            instants.by_stamp(rows, self._lanes, self._ring, self._modulo, data, number, width)
+            return restarted
+        self._load()
+        k = 0
+        while k < len(rows.stamp):
+            k = instants.by_counter(
+                rows, self._lanes, self._line, self._lows, self._ring, data, number, width, k
+            )
+            if k < 0:
+                break
+            restarted[k] = self._judged(rows, k)
+            k += 1
+        return restarted
+
+    def _judged(self, rows: instants.Rows, k: int) -> bool:
+        """Row ``k`` by the clock itself; whether it was found anew."""
+        clock = self._clock
+        assert clock is not None
+        self._store()
+        plan = self._plans[rows.lane[k]]
+        at = clock.instant(int(rows.stamp[k]), int(rows.counter[k]), plan.name)
+        self._load()
+        if at is None:
+            rows.state[k] = instants.REPEATED
+            return False
+        rows.state[k] = instants.GOOD if at.trusted else instants.UNTRUSTED
+        rows.t_ns[k], rows.lost[k] = at.t_ns, at.lost
+        return at.restarted
+
+    def _load(self) -> None:
+        """From the clock into the arrays."""
+        clock, line = self._clock, self._line[0]
+        assert clock is not None
+        line["period"], line["modulo"] = clock.period_ns, clock.counter_modulo
+        for name, value in clock.line().items():
+            line[name] = value
+        line["lows"] = len(clock.lows)
+        if clock.lows:
+            self._lows[: len(clock.lows)] = clock.lows
+        for place, plan in enumerate(self._plans):
+            lane, at = clock.lane(plan.name), self._lanes[place]
+            for name in _PLAIN:
+                at[name] = getattr(lane, name)
+            at["joined"], at["repeated"] = lane.joined, lane.repeated
+            at["has_t"], at["t"] = lane.t is not None, lane.t or 0
+            at["has_behind"], at["behind_since"] = (
+                lane.behind_since is not None, lane.behind_since or 0,
+            )  # fmt: skip
+            if lane is clock.last:
+                line["last"] = place
+
+    def _store(self) -> None:
+        """From the arrays into the clock."""
+        clock, line = self._clock, self._line[0]
+        assert clock is not None
+        lows = [(int(cycle), int(low)) for cycle, low in self._lows[: line["lows"]]]
+        clock.go_on(
+            {name: line[name].item() for name in clock.line()},
+            lows,
+            self._plans[line["last"]].name,
+        )
+        for place, plan in enumerate(self._plans):
+            lane, at = clock.lane(plan.name), self._lanes[place]
+            for name in _PLAIN:
+                setattr(lane, name, int(at[name]))
+            lane.joined, lane.repeated = bool(at["joined"]), bool(at["repeated"])
+            lane.t = int(at["t"]) if at["has_t"] else None
+            lane.behind_since = int(at["behind_since"]) if at["has_behind"] else None

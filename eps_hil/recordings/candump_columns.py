@@ -1,0 +1,288 @@
+"""candump logs read at once: lines of one shape become rows of a matrix of characters.
+
+A line's shape is where its parts stand, its interface, and every character between the parts; it
+comes from :data:`~eps_hil.recordings.candump.LINE`, matched on the first line that has no shape
+yet. So a line is taken here if and only if the frame-by-frame reader takes it. Whatever that
+reader would refuse, or is seldom (hundreds of shapes), is left to it: None is returned.
+"""
+
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.bus.frame_columns import EXTENDED, FrameColumns
+from eps_hil.compiled import kernel
+from eps_hil.recordings.can_log import LOOK_AHEAD_NS
+from eps_hil.recordings.candump import ERROR_FLAG, ID_MASK, LINE
+from eps_hil.recordings.files import refused_by_system
+
+_CHUNK = 1 << 20
+_LONGEST = 400
+_MOST_SHAPES = 400
+_FD_DATA, _FD_FLAGS, _DATA = 7, 6, 8
+_NEWLINE, _RETURN = 10, 13
+_SECONDS, _FRACTION, _IDENTIFIER, _FLAGS, _PAYLOAD, _FIXED = range(6)
+_NS = 1_000_000_000
+_HEX = np.full(256, 255, np.uint8)
+_HEX[[*b"0123456789ABCDEF"]] = np.arange(16)
+_HEX[[*b"abcdef"]] = np.arange(10, 16)
+
+Bytes = npt.NDArray[np.uint8]
+Ints = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
+
+
+class Part(NamedTuple):
+    """Rows of one shape: which lines they are (n,), their channel, and the frames themselves."""
+
+    line: Ints
+    channel: bytes
+    t_ns: Ints
+    key: Ints
+    data: Bytes
+
+
+class _Shape(NamedTuple):
+    """What stands where in a line, (length,) each: a kind, and the character of a fixed place.
+
+    ``width``: bytes of payload; ``digits``: of the fraction of a second.
+    """
+
+    kind: Bytes
+    text: Bytes
+    digits: int
+    width: int
+    channel: bytes
+    extended: bool
+    remote: bool
+
+
+@kernel
+def _take(
+    text: Bytes, starts: Ints, kind: Bytes, fixed: Bytes, hexes: Bytes, fits: Bools,
+    numbers: Ints, data: Bytes,
+) -> int:  # fmt: skip
+    """Lines at ``starts`` (n,) that are of a shape: ``fits`` (n,), how many.
+
+    Of those, ``numbers`` (n, 3): seconds, fraction, identifier; and ``data`` (n, width).
+    """
+    rows = 0
+    for k in range(len(starts)):
+        at, place, good = starts[k], 0, True
+        numbers[rows, 0] = numbers[rows, 1] = numbers[rows, 2] = 0
+        for j in range(len(kind)):
+            c = text[at + j]
+            what = kind[j]
+            if what == _FIXED:
+                if c != fixed[j]:
+                    good = False
+                    break
+                continue
+            digit = hexes[c]
+            if digit > (9 if what <= _FRACTION else 15):
+                good = False
+                break
+            if what <= _FRACTION:
+                numbers[rows, what] = numbers[rows, what] * 10 + digit
+            elif what == _IDENTIFIER:
+                numbers[rows, 2] = numbers[rows, 2] * 16 + digit
+            elif what == _PAYLOAD:
+                if place % 2 == 0:
+                    data[rows, place // 2] = digit * 16
+                else:
+                    data[rows, place // 2] += digit
+                place += 1
+        fits[k] = good
+        if good:
+            rows += 1
+    return rows
+
+
+class CandumpColumns:
+    """One log, in chunks of its text; ``cut_off``: the number of a last line without an end."""
+
+    def __init__(self, path: Path, *, keep: Callable[[Ints, bytes], Bools]) -> None:
+        """``keep`` says of keys (n,) on a channel which are wanted."""
+        self._path, self._keep = path, keep
+        self._shapes: dict[int, list[_Shape]] = {}
+        self._lines = 0
+        self.cut_off: int | None = None
+
+    def parts(self, on_progress: Callable[[float], None] | None) -> Iterator[list[Part] | None]:
+        """What each chunk holds; None (and nothing after it) where a line is not plain."""
+        size = max(self._path.stat().st_size, 1)
+        done, rest = 0, b""
+        with refused_by_system(self._path), self._path.open("rb") as file:
+            while block := file.read(_CHUNK):
+                done += len(block)
+                text = rest + block
+                end = text.rfind(b"\n") + 1
+                rest = text[end:]
+                if end:
+                    yield self._chunk(np.frombuffer(text, np.uint8, end))
+                if on_progress is not None:
+                    on_progress(done / size)
+        if rest.strip():
+            if LINE.fullmatch(rest) is not None:
+                yield self._chunk(np.frombuffer(rest + b"\n", np.uint8))
+            elif self._lines == 0:
+                yield None
+            else:
+                self.cut_off = self._lines + 1
+
+    def _chunk(self, text: Bytes) -> list[Part] | None:
+        ends = np.flatnonzero(text == _NEWLINE)
+        starts = np.concatenate(([0], ends[:-1] + 1))
+        long = ends - starts
+        long -= (long > 0) & (text[ends - 1] == _RETURN)
+        first, self._lines = self._lines, self._lines + len(ends)
+        if long.max(initial=0) > _LONGEST:
+            return None
+        parts: list[Part] = []
+        for length in np.flatnonzero(np.bincount(long)).tolist():
+            if length == 0:
+                continue
+            which = np.flatnonzero(long == length)
+            if not self._of_length(text, length, starts[which], first + which, parts):
+                return None
+        return parts
+
+    def _of_length(
+        self, text: Bytes, length: int, starts: Ints, number: Ints, parts: list[Part]
+    ) -> bool:
+        """Lines of one length at ``starts`` into ``parts``; whether all of them are plain."""
+        known = self._shapes.setdefault(length, [])
+        tried = 0
+        while len(starts):
+            if tried == len(known):
+                line = text[starts[0] : starts[0] + length].tobytes()
+                shape = _shape_of(line)
+                if shape is None:
+                    if line.strip():
+                        return False
+                    starts, number = starts[1:], number[1:]
+                    continue
+                if len(known) >= _MOST_SHAPES:
+                    return False
+                known.append(shape)
+            shape = known[tried]
+            fits = np.zeros(len(starts), bool)
+            numbers = np.empty((len(starts) + 1, 3), np.int64)
+            data = np.empty((len(starts) + 1, shape.width), np.uint8)
+            many = _take(text, starts, shape.kind, shape.text, _HEX, fits, numbers, data)
+            if many == len(starts):
+                self._keep_of(shape, number, numbers[:many], data[:many], parts)
+                return True
+            self._keep_of(shape, number[fits], numbers[:many], data[:many], parts)
+            starts, number = starts[~fits], number[~fits]
+            tried += 1
+        return True
+
+    def _keep_of(
+        self, shape: _Shape, number: Ints, numbers: Ints, data: Bytes, parts: list[Part]
+    ) -> None:
+        """What is wanted of lines of a shape."""
+        if shape.remote or not len(number):
+            return
+        identifier = numbers[:, 2]
+        key = identifier & ID_MASK
+        kept = self._keep(key, shape.channel)
+        if shape.extended:
+            kept &= identifier & ERROR_FLAG == 0
+            key |= EXTENDED
+        t_ns = numbers[:, 0] * _NS + numbers[:, 1] * 10 ** (9 - shape.digits)
+        if not kept.all():
+            number, key, t_ns, data = number[kept], key[kept], t_ns[kept], data[kept]
+        if len(key):
+            parts.append(Part(number, shape.channel, t_ns, key, data))
+
+
+def _shape_of(line: bytes) -> _Shape | None:
+    match = LINE.fullmatch(line)
+    if match is None:
+        return None
+    payload = _FD_DATA if match[_FD_FLAGS] is not None else _DATA
+    kind = np.full(len(line), _FIXED, np.uint8)
+    for group, what in (
+        (1, _SECONDS), (2, _FRACTION), (4, _IDENTIFIER), (_FD_FLAGS, _FLAGS), (payload, _PAYLOAD)
+    ):  # fmt: skip
+        if match.span(group)[0] >= 0:
+            kind[slice(*match.span(group))] = what
+    return _Shape(
+        kind, np.frombuffer(line, np.uint8), len(match[2]), len(match[payload] or b"") // 2,
+        match[3], len(match[4]) == 8, match[5] is not None,
+    )  # fmt: skip
+
+
+def read_columns_of(
+    path: Path,
+    *,
+    ids: Collection[int],
+    channel: str | None,
+    on_progress: Callable[[float], None] | None = None,
+) -> tuple[FrameColumns, list[str]] | None:
+    """The wanted frames of a candump log and notes; None: read it frame by frame.
+
+    None too for whatever is refused there, which then says why.
+    """
+    wanted = np.array(sorted(ids), np.int64)
+    only = None if channel is None else channel.encode("latin-1", "replace")
+
+    def keep(keys: Ints, on: bytes) -> Bools:
+        if only is not None and on != only:
+            return np.zeros(len(keys), bool)
+        return np.isin(keys, wanted)
+
+    log = CandumpColumns(path, keep=keep)
+    parts: list[Part] = []
+    for found in log.parts(on_progress):
+        if found is None:
+            return None
+        parts += found
+    if not parts or _mixed(parts):
+        return None
+    frames, moved = _ordered(parts)
+    if frames is None:
+        return None
+    notes = [] if log.cut_off is None else [f"line {log.cut_off} is cut off: left out"]
+    if moved:
+        notes.append(f"{moved} frames were out of order: sorted by stamp")
+    return frames, notes
+
+
+def _mixed(parts: list[Part]) -> bool:
+    """Whether one id is on two channels."""
+    heard: dict[int, bytes] = {}
+    for part in parts:
+        for key in np.unique(part.key).tolist():
+            if heard.setdefault(key, part.channel) != part.channel:
+                return True
+    return False
+
+
+def _ordered(parts: list[Part]) -> tuple[FrameColumns | None, int]:
+    """Frames by stamp, and how many were out of order; None where time goes back."""
+    widest = max(part.data.shape[1] for part in parts)
+    many = sum(len(part.key) for part in parts)
+    line = np.concatenate([part.line for part in parts])
+    order = np.argsort(line, kind="stable")
+    t_ns = np.concatenate([part.t_ns for part in parts])[order]
+    newest = np.maximum.accumulate(t_ns)
+    if (newest - t_ns).max() > LOOK_AHEAD_NS:
+        return None, 0
+    moved = int(np.count_nonzero(t_ns < newest))
+    if moved:
+        by_time = np.argsort(t_ns, kind="stable")
+        order, t_ns = order[by_time], t_ns[by_time]
+    data = np.zeros((many, widest), np.uint8)
+    length = np.empty(many, np.int64)
+    since = 0
+    for part in parts:
+        data[since : since + len(part.key), : part.data.shape[1]] = part.data
+        length[since : since + len(part.key)] = part.data.shape[1]
+        since += len(part.key)
+    key = np.concatenate([part.key for part in parts])
+    return FrameColumns(t_ns, key[order], length[order], data[order]), moved

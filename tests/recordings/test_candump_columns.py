@@ -1,0 +1,225 @@
+"""A candump log read at once gives what the live decoder gives frame by frame, notes included."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from eps_hil.bus.codec import FrameEncoder
+from eps_hil.bus.database import load_database
+from eps_hil.bus.frame import Frame
+from eps_hil.bus.record import open_log
+from eps_hil.errors import InputError
+from eps_hil.recordings import log_signals
+from eps_hil.recordings.log_signals import read_log
+
+ROOT = Path(__file__).parents[2]
+DBC = ROOT / "dbc" / "eps_rig.dbc"
+SIGNALS = ROOT / "configs" / "eps_rig_signals.yaml"
+START_NS = 1_757_617_431_821_276_000
+MS = 1_000_000
+Read = tuple[dict[str, tuple[list[int], bytes]], tuple[str, ...]]
+Fault = Callable[[list[Frame], np.random.Generator], list[Frame]]
+
+
+def both(path: Path, monkeypatch: pytest.MonkeyPatch, channel: str | None = None) -> Read:
+    """What the log says, once it says the same both ways."""
+    answers = []
+    for at_once in (True, False):
+        with monkeypatch.context() as patch:
+            if not at_once:
+                patch.setattr(log_signals, "_columns", lambda *_: None)
+            else:
+                patch.setattr(log_signals, "read_frames", _not_asked)
+            series, notes = read_log(path, dbc=[DBC], signals=SIGNALS, channel=channel)
+            signals = {
+                name: (one.t_ns.tolist(), one.value.tobytes()) for name, one in series.items()
+            }
+            answers.append((signals, notes))
+    assert list(answers[0][0]) == list(answers[1][0])
+    assert answers[0] == answers[1]
+    return answers[0]
+
+
+def _not_asked(*_: object, **__: object) -> None:
+    raise AssertionError("it was read frame by frame")
+
+
+def traffic(cycles: int, rng: np.random.Generator) -> list[Frame]:
+    """Messages with counters, of a sender whose clock drifts, stamped late now and then."""
+    database = load_database([DBC])
+    names = ("EPS_MotorState", "EPS_Torques", "RIG_State", "EPS_SteeringWheel", "VEH_Motion")
+    encoders = [FrameEncoder(database, name) for name in names]
+    period = MS * (1.0 + rng.normal(0, 1e-4))
+    frames = []
+    for cycle in range(cycles):
+        for place, encoder in enumerate(encoders):
+            if place < 3 or cycle % 10 == 0:
+                late = rng.exponential(20e3) + (rng.random() < 0.01) * rng.exponential(1e6)
+                at = START_NS + round(cycle * period + place * 110_000 + late) // 1000 * 1000
+                values = {s.name: float(rng.normal()) for s in database.get_message_by_name(
+                    names[place]).signals}  # fmt: skip
+                frames.append(encoder.frame(values, at))
+    return sorted(frames, key=lambda frame: frame.t_ns)
+
+
+def lost(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    k, n = int(rng.integers(len(frames))), int(rng.integers(1, 400))
+    return frames[:k] + frames[k + n :]
+
+
+def wrong_bits(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    k = int(rng.integers(len(frames)))
+    data = bytearray(frames[k].data)
+    data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+    return [*frames[:k], replace(frames[k], data=bytes(data)), *frames[k + 1 :]]
+
+
+def short(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    k = int(rng.integers(len(frames)))
+    return [*frames[:k], replace(frames[k], data=frames[k].data[:3]), *frames[k + 1 :]]
+
+
+def repeated(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    k = int(rng.integers(len(frames)))
+    return [*frames[: k + 1], *frames[k : k + int(rng.integers(1, 4))], *frames[k + 1 :]]
+
+
+def late_burst(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    k, n = int(rng.integers(len(frames))), int(rng.integers(1, 60))
+    until = frames[min(k + n, len(frames) - 1)].t_ns
+    return frames[:k] + [replace(f, t_ns=until) for f in frames[k : k + n]] + frames[k + n :]
+
+
+def clock_step(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    k, by = int(rng.integers(len(frames))), int(rng.integers(-300, 3000)) * MS
+    return frames[:k] + [replace(f, t_ns=f.t_ns + by) for f in frames[k:]]
+
+
+def second_sender(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    k = int(rng.integers(len(frames) - 40))
+    other = [replace(f, t_ns=f.t_ns + 300_000) for f in traffic(4, rng)]
+    moved = [replace(f, t_ns=f.t_ns - START_NS + frames[k].t_ns) for f in other]
+    return sorted(frames + moved, key=lambda frame: frame.t_ns)
+
+
+def one_message_late(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    which, by = frames[int(rng.integers(20))].can_id, int(rng.integers(1, 30)) * MS
+    k = int(rng.integers(len(frames)))
+    later = [replace(f, t_ns=f.t_ns + by * (f.can_id == which)) for f in frames[k:]]
+    return sorted(frames[:k] + later, key=lambda frame: frame.t_ns)
+
+
+def swapped(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    k = int(rng.integers(len(frames) - 5))
+    return [*frames[:k], *reversed(frames[k : k + 5]), *frames[k + 5 :]]
+
+
+FAULTS: tuple[Fault, ...] = (
+    lost, wrong_bits, short, repeated, late_burst, clock_step, second_sender, one_message_late,
+    swapped,
+)  # fmt: skip
+
+
+def written(path: Path, frames: list[Frame]) -> Path:
+    log = open_log(path, "can0", overwrite=True)
+    log.write(frames)
+    log.close()
+    return path
+
+
+@settings(
+    deadline=None, max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    seed=st.integers(0, 2**32 - 1), which=st.lists(st.sampled_from(FAULTS), max_size=6)
+)  # fmt: skip
+def test_faulty_traffic(
+    seed: int, which: list[Fault], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(seed)
+    frames = traffic(500, rng)
+    for fault in which:
+        frames = fault(frames, rng)
+    both(written(tmp_path / "bus.log", frames), monkeypatch)
+
+
+def test_every_fault_is_told_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    frames = traffic(1_500, rng)  # beyond the blocks from which the drift is taken
+    for fault in FAULTS:
+        frames = fault(frames, rng)
+    _, notes = both(written(tmp_path / "bus.log", frames), monkeypatch)
+    told = "\n".join(notes)
+    for words in ("wrong CRC", "shorter", "repeat their counter", "are missing", "found anew",
+                  "out of order"):  # fmt: skip
+        assert words in told
+
+
+def lines(frames: list[Frame], rest: str = "") -> list[str]:
+    return [
+        f"({f.t_ns // 10**9}.{f.t_ns % 10**9:09d}) can0 {f.can_id:03X}#{f.data.hex().upper()}{rest}"
+        for f in frames
+    ]
+
+
+def test_what_else_stands_in_a_log(
+    rig_frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Blank lines, errors, requests, CAN FD, other buses, other widths, and a last line cut off."""
+    plain = lines(rig_frames)
+    plain[3] = plain[3].lower().replace("can0", " can0") + "  T\r"
+    plain[5] = plain[5].replace("#", "##1") + "00" * 8  # padded as CAN FD does
+    plain[10:10] = ["", "   ", "(1757617431.9) can0 20000004#0000000000000000"]
+    plain[20:20] = ["(1757617431.83) can0 123#R", "(1757617431.83) can1 123##0AABB"]
+    plain[30:30] = ["(1757617431.83) can1 00000100#DEADBEEF"]  # another id: it has 29 bits
+    path = tmp_path / "bus.log"
+    path.write_text("\n".join([*plain, plain[0][:30]]))
+    _, notes = both(path, monkeypatch)
+    assert f"line {len(plain) + 1} is cut off: left out" in notes
+    path.write_text("\n".join(plain))
+    assert not any("cut off" in note for note in both(path, monkeypatch)[1])
+
+
+def test_one_of_two_buses(
+    rig_frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "bus.log"
+    first = lines(rig_frames)
+    path.write_text("\n".join(first + [line.replace("can0", "can1") for line in first[:-9]]))
+    all_of_it, _ = both(path, monkeypatch, "can0")
+    fewer, _ = both(path, monkeypatch, "can1")
+    assert len(fewer["motor_speed_rad_s"][0]) < len(all_of_it["motor_speed_rad_s"][0])
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("(1757617431.9) can0 100#DEADBEEFX", "line 41: '(1757617431.9) can0 100#DEADBEEFX'"),
+        ("(1757617430.9) can0 100#DEADBEEF", "line 41: time goes back"),
+        ("(1757617431.9) can1 100#DEADBEEF", "on channel can0 and on can1"),
+        ("\x00" * 30, "line 41"),
+        ("(1757617431.9) can0 100#" + "0" * 500, "line 41"),
+    ],
+)
+def test_what_is_refused_names_its_line(
+    rig_frames: list[Frame], tmp_path: Path, line: str, said: str
+) -> None:
+    path = tmp_path / "bus.log"
+    text = lines(rig_frames)
+    path.write_text("\n".join([*text[:40], line, *text[40:], ""]))
+    with pytest.raises(InputError) as refused:
+        read_log(path, dbc=[DBC], signals=SIGNALS)
+    assert said in str(refused.value)
+
+
+def test_progress_is_told(rig_frames: list[Frame], tmp_path: Path) -> None:
+    path = written(tmp_path / "bus.log", rig_frames)
+    heard: list[float] = []
+    read_log(path, dbc=[DBC], signals=SIGNALS, on_progress=heard.append)
+    assert heard == sorted(heard)
+    assert heard[-1] == 1.0
