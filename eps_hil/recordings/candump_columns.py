@@ -6,18 +6,18 @@ yet. So a line is taken here if and only if the frame-by-frame reader takes it. 
 reader would refuse, or is seldom (hundreds of shapes), is left to it: None is returned.
 """
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.bus.frame_columns import EXTENDED, FrameColumns
+from eps_hil.bus.frame_columns import EXTENDED
 from eps_hil.compiled import kernel
-from eps_hil.recordings.can_log import LOOK_AHEAD_NS
 from eps_hil.recordings.candump import ERROR_FLAG, ID_MASK, LINE
 from eps_hil.recordings.files import refused_by_system
+from eps_hil.recordings.frame_parts import Keep, Part
 
 _CHUNK = 1 << 20
 _LONGEST = 400
@@ -33,16 +33,6 @@ _HEX[[*b"abcdef"]] = np.arange(10, 16)
 Bytes = npt.NDArray[np.uint8]
 Ints = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
-
-
-class Part(NamedTuple):
-    """Rows of one shape: which lines they are (n,), their channel, and the frames themselves."""
-
-    line: Ints
-    channel: bytes
-    t_ns: Ints
-    key: Ints
-    data: Bytes
 
 
 class _Shape(NamedTuple):
@@ -102,14 +92,13 @@ def _take(
 
 
 class CandumpColumns:
-    """One log, in chunks of its text; ``cut_off``: the number of a last line without an end."""
+    """One log, in chunks of its text."""
 
-    def __init__(self, path: Path, *, keep: Callable[[Ints, bytes], Bools]) -> None:
-        """``keep`` says of keys (n,) on a channel which are wanted."""
+    def __init__(self, path: Path, *, keep: Keep) -> None:
         self._path, self._keep = path, keep
         self._shapes: dict[int, list[_Shape]] = {}
         self._lines = 0
-        self.cut_off: int | None = None
+        self.notes: list[str] = []
 
     def parts(self, on_progress: Callable[[float], None] | None) -> Iterator[list[Part] | None]:
         """What each chunk holds; None (and nothing after it) where a line is not plain."""
@@ -131,7 +120,7 @@ class CandumpColumns:
             elif self._lines == 0:
                 yield None
             else:
-                self.cut_off = self._lines + 1
+                self.notes.append(f"line {self._lines + 1} is cut off: left out")
 
     def _chunk(self, text: Bytes) -> list[Part] | None:
         ends = np.flatnonzero(text == _NEWLINE)
@@ -197,7 +186,9 @@ class CandumpColumns:
         if not kept.all():
             number, key, t_ns, data = number[kept], key[kept], t_ns[kept], data[kept]
         if len(key):
-            parts.append(Part(number, shape.channel, t_ns, key, data))
+            parts.append(
+                Part(number, shape.channel, t_ns, key, np.full(len(key), data.shape[1]), data)
+            )
 
 
 def _shape_of(line: bytes) -> _Shape | None:
@@ -215,74 +206,3 @@ def _shape_of(line: bytes) -> _Shape | None:
         kind, np.frombuffer(line, np.uint8), len(match[2]), len(match[payload] or b"") // 2,
         match[3], len(match[4]) == 8, match[5] is not None,
     )  # fmt: skip
-
-
-def read_columns_of(
-    path: Path,
-    *,
-    ids: Collection[int],
-    channel: str | None,
-    on_progress: Callable[[float], None] | None = None,
-) -> tuple[FrameColumns, list[str]] | None:
-    """The wanted frames of a candump log and notes; None: read it frame by frame.
-
-    None too for whatever is refused there, which then says why.
-    """
-    wanted = np.array(sorted(ids), np.int64)
-    only = None if channel is None else channel.encode("latin-1", "replace")
-
-    def keep(keys: Ints, on: bytes) -> Bools:
-        if only is not None and on != only:
-            return np.zeros(len(keys), bool)
-        return np.isin(keys, wanted)
-
-    log = CandumpColumns(path, keep=keep)
-    parts: list[Part] = []
-    for found in log.parts(on_progress):
-        if found is None:
-            return None
-        parts += found
-    if not parts or _mixed(parts):
-        return None
-    frames, moved = _ordered(parts)
-    if frames is None:
-        return None
-    notes = [] if log.cut_off is None else [f"line {log.cut_off} is cut off: left out"]
-    if moved:
-        notes.append(f"{moved} frames were out of order: sorted by stamp")
-    return frames, notes
-
-
-def _mixed(parts: list[Part]) -> bool:
-    """Whether one id is on two channels."""
-    heard: dict[int, bytes] = {}
-    for part in parts:
-        for key in np.unique(part.key).tolist():
-            if heard.setdefault(key, part.channel) != part.channel:
-                return True
-    return False
-
-
-def _ordered(parts: list[Part]) -> tuple[FrameColumns | None, int]:
-    """Frames by stamp, and how many were out of order; None where time goes back."""
-    widest = max(part.data.shape[1] for part in parts)
-    many = sum(len(part.key) for part in parts)
-    line = np.concatenate([part.line for part in parts])
-    order = np.argsort(line, kind="stable")
-    t_ns = np.concatenate([part.t_ns for part in parts])[order]
-    newest = np.maximum.accumulate(t_ns)
-    if (newest - t_ns).max() > LOOK_AHEAD_NS:
-        return None, 0
-    moved = int(np.count_nonzero(t_ns < newest))
-    if moved:
-        by_time = np.argsort(t_ns, kind="stable")
-        order, t_ns = order[by_time], t_ns[by_time]
-    data = np.zeros((many, widest), np.uint8)
-    length = np.empty(many, np.int64)
-    since = 0
-    for part in parts:
-        data[since : since + len(part.key), : part.data.shape[1]] = part.data
-        length[since : since + len(part.key)] = part.data.shape[1]
-        since += len(part.key)
-    key = np.concatenate([part.key for part in parts])
-    return FrameColumns(t_ns, key[order], length[order], data[order]), moved

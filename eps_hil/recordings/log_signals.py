@@ -15,6 +15,7 @@ from eps_hil.bus.mapping import load_mapping
 from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_frames
 from eps_hil.recordings.files import check_readable
+from eps_hil.recordings.log_columns import SUFFIXES, read_columns_of
 from eps_hil.series import Series
 
 _MAX_SHOWN = 8
@@ -87,10 +88,8 @@ def _columns(
     path: Path, ids: Sequence[int], channel: str | None, on_progress: Callable[[float], None] | None
 ) -> tuple[FrameColumns, list[str]] | None:
     """The frames of the log at once, and notes; None where they are to be read one by one."""
-    if path.suffix.lower() != ".log":
+    if path.suffix.lower() not in SUFFIXES:
         return None
-    from eps_hil.recordings.candump_columns import read_columns_of
-
     return read_columns_of(path, ids=ids, channel=channel, on_progress=on_progress)
 
 

@@ -1,5 +1,7 @@
 """Raw numbers by columns against cantools, for any layout that it takes."""
 
+from collections import OrderedDict
+
 import numpy as np
 import pytest
 from cantools.database import Message, Signal
@@ -36,6 +38,14 @@ def messages(draw: st.DrawFn) -> Message:
     return Message(0x100, "M", length, [signal])
 
 
+def raw_of(message: Message, payload: bytes) -> float:
+    found = message.decode(payload, decode_choices=False, scaling=False)
+    assert isinstance(found, dict)
+    number = found["S"]
+    assert isinstance(number, int | float)
+    return number
+
+
 @settings(deadline=None, max_examples=300)
 @given(message=messages(), data=st.data())
 def test_any_layout_reads_as_cantools_does(message: Message, data: st.DataObject) -> None:
@@ -48,7 +58,7 @@ def test_any_layout_reads_as_cantools_does(message: Message, data: st.DataObject
         return
     columns = np.frombuffer(b"".join(payloads), np.uint8).reshape(len(payloads), -1)
     raw = bits.raw(columns)
-    by_cantools = [message.decode(p, decode_choices=False, scaling=False)["S"] for p in payloads]
+    by_cantools = [raw_of(message, payload) for payload in payloads]
     assert np.array_equal(raw, np.array(by_cantools, raw.dtype), equal_nan=raw.dtype.kind == "f")
     read = ReadSignal(signal, "rack_force_n", 0.25, -3.0)
     values, none = read.read_all(raw)
@@ -60,7 +70,7 @@ def test_any_layout_reads_as_cantools_does(message: Message, data: st.DataObject
 
 
 def test_values_that_are_none() -> None:
-    conversion = BaseConversion.factory(0.5, 0, {255: "Signal not available"}, False)
+    conversion = BaseConversion.factory(0.5, 0, OrderedDict({255: "Signal not available"}), False)
     signal = Signal("S", 0, 8, conversion=conversion, maximum=100)
     values, none = ReadSignal(signal, "rack_force_n", 2.0, 1.0).read_all(np.array([255, 10, 240]))
     assert np.array_equal(values, [np.nan, 11.0, np.nan], equal_nan=True)

@@ -1,9 +1,11 @@
-"""A candump log read at once gives what the live decoder gives frame by frame, notes included."""
+"""A log read at once gives what the live decoder gives frame by frame, notes included."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import can
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -126,6 +128,11 @@ FAULTS: tuple[Fault, ...] = (
 
 
 def written(path: Path, frames: list[Frame]) -> Path:
+    if path.suffix == ".blf":
+        with can.Logger(path) as writer:
+            for frame in frames:
+                writer.on_message_received(as_message(frame))
+        return path
     log = open_log(path, "can0", overwrite=True)
     log.write(frames)
     log.close()
@@ -136,16 +143,18 @@ def written(path: Path, frames: list[Frame]) -> Path:
     deadline=None, max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
-    seed=st.integers(0, 2**32 - 1), which=st.lists(st.sampled_from(FAULTS), max_size=6)
+    seed=st.integers(0, 2**32 - 1),
+    which=st.lists(st.sampled_from(FAULTS), max_size=6),
+    name=st.sampled_from(["bus.log", "bus.blf"]),
 )  # fmt: skip
 def test_faulty_traffic(
-    seed: int, which: list[Fault], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    seed: int, which: list[Fault], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng(seed)
     frames = traffic(500, rng)
     for fault in which:
         frames = fault(frames, rng)
-    both(written(tmp_path / "bus.log", frames), monkeypatch)
+    both(written(tmp_path / name, frames), monkeypatch)
 
 
 def test_every_fault_is_told_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,6 +167,13 @@ def test_every_fault_is_told_the_same(tmp_path: Path, monkeypatch: pytest.Monkey
     for words in ("wrong CRC", "shorter", "repeat their counter", "are missing", "found anew",
                   "out of order"):  # fmt: skip
         assert words in told
+
+
+def as_message(frame: Frame, **more: Any) -> can.Message:
+    known = {"channel": 0, "is_fd": frame.fd, "is_extended_id": frame.extended}
+    return can.Message(
+        timestamp=frame.t_ns / 1e9, arbitration_id=frame.can_id, data=frame.data, **known | more
+    )
 
 
 def lines(frames: list[Frame], rest: str = "") -> list[str]:
@@ -223,3 +239,43 @@ def test_progress_is_told(rig_frames: list[Frame], tmp_path: Path) -> None:
     read_log(path, dbc=[DBC], signals=SIGNALS, on_progress=heard.append)
     assert heard == sorted(heard)
     assert heard[-1] == 1.0
+
+
+def test_what_else_stands_in_a_blf(
+    rig_frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Errors, requests, CAN FD, other channels, ids of 29 bits, more than one container."""
+    path = tmp_path / "bus.blf"
+    with can.Logger(path, max_container_size=9_999) as writer:
+        for k, frame in enumerate(rig_frames):
+            writer.on_message_received(as_message(frame))
+            if k % 50 == 0:
+                for more in ({"is_error_frame": True}, {"channel": 3}, {"is_extended_id": True}):
+                    writer.on_message_received(
+                        as_message(replace(frame, can_id=0x321), **more)
+                    )  # fmt: skip
+                writer.on_message_received(
+                    can.Message(timestamp=frame.t_ns / 1e9, arbitration_id=0x100, channel=0,
+                                is_remote_frame=True, dlc=8, is_extended_id=False)
+                )  # fmt: skip
+    signals, _ = both(path, monkeypatch)
+    assert len(signals["motor_speed_rad_s"][0]) == 300
+    both(path, monkeypatch, "1")
+
+
+def test_a_blf_with_can_fd(
+    rig_frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fd = [replace(f, fd=True, data=f.data + bytes(4) if k % 3 else f.data)
+          for k, f in enumerate(rig_frames)]  # fmt: skip
+    both(written(tmp_path / "bus.blf", fd), monkeypatch)
+
+
+def test_a_blf_without_its_end_is_read_by_frames(rig_frames: list[Frame], tmp_path: Path) -> None:
+    path = tmp_path / "bus.blf"
+    with can.Logger(path, max_container_size=9_999) as writer:
+        for frame in rig_frames:
+            writer.on_message_received(as_message(frame))
+    path.write_bytes(path.read_bytes()[:-300])
+    series, _ = read_log(path, dbc=[DBC], signals=SIGNALS)
+    assert 100 < len(series["motor_speed_rad_s"].t_ns) < 300

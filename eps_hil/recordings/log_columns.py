@@ -1,0 +1,37 @@
+"""CAN logs read at once, where their format has a reader for that; all others frame by frame."""
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from eps_hil.bus.frame_columns import FrameColumns
+
+SUFFIXES = (".log", ".blf")
+
+
+def read_columns_of(
+    path: Path,
+    *,
+    ids: Collection[int],
+    channel: str | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> tuple[FrameColumns, list[str]] | None:
+    """The wanted frames of a log, and notes; None: read it frame by frame.
+
+    None too for whatever is refused there, which then says why.
+    """
+    from eps_hil.recordings.blf_columns import BlfColumns
+    from eps_hil.recordings.candump_columns import CandumpColumns
+    from eps_hil.recordings.frame_parts import Part, together, wanted
+
+    keep = wanted(ids, channel)
+    blf = path.suffix.lower() == ".blf"
+    log: BlfColumns | CandumpColumns
+    log = BlfColumns(path, keep=keep) if blf else CandumpColumns(path, keep=keep)
+    parts: list[Part] = []
+    for found in log.parts(on_progress):
+        if found is None:
+            return None
+        parts += found
+    notes = list(log.notes)
+    frames = together(parts, notes)
+    return None if frames is None else (frames, notes)
