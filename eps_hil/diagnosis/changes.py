@@ -109,7 +109,7 @@ def _renewed(
     bare = replace(
         baseline, effects=tuple(one for one in baseline.effects if one["effect"] not in held)
     )
-    anew = diagnose(bare, after, {}, say)
+    anew = diagnose(bare, after, {}, say, (_EMPIRICAL,))  # what is unknown needs no model here
     found = {one["effect"] for one in anew.content["findings"]}
     left = [one.content["fit"]["holdout"]["augmented"]["torque_nrmse"] for one in (anew, second)]
     better = _UNKNOWN not in found and held <= found and left[0] <= _NO_WORSE * left[1]

@@ -69,6 +69,16 @@ def read_tagged_frames(
         notes.extend(log.notes)
 
 
+def read_unordered_frames(
+    path: str | Path, on_progress: Callable[[float], None] | None = None
+) -> Iterator[tuple[str, Frame]]:
+    """All frames with their channel, as they stand in the file: for those who judge its stamps."""
+    path = Path(path)
+    check_readable(path)
+    log: _Log = CandumpLog(path) if path.suffix.lower() == ".log" else VendorLog(path)
+    yield from _watched(log, on_progress)
+
+
 def _watched(log: _Log, on_progress: Callable[[float], None] | None) -> Iterator[tuple[str, Frame]]:
     if on_progress is None:
         yield from log

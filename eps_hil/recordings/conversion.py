@@ -100,10 +100,10 @@ def _log_to_log(
     tagged = read_tagged_frames(source, channel=channel, notes=notes, on_progress=on_progress)
     first = next(tagged)  # before anything is written: a broken log raises here
     with replacing(target) as temporary:
-        writer = _writer(temporary, target.suffix.lower(), first[1].t_ns / _NS)
+        writer = log_writer(temporary, target.suffix.lower(), first[1].t_ns / _NS)
         try:
             for name, frame in chain([first], tagged):
-                writer.on_message_received(_message(frame, name, source.suffix.lower()))
+                writer.on_message_received(as_message(frame, name, source.suffix.lower()))
                 frames += 1
         finally:
             writer.stop()
@@ -111,7 +111,8 @@ def _log_to_log(
     return tuple(notes)
 
 
-def _writer(path: Path, suffix: str, start_s: float) -> Any:
+def log_writer(path: Path, suffix: str, start_s: float) -> Any:
+    """python-can's writer of a log that begins at ``start_s``; its ``stop`` ends the file."""
     import can
 
     if suffix == ".blf":
@@ -122,7 +123,8 @@ def _writer(path: Path, suffix: str, start_s: float) -> Any:
     return can.CanutilsLogWriter(path) if suffix == ".log" else can.ASCWriter(path)
 
 
-def _message(frame: Frame, channel: str, suffix: str) -> Any:
+def as_message(frame: Frame, channel: str, suffix: str) -> Any:
+    """A frame for such a writer; ``suffix``: of the log that the channel's name is from."""
     import can
 
     from_one = channel.isdigit() and suffix in _NUMBERED_FROM_1

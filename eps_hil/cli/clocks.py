@@ -1,0 +1,138 @@
+"""``eps-hil clocks``: how good a log's time stamps are (CONTRACT 6)."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from eps_hil.clocks.audit import Audit, ChannelAudit
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("clocks")(clocks)
+
+
+def clocks(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="REC...", help="CAN logs: LOG, BLF, ASC, TRC or MF4.")
+    ],
+    json: Annotated[Path | None, typer.Option("--json", help="The result as JSON.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", help="A copy with the clocks put right (.log, .blf, .asc); {name} for several."
+        ),
+    ] = None,
+) -> None:
+    """How late, how coarse, how steady are the stamps of a log, and do its channels agree?
+
+    Per message: period, drift against its nominal cycle time, lateness, lost cycles. Per channel:
+    where the stamps come from, steps of its clock. Between channels: offset and drift, by frames
+    that both have. Nothing needs a database.
+    """
+    import sys
+
+    from rich.console import Console
+
+    from eps_hil.cli._files import check_different, check_places, output_for, write_json
+    from eps_hil.cli._inputs import check_extras, progress
+    from eps_hil.clocks.audit import audit
+    from eps_hil.clocks.corrected import check_suffix, write_corrected
+
+    check_extras([recordings])
+    check_places(json)
+    targets = {}
+    for path in recordings:
+        if out is not None:
+            targets[path] = output_for(out, path, len(recordings) > 1)
+            check_suffix(targets[path])
+            check_places(targets[path])
+            check_different(targets[path], path)
+    width = None if sys.stdout.isatty() else 110
+    console = Console(width=width, highlight=False, soft_wrap=True)
+    told = []
+    for path in recordings:
+        with progress(f"reading {path.name}") as bar:
+            found = audit(path, bar)
+        _show(console, found)
+        told.append(found.content())
+        if path in targets:
+            with progress(f"writing {targets[path].name}") as bar:
+                count = write_corrected(found, targets[path], bar)
+            typer.echo(f"{count} frames written to {targets[path]}")
+    if json is not None:
+        write_json(json, told[0] if len(told) == 1 else {"schema": told[0]["schema"], "logs": told})
+
+
+def _show(console: "object", found: "Audit") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    assert isinstance(console, Console)
+    console.print(f"{found.path}: best stamps on {found.reference}")
+    for channel in found.channels:
+        table = Table(title=_headline(channel), title_justify="left", title_style="")
+        for name in ("message", "frames", "period", "drift", "late p50", "p99", "most", "lost"):
+            table.add_column(name, justify="left" if name == "message" else "right")
+        for row in _rows(channel):
+            table.add_row(*row)
+        console.print(table)
+        for line in _remarks(channel):
+            console.print(f"  {line}")
+    for pair in found.pairs:
+        console.print(
+            f"{pair.channel} against {pair.reference}: {1e3 * pair.offset_s:+.4f} ms at the start "
+            f"(± {1e3 * pair.offset_half_width_s:.4f}), {pair.drift_ppm:+.2f} ppm "
+            f"(± {pair.drift_half_width_ppm:.2f}), by {pair.pairs} frames that both have"
+        )
+        for step in pair.line.steps:
+            console.print(f"  {1e3 * step.by_s:+.3f} ms from {step.at_s:.1f} s on")
+    known = {found.reference, *(pair.channel for pair in found.pairs)}
+    for channel in found.channels:
+        if channel.channel.name not in known:
+            console.print(
+                f"{channel.channel.name}: no frame in common with {found.reference}: their clocks "
+                "cannot be compared"
+            )
+
+
+def _headline(channel: "ChannelAudit") -> str:
+    return f"{channel.channel.name}: {len(channel.channel.t_ns)} frames, stamps {channel.source}"
+
+
+def _rows(channel: "ChannelAudit") -> "Iterator[list[str]]":
+    from eps_hil.clocks.cadence import FEWEST
+
+    for message, told in channel.messages:
+        name, frames = message.name, str(len(message.t_ns))
+        if told is None:
+            what = "not cyclic" if len(message.t_ns) >= FEWEST else "too few"
+            yield [name, frames, what, "", "", "", "", ""]
+            continue
+        drift = "–"
+        if told.drift_ppm is not None and told.drift_ci95 is not None:
+            half = 0.5 * (told.drift_ci95[1] - told.drift_ci95[0])
+            drift = f"{told.drift_ppm:+.2f} ± {half:.2g} ppm"
+        late = (told.late_p50_s, told.late_p99_s, told.late_max_s)
+        period = told.nominal_s if told.nominal_s is not None else told.period_s
+        yield [
+            name, frames, f"{1e3 * period:.6g} ms", drift,
+            *(f"{1e6 * one:.0f} us" for one in late), str(told.lost),
+        ]  # fmt: skip
+
+
+def _remarks(channel: "ChannelAudit") -> "Iterator[str]":
+    count, most_ns = channel.channel.went_back
+    if count:
+        yield f"{count} frames stand before an earlier one, by up to {most_ns * 1e-6:.3g} ms"
+    for step in channel.steps:
+        yield f"the clock steps by {1e3 * step.by_s:+.3f} ms at {step.at_s:.1f} s"
+    for name, step in channel.slipped:
+        yield (
+            f"{name} comes {1e3 * abs(step.by_s):.3f} ms {'later' if step.by_s > 0 else 'earlier'} "
+            f"from {step.at_s:.1f} s on: its place in its sender's schedule moved"
+        )

@@ -1,0 +1,258 @@
+"""One cyclic message: period, lateness, losses, steps of its stamps.
+
+A receive stamp is late by schedulers, arbitration and drivers, and never early; so the sender's
+instants lie on the lower envelope of the stamps. The envelope is taken over blocks and is a
+straight line, but for steps.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+NOMINAL_MS = (
+    *(0.25, 0.5, 1, 2, 2.5, 4, 5, 8, 10, 12.5, 15, 16, 20, 25, 30, 32, 40, 50, 60, 80),
+    *(100, 120, 160, 200, 250, 500, 1000, 2000),
+)
+"""Cycle times that are in use; a sender's quartz is within :data:`QUARTZ` of one of them."""
+QUARTZ = 500e-6
+FEWEST = 64
+"""Frames below which nothing is said of a message's clock."""
+_CYCLIC = 0.3
+"""Of the usual interval: a message whose middle half of intervals spreads more is not cyclic."""
+_BLOCK_S = 0.5
+_FEWEST_BLOCKS = 12
+_STEP_SIGMA, LEAST_STEP_NS = 6.0, 30_000.0
+_LESS = 0.9
+"""Of the scatter without it: a step that leaves more is none."""
+_MOST_STEPS = 8
+_EDGE = 3
+"""Blocks at either end, and between steps, in which no step is looked for."""
+_RESOLUTIONS_NS = tuple(10**k for k in range(9, -1, -1))
+_LOW = 5.0
+"""Percentile of a block's stamps that stands for its earliest: a frame that is late by most of a
+cycle looks early in the next one, and there are few of those."""
+_IN_A_ROW = 6
+"""Frames that one late frame holds up at most, each in the cycle of the next."""
+_COARSE = 1.5
+"""Resolutions of the stamps below which a step is rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Stamps from ``at_s`` (after the channel's first stamp) on are later by ``by_s``."""
+
+    at_s: float
+    by_s: float
+    sigma_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Cadence:
+    """A cyclic message's clock as the logger saw it.
+
+    ``period_s``: by the logger's clock. ``nominal_s``: the usual cycle time next to it, None where
+    none is within 500 ppm. ``drift_ppm``, ``drift_ci95``: how much slower than nominal the sender
+    runs by the logger's clock. ``late_p50_s``, ``late_p99_s``, ``late_max_s``: of the stamps beyond
+    the envelope. ``lost``: cycles without a frame.
+    """
+
+    frames: int
+    period_s: float
+    nominal_s: float | None
+    drift_ppm: float | None
+    drift_ci95: tuple[float, float] | None
+    late_p50_s: float
+    late_p99_s: float
+    late_max_s: float
+    lost: int
+    steps: tuple[Step, ...]
+    envelope_s: float
+    """Deviation of the envelope's blocks from the line: what the clock's own noise is."""
+
+
+def resolution_ns(t_ns: Integers) -> int:
+    """The coarsest decimal step that all stamps are multiples of."""
+    for step in _RESOLUTIONS_NS:
+        if not np.any(t_ns % step):
+            return step
+    return 1
+
+
+def cadence(t_ns: Integers, start_ns: int, resolution: int = 1) -> Cadence | None:
+    """The clock of one message; None where it has too few frames or is not cyclic.
+
+    ``t_ns`` (n,): stamps; ``start_ns``: where times count from; ``resolution``: of stamps, ns.
+    """
+    if len(t_ns) < FEWEST:
+        return None
+    t = np.sort(t_ns - start_ns).astype(np.float64) * 1e-9
+    usual = float(np.median(np.diff(t)))
+    low, high = np.percentile(np.diff(t), [25, 75])
+    if usual <= 0.0 or high - low > 2.0 * _CYCLIC * usual:
+        return None
+    cycle, period = _cycles(t, usual)
+    per_block = max(round(_BLOCK_S / period), 8)
+    place, low_s = _envelope(t, cycle, period, per_block)
+    if len(place) < _FEWEST_BLOCKS:
+        return None
+    least_s = max(LEAST_STEP_NS, _COARSE * resolution) * 1e-9
+    line = line_with_steps(place * period, low_s, least_s)
+    late = np.maximum(t - cycle * period - line.at(cycle * period), 0.0)
+    period *= 1.0 + line.slope
+    nominal = min((ms * 1e-3 for ms in NOMINAL_MS), key=lambda one: abs(period / one - 1.0))
+    near = abs(period / nominal - 1.0) < QUARTZ
+    ppm = 1e6 * (period / nominal - 1.0)
+    half = 1e6 * (1.96 * line.slope_sigma + resolution * 1e-9 / max(float(t[-1] - t[0]), 1e-9))
+    p50, p99 = np.percentile(late, [50, 99])
+    return Cadence(
+        frames=len(t),
+        period_s=period,
+        nominal_s=nominal if near else None,
+        drift_ppm=ppm if near else None,
+        drift_ci95=(ppm - half, ppm + half) if near else None,
+        late_p50_s=float(p50),
+        late_p99_s=float(p99),
+        late_max_s=float(np.max(late)),
+        lost=max(int(cycle[-1] - cycle[0]) + 1 - len(t), 0),
+        steps=line.steps,
+        envelope_s=line.spread_s,
+    )
+
+
+def _cycles(t: Floats, usual: float) -> tuple[Floats, float]:
+    """The number of each frame's cycle and the period, from a window that doubles each time."""
+    period, first = usual, float(t[0])
+    hi = min(FEWEST, len(t))
+    while True:
+        cycle = np.round((t[:hi] - first) / period)
+        for _ in range(3):
+            rest = t[:hi] - first - cycle * period
+            centre = float(np.median(rest))
+            good = np.abs(rest - centre) < 0.25 * period
+            if np.sum(good) < 8:
+                break
+            slope, level = np.polyfit(cycle[good], t[:hi][good], 1)
+            period, first = float(slope), float(level)
+            cycle = np.round((t[:hi] - first) / period)
+        if hi == len(t):
+            return _in_order(cycle), period
+        hi = min(2 * hi, len(t))
+
+
+def _in_order(cycle: Floats) -> Floats:
+    """No two frames in one cycle where the cycle before is free: the earlier one was late."""
+    cycle = cycle.copy()
+    for k in np.flatnonzero(np.diff(cycle) <= 0).tolist():
+        for j in range(k, max(k - _IN_A_ROW, -1), -1):
+            if cycle[j] < cycle[j + 1]:
+                break
+            free = j == 0 or cycle[j - 1] <= cycle[j + 1] - 1
+            if not free:
+                break
+            cycle[j] = cycle[j + 1] - 1
+    return cycle
+
+
+def _envelope(t: Floats, cycle: Floats, period: float, per_block: int) -> tuple[Floats, Floats]:
+    """Place (in cycles) and time beyond the mean line of each block's earliest frames."""
+    rest = t - cycle * period
+    block = (cycle - cycle[0]) // per_block
+    first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
+    places, lows = [], []
+    for a, b in zip(first, [*first[1:], len(t)], strict=True):
+        if b - a >= max(4, per_block // 4):
+            places.append(float(np.mean(cycle[a:b])))
+            lows.append(float(np.percentile(rest[a:b], _LOW)))
+    return np.array(places), np.array(lows)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A straight line with steps: level and slope at ``middle_s``, what each cut adds; seconds."""
+
+    middle_s: float
+    cuts_s: tuple[float, ...]
+    numbers: Floats
+    errors: Floats
+    spread_s: float
+
+    @property
+    def slope(self) -> float:
+        """Seconds per second."""
+        return float(self.numbers[1])
+
+    @property
+    def slope_sigma(self) -> float:
+        """Deviation of the slope."""
+        return float(self.errors[1])
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """What is added from each cut on."""
+        return tuple(
+            Step(at, float(self.numbers[2 + j]), float(self.errors[2 + j]))
+            for j, at in enumerate(self.cuts_s)
+        )
+
+    def at(self, at_s: Floats) -> Floats:
+        """Its values (n,) at times (n,)."""
+        after = [(at_s >= cut).astype(np.float64) for cut in self.cuts_s]
+        columns = np.column_stack([np.ones(len(at_s)), at_s - self.middle_s, *after])
+        return np.asarray(columns @ self.numbers)
+
+
+def line_with_steps(at_s: Floats, low_s: Floats, least_s: float) -> Line:
+    """The line through blocks (n,); steps of ``least_s`` or more.
+
+    A step is taken where it is clear of the blocks' scatter and that falls by a tenth by it.
+    """
+    cuts: list[int] = []
+    line = _solved(at_s, low_s, cuts)
+    while len(cuts) < _MOST_STEPS:
+        usable = [
+            k for k in range(_EDGE, len(at_s) - _EDGE) if all(abs(k - one) >= _EDGE for one in cuts)
+        ]
+        if not usable:
+            break
+        k = min(usable, key=lambda one: _left(at_s, low_s, sorted([*cuts, one])))
+        more = sorted([*cuts, k])
+        trial = _solved(at_s, low_s, more)
+        step = trial.steps[more.index(k)]
+        clear = abs(step.by_s) > max(_STEP_SIGMA * step.sigma_s, least_s)
+        if not clear or trial.spread_s > _LESS * line.spread_s:
+            break
+        cuts, line = more, trial
+    return line
+
+
+def _columns(at_s: Floats, cuts: Sequence[int]) -> Floats:
+    after = [(np.arange(len(at_s)) >= k).astype(np.float64) for k in cuts]
+    return np.column_stack([np.ones(len(at_s)), at_s - np.mean(at_s), *after])
+
+
+def _solved(at_s: Floats, low_s: Floats, cuts: Sequence[int]) -> Line:
+    """Least squares in which blocks that are late as a whole count less (Huber)."""
+    columns = _columns(at_s, cuts)
+    weight = np.ones(len(at_s))
+    for _ in range(6):
+        solution = np.linalg.lstsq(columns * weight[:, None], low_s * weight, rcond=None)[0]
+        found = np.asarray(solution, np.float64)
+        rest = low_s - columns @ found
+        scale = 1.4826 * float(np.median(np.abs(rest - np.median(rest)))) + 1e-12
+        weight = np.sqrt(np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(rest), 1e-15)))
+    weighted = columns * weight[:, None]
+    spread = float(np.sqrt(np.sum((weight * rest) ** 2) / max(len(at_s) - columns.shape[1], 1)))
+    errors = spread * np.sqrt(np.diag(np.linalg.pinv(weighted.T @ weighted)))
+    places = tuple(float(0.5 * (at_s[k - 1] + at_s[k])) for k in cuts)
+    return Line(float(np.mean(at_s)), places, found, errors, spread)
+
+
+def _left(at_s: Floats, low_s: Floats, cuts: Sequence[int]) -> float:
+    columns = _columns(at_s, cuts)
+    found = np.linalg.lstsq(columns, low_s, rcond=None)[0]
+    return float(np.sum(np.abs(low_s - columns @ found)))

@@ -1,0 +1,74 @@
+"""The receive stamps of a CAN log by channel and message, in the order of the file."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.errors import InputError
+from eps_hil.recordings.can_log import read_unordered_frames
+
+Stamps = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Stamps (n,) in ns of one CAN id on one channel, and its payloads in the same order."""
+
+    channel: str
+    can_id: int
+    extended: bool
+    t_ns: Stamps
+    data: tuple[bytes, ...]
+
+    @property
+    def name(self) -> str:
+        """``0x101`` as a candump shows it."""
+        return f"0x{self.can_id:X}"
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """All frames of one channel: stamps (n,) in the order of the file."""
+
+    name: str
+    t_ns: Stamps
+    messages: tuple[Message, ...]
+
+    @property
+    def went_back(self) -> tuple[int, int]:
+        """Frames whose stamp is before the one ahead of them in the file, and the most, ns."""
+        back = -np.diff(self.t_ns)
+        there = back > 0
+        return int(np.sum(there)), int(np.max(back[there], initial=0))
+
+
+def read_channels(
+    path: str | Path, on_progress: Callable[[float], None] | None = None
+) -> tuple[Channel, ...]:
+    """The channels of a CAN log (LOG, BLF, ASC, TRC, MF4); :class:`InputError` for no frame."""
+    stamps: dict[str, list[int]] = {}
+    by_id: dict[tuple[str, int, bool], tuple[list[int], list[bytes]]] = {}
+    for channel, frame in read_unordered_frames(path, on_progress):
+        stamps.setdefault(channel, []).append(frame.t_ns)
+        if frame.error or frame.remote:
+            continue
+        times, payloads = by_id.setdefault((channel, frame.can_id, frame.extended), ([], []))
+        times.append(frame.t_ns)
+        payloads.append(frame.data)
+    if not stamps:
+        raise InputError(path, "", "holds no CAN frame", "check that it is a CAN log")
+    return tuple(
+        Channel(
+            name,
+            np.array(all_ns, dtype=np.int64),
+            tuple(
+                Message(name, can_id, extended, np.array(times, dtype=np.int64), tuple(payloads))
+                for (on, can_id, extended), (times, payloads) in sorted(by_id.items())
+                if on == name
+            ),
+        )
+        for name, all_ns in stamps.items()
+    )
