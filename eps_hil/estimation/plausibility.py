@@ -14,16 +14,21 @@ import numpy.typing as npt
 from eps_hil.compiled import kernel, njit
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.speed_and_angle import (
+    LEAK_PER_MS,
+    RING,
+    SLOW_LEAK_PER_MS,
+    angle_off,
+    jumped_alone,
+)
 from eps_hil.estimation.state import Records, record_of
 from eps_hil.estimation.torque_jumps import (
-    RING,
     bend_noise,
     blind,
     bridge,
     course,
     due_noise,
     hinge,
-    jumped_alone,
     latched,
     unseen,
     watch_jump,
@@ -52,9 +57,6 @@ _BRIDGED_S = 0.018
 """A hole at whose end a jump of the torque is still told from the load's own course."""
 _STALLED_S = 1.5
 """How long torque is doubted that stood still, or whose jump back may have been missed."""
-_LEAK_PER_MS = 0.95
-"""What the angle's residual keeps from one millisecond to the next: it covers some 20 ms."""
-_SCALE, _SMOOTHED_S = 0.25, 0.005
 _ANGLE_SIGMA = 10.0
 
 Floats = npt.NDArray[np.float64]
@@ -86,6 +88,10 @@ class Watch:
     speed: Annotated[Floats, RING]
     bend: Annotated[Floats, RING]
     steps: int
+    # The step at which the torque left its course last, what it was, and its slope (Nm a step).
+    edge_at: int
+    edge_nm: float
+    edge_slope: float
     # Steps without inputs until now, or without a torque that was seen; its slope before them.
     hole: int
     unseen: int
@@ -108,6 +114,10 @@ class Watch:
     path: float
     gain: float
     angle: float
+    # The same over a tenth of a second, and the angle's way in it.
+    slow: float
+    turned: float
+    slow_gain: float
     # The angle's way less the speed's, summed: a speed that leaves its own course bends it.
     apart: Annotated[Floats, RING]
 
@@ -140,7 +150,11 @@ class Limits(NamedTuple):
     due_noise: float
     spread_memory: float
     leak: float
+    slow_leak: float
+    slow_noise: float
+    slow_rest: float
     angle_seen: bool
+    angle_noise: float
     angle_tolerance: float
     estimate_n: float
 
@@ -178,6 +192,7 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
     step_s, step_ms = settings.step_s, settings.step_s * 1e3
     stiff = math.sqrt(model.friction.sigma0_nm_per_rad / model.inertia_kg_m2)
     window = min(max(round(1.5 / stiff / step_s), 4), round(_WINDOW_S / step_s))
+    slow = SLOW_LEAK_PER_MS**step_ms
     return Limits(
         on=chosen.enabled,
         step_s=step_s,
@@ -200,8 +215,12 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
         bend_noise=bend_noise(hinge(window)),
         due_noise=due_noise(window, step_s, 1.0 / model.inertia_kg_m2),
         spread_memory=step_ms / _SPREAD_MEMORY_MS,
-        leak=_LEAK_PER_MS**step_ms,
+        leak=LEAK_PER_MS**step_ms,
+        slow_leak=slow,
+        slow_noise=step_s**2 / (1.0 - slow**2),
+        slow_rest=settings.dead_zone_rad_s * step_s / (1.0 - slow),
         angle_seen=angle_seen,
+        angle_noise=settings.angle_noise_rad**2,
         angle_tolerance=_ANGLE_SIGMA * settings.angle_noise_rad,
         estimate_n=chosen.estimate_n,
     )
@@ -282,6 +301,7 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     w = watch[0]
     if missing != 0:
         w.slip, w.path, w.gain = 0.0, 0.0, 0.0
+        w.slow, w.turned, w.slow_gain = 0.0, 0.0, 0.0
         blind(w, p, u.motor_speed_rad_s, missing & (_RANGE | _RATE) != 0)
         return latched(w, p), w.told > 0
     before = w.speed[(w.steps - 1) % RING]
@@ -300,7 +320,7 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     watch_jump(w, p, u)
     reason |= latched(w, p)
     now = w.told > 0
-    off = p.angle_seen and _angle_off(w, p, u, before)
+    off = p.angle_seen and angle_off(w, p, u, before)
     if p.angle_seen and jumped_alone(w, p, u):
         w.stalled, w.missed, off = p.stalled_steps, 1, True
     if off:
@@ -312,18 +332,3 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
             w.stalled, w.missed = p.stalled_steps, 1
             now = True
     return reason, now
-
-
-@kernel
-def _angle_off(w: Watch, p: Limits, u: Inputs, before: float) -> bool:
-    """Whether the angle's way and the speed's differ by more than noise, gain and lag make."""
-    speed = u.motor_speed_rad_s
-    way = 0.5 * (speed + before) * p.step_s
-    apart = (u.motor_angle_rad - w.angle) - way
-    w.apart[(w.steps - 1) % RING] = w.apart[(w.steps - 2) % RING] + apart
-    w.slip = p.leak * w.slip + apart
-    w.path = p.leak * w.path + way
-    w.gain = p.leak * w.gain + (speed - before)
-    w.angle = u.motor_angle_rad
-    tolerance = p.angle_tolerance + _SCALE * abs(w.path) + _SMOOTHED_S * abs(w.gain)
-    return abs(w.slip) > tolerance

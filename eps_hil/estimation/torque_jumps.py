@@ -13,12 +13,12 @@ import numpy.typing as npt
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.speed_and_angle import RING
 from eps_hil.estimation.validity import Reason
 
 if TYPE_CHECKING:
     from eps_hil.estimation.plausibility import Limits, Watch
 
-RING = 256
 _INCONSISTENT, _SETTLING = int(Reason.INCONSISTENT), int(Reason.SETTLING)
 _FOLLOWS = 0.3
 """Share of what a torque jump should do to the speed, below which it was not there."""
@@ -27,8 +27,8 @@ _MOTION = 4.0
 """A jump's own motion must exceed two deviations of what the load makes of the speed: load and
 friction change its bend too, but a torque that leaves its own course at once is rare."""
 UNEXPLAINED_N = 50.0
-_SPEED_JUMP = 1.5
-"""A jump of the speed (rad/s) from one step to the next that is looked at."""
+_KEPT = 1.5
+"""So much of it is kept as unexplained; less is nothing."""
 _BACK = 0.4
 """Share of an unexplained torque that may be left when it has jumped back."""
 
@@ -83,17 +83,12 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
     if k < 3 * n:
         return
     done -= w.bend[(k - n) % RING]  # the load goes on bending the course as it did
-    base = torque[(k - n) % RING]
-    slope = (base - torque[(k - 2 * n) % RING]) / n
-    edge = 0.0
-    for j in range(1, p.edge + 1):
-        off = torque[(k - n + j) % RING] - base - j * slope
-        edge = off if abs(off) > abs(edge) else edge
+    base, slope, edge = torque[(k - n) % RING], *_edge(w, p, u)
     noise = p.bend_noise * u.speed_noise + p.due_noise * u.drive_noise
     limit = max(p.jump * noise, _MOTION * w.spread)
     w.spread += p.spread_memory * (min(done * done, _CLIP * w.spread) - w.spread)
     w.spread = max(w.spread, _LEAST_SPREAD)
-    if abs(edge) * p.ratio < UNEXPLAINED_N or edge * edge < p.jump * u.drive_noise:
+    if not _leaves(p, u, edge):
         return
     due, speed, before, most = 0.0, 0.0, 0.0, 0.0
     for j in range(1, n + 1):
@@ -112,14 +107,47 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
 
 
 @kernel
+def _leaves(p: "Limits", u: Inputs, edge: float) -> bool:
+    """Whether a torque that is ``edge`` (Nm) off its course has left it, beyond size and noise."""
+    return abs(edge) * p.ratio >= UNEXPLAINED_N and edge * edge >= p.jump * u.drive_noise
+
+
+@kernel
+def _edge(w: "Watch", p: "Limits", u: Inputs) -> tuple[float, float]:
+    """Slope of the torque before ``window`` steps ago (Nm a step), and how far it left it there.
+
+    A spike makes no slope: while its beginning is in the window that the slope is taken from, the
+    slope from before it counts.
+    """
+    n, m, torque = p.window, w.steps - 1 - p.window, w.torque
+    slope = (torque[m % RING] - torque[(m - n) % RING]) / n
+    new = not 0 < m - w.edge_at <= n + p.edge
+    if not new:
+        slope = w.edge_slope
+    edge = 0.0
+    for j in range(1, p.edge + 1):
+        off = torque[(m + j) % RING] - torque[m % RING] - j * slope
+        edge = off if abs(off) > abs(edge) else edge
+    if new and _leaves(p, u, edge):
+        w.edge_at, w.edge_nm, w.edge_slope = m, torque[m % RING], slope
+    return slope, edge
+
+
+@kernel
 def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> None:
     """Take a jump that nothing followed out of the ring; ``level`` (Nm) is what is left of it."""
     n, k = p.window, w.steps - 1
+    since = k - n - w.edge_at
+    if 0 < since <= n + p.edge:  # perhaps the end of a spike: what is left is of before it
+        level += base - w.edge_nm - since * slope
+        base = w.edge_nm + since * slope
+        if abs(level) * p.ratio < _KEPT * UNEXPLAINED_N:
+            return
     for j in range(1, n + 1):
         w.torque[(k - n + j) % RING] = base + j * slope
     old = w.unexplained_nm
     w.unexplained_nm += level if abs(level) * p.ratio > UNEXPLAINED_N else 0.0
-    if abs(w.unexplained_nm) * p.ratio < 1.5 * UNEXPLAINED_N or (
+    if abs(w.unexplained_nm) * p.ratio < _KEPT * UNEXPLAINED_N or (
         level * old < 0.0 and abs(w.unexplained_nm) < _BACK * abs(old)
     ):
         forget_unexplained(w)
@@ -220,28 +248,3 @@ def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
             w.speed[at] = speed + j * slope
         w.steps += 1
         watch_jump(w, p, u)
-
-
-@kernel
-def jumped_alone(w: "Watch", p: "Limits", u: Inputs) -> bool:
-    """Whether the speed jumped ``window`` steps ago, and the angle did not go with it.
-
-    No load moves an inertia at once, but an impact nearly does; then the angle's slope changes by
-    as much. The sum of (dphi - omega dt) shows by its bend whether it did; a gain that is wrong
-    gives it a slope and no bend.
-    """
-    n, k = p.window, w.steps - 1
-    if k < 2 * n or n < 3:
-        return False
-    v, m = w.speed, k - n
-    jump = v[(m + 1) % RING] - v[m % RING]
-    course = v[m % RING] - v[(m - 1) % RING] + v[(m + 2) % RING] - v[(m + 1) % RING]
-    jump -= 0.5 * course
-    if jump * jump < max(2.5 * p.jump * u.speed_noise, _SPEED_JUMP**2):
-        return False
-    bend = 0.0
-    for j in range(2 * n + 1):
-        bend += p.hinge[j] * w.apart[(m - n + j) % RING]
-    due = jump * n * p.step_s
-    noise = p.jump * p.hinge_noise * u.angle_noise
-    return bool((bend + due) ** 2 < 0.25 * due * due and bend * bend > noise)

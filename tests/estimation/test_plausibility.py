@@ -201,6 +201,36 @@ def test_a_spike_of_the_torque_is_over_when_it_is(
     assert told(trace, SINCE + 1900, SINCE + 5000) == Reason.FINE
 
 
+@pytest.mark.parametrize("since", [11_700, 12_100])
+def test_a_small_spike_at_rest_is_over_when_it_is(
+    reference_model: Model, steps_truth: Any, since: int
+) -> None:
+    """Too short to be told as it begins; its end was judged by the slope that it had made."""
+    series = series_of(steps_truth)
+    right = estimate(series_of(steps_truth), reference_model)
+    for length_ms in (2, 3, 4):
+        series = series_of(steps_truth)
+        series[NAMES[0]].value[since : since + length_ms] -= 0.18
+        trace = estimate(series, reference_model)
+        assert wrong_and_valid_ms(trace, right) <= 20
+        assert told(trace, since + 1900, since + 5000) == told(right, since + 1900, since + 5000)
+
+
+@pytest.mark.parametrize("offset", [-1.1, 0.8, 1.1])
+def test_a_speed_that_tells_of_a_way_that_no_angle_shows_is_told(
+    reference_model: Model, steps_truth: Any, offset: float
+) -> None:
+    """The bristle of a resting rotor slides with it, and the estimate by hundreds of N."""
+    right = estimate(series_of(steps_truth), reference_model)
+    series, since = series_of(steps_truth), 11_700
+    series[NAMES[2]].value[since : since + 200] += offset
+    trace, believed = (estimate(series, reference_model, s) for s in (EstimatorSettings(), OFF))
+    assert told(trace, since, since + 60) & Reason.INCONSISTENT
+    assert wrong_and_valid_ms(trace, right) <= 20
+    assert wrong_and_valid_ms(believed, right) > 100, "nothing to tell"
+    assert told(trace, since + 700, since + 2000) == told(right, since + 700, since + 2000)
+
+
 def holed(series: dict[str, Series], at_ms: int, lost_ms: int) -> dict[str, Series]:
     """The same without the samples of all signals from ``at_ms`` on."""
     t_ns = series[NAMES[0]].t_ns

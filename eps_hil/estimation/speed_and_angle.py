@@ -1,0 +1,88 @@
+"""Speed against angle: whether both tell of the same motion (docs/theory-estimator.md).
+
+Both are of one sensor, mostly, but travel as two numbers. Their ways, ∫ω dt and Δφ, may differ by
+noise, by a wrong gain, and where one is later than the other; by no more.
+"""
+
+from typing import TYPE_CHECKING
+
+from eps_hil.compiled import kernel
+from eps_hil.estimation.setup import Inputs
+
+if TYPE_CHECKING:
+    from eps_hil.estimation.plausibility import Limits, Watch
+
+RING = 256
+LEAK_PER_MS, SLOW_LEAK_PER_MS = 0.95, 0.99
+"""What the residuals keep from one millisecond to the next: they cover some 20 and 100 ms."""
+_SCALE, _SMOOTHED_S = 0.25, 0.005
+_LOW_SCALE = _SCALE / (1.0 - _SCALE)
+"""The same wrong gain, in parts of the angle's way."""
+_MOST = 1.5
+"""Tolerances that the slow residual may grow to: it is to be over soon after the fault."""
+_SPEED_JUMP = 1.5
+"""A jump of the speed (rad/s) from one step to the next that is looked at."""
+
+
+@kernel
+def angle_off(w: "Watch", p: "Limits", u: Inputs, before: float) -> bool:
+    """Whether the angle's way and the speed's differ by more than noise, gain and lag make.
+
+    ``before``: speed (rad/s) of the step before.
+    """
+    speed = u.motor_speed_rad_s
+    way, turned = 0.5 * (speed + before) * p.step_s, u.motor_angle_rad - w.angle
+    apart = turned - way
+    w.apart[(w.steps - 1) % RING] = w.apart[(w.steps - 2) % RING] + apart
+    w.slip = p.leak * w.slip + apart
+    w.path = p.leak * w.path + way
+    w.gain = p.leak * w.gain + (speed - before)
+    w.angle = u.motor_angle_rad
+    tolerance = p.angle_tolerance + _SCALE * abs(w.path) + _SMOOTHED_S * abs(w.gain)
+    return abs(w.slip) > tolerance or _slides_alone(w, p, u, apart, turned, speed - before)
+
+
+@kernel
+def _slides_alone(
+    w: "Watch", p: "Limits", u: Inputs, apart: float, turned: float, change: float
+) -> bool:
+    """Whether the speed tells of more way than the angle, over a tenth of a second.
+
+    A speed that is off by little slides the bristle of a resting rotor, and so the estimate, by
+    hundreds of N; below the dead zone it does nothing. An angle that tells of more way is creep, or
+    a speed that is rounded down, and does no harm.
+    """
+    w.slow = p.slow_leak * w.slow + apart
+    w.turned = p.slow_leak * w.turned + turned
+    w.slow_gain = p.slow_leak * w.slow_gain + change
+    noise = max(u.angle_noise, p.angle_noise) + p.slow_noise * max(u.speed_noise, 0.0)
+    tolerance = (p.jump * noise) ** 0.5 + p.slow_rest
+    tolerance += _LOW_SCALE * abs(w.turned) + _SMOOTHED_S * abs(w.slow_gain)
+    w.slow = min(max(w.slow, -_MOST * tolerance), _MOST * tolerance)
+    said = w.turned - w.slow  # the speed's own way
+    return abs(w.slow) > tolerance and abs(said) > abs(w.turned)
+
+
+@kernel
+def jumped_alone(w: "Watch", p: "Limits", u: Inputs) -> bool:
+    """Whether the speed jumped ``window`` steps ago, and the angle did not go with it.
+
+    No load moves an inertia at once, but an impact nearly does; then the angle's slope changes by
+    as much. The sum of (dphi - omega dt) shows by its bend whether it did; a gain that is wrong
+    gives it a slope and no bend.
+    """
+    n, k = p.window, w.steps - 1
+    if k < 2 * n or n < 3:
+        return False
+    v, m = w.speed, k - n
+    jump = v[(m + 1) % RING] - v[m % RING]
+    course = v[m % RING] - v[(m - 1) % RING] + v[(m + 2) % RING] - v[(m + 1) % RING]
+    jump -= 0.5 * course
+    if jump * jump < max(2.5 * p.jump * u.speed_noise, _SPEED_JUMP**2):
+        return False
+    bend = 0.0
+    for j in range(2 * n + 1):
+        bend += p.hinge[j] * w.apart[(m - n + j) % RING]
+    due = jump * n * p.step_s
+    noise = p.jump * p.hinge_noise * u.angle_noise
+    return bool((bend + due) ** 2 < 0.25 * due * due and bend * bend > noise)
