@@ -1,0 +1,132 @@
+"""``eps-hil batch estimate|identify|diagnose``: one job over a folder or table of recordings."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from eps_hil.cli._inputs import ModelPath, Reading, reads_recordings
+from eps_hil.errors import EpsHilError
+
+if TYPE_CHECKING:
+    from eps_hil.fleet.job import Row, Verb
+
+Source = Annotated[
+    Path, typer.Argument(metavar="FOLDER|TABLE", help="Recordings below it, or CSV: path, unit.")
+]
+Out = Annotated[Path, typer.Option("--out", help="Folder of the results; run again to go on.")]
+Processes = Annotated[
+    int | None, typer.Option("--processes", min=1, help="Default: one for each core.")
+]
+Dask = Annotated[
+    str | None,
+    typer.Option("--dask", help="Scheduler of a Dask cluster that sees the same files."),
+]
+Settings = Annotated[Path | None, typer.Option("--settings", help="Estimator settings (YAML).")]
+
+
+class NothingDoneError(EpsHilError):
+    """Not one recording of a batch could be used."""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs."""
+    group = typer.Typer(no_args_is_help=True, help="One job over many recordings.")
+    for verb in (estimate, identify, diagnose):
+        group.command(verb.__name__)(reads_recordings(verb))
+    app.add_typer(group, name="batch")
+
+
+def estimate(
+    source: Source,
+    model: ModelPath,
+    out: Out,
+    settings: Settings = None,
+    processes: Processes = None,
+    dask: Dask = None,
+    *,
+    reading: Reading,
+) -> None:
+    """Estimate the rack force of every recording; each one's estimates go to OUT/estimates."""
+    _run("estimate", source, model, out, settings, processes, dask, reading)
+
+
+def identify(
+    source: Source,
+    model: ModelPath,
+    out: Out,
+    processes: Processes = None,
+    dask: Dask = None,
+    *,
+    reading: Reading,
+) -> None:
+    """Identify the parameters of every recording by itself, with 95 % intervals."""
+    _run("identify", source, model, out, None, processes, dask, reading)
+
+
+def diagnose(
+    source: Source,
+    model: ModelPath,
+    out: Out,
+    processes: Processes = None,
+    dask: Dask = None,
+    *,
+    reading: Reading,
+) -> None:
+    """Diagnose which physics the model lacks, in every recording by itself."""
+    _run("diagnose", source, model, out, None, processes, dask, reading)
+
+
+def _run(
+    verb: "Verb",
+    source: Path,
+    model: Path,
+    out: Path,
+    settings: Path | None,
+    processes: int | None,
+    dask: str | None,
+    reading: Reading,
+) -> None:
+    from eps_hil.fleet import population_page
+    from eps_hil.fleet.batch import run_batch
+    from eps_hil.fleet.job import Job
+    from eps_hil.fleet.tasks import tasks_of
+    from eps_hil.physics.model import load_model
+    from eps_hil.recordings.files import check_extra, make_folder
+    from eps_hil.report import page
+
+    page.check("batch", "matplotlib")
+    check_extra(Path("results.parquet"))
+    load_model(model)  # refused here, and not once for each recording
+    if settings is not None:
+        from eps_hil import yaml_file
+        from eps_hil.estimation.settings import EstimatorSettings
+
+        yaml_file.load(settings, EstimatorSettings)
+    tasks = tasks_of(source.resolve())
+    make_folder(out, "--out")
+    asked = reading.arguments()
+    named = {"dbc": [str(path.resolve()) for path in reading.dbc], "signals": None}
+    if reading.signals is not None:
+        named["signals"] = str(reading.signals.resolve())  # type: ignore[assignment]
+    job = Job(
+        verb, model.resolve(), out.resolve(), settings and settings.resolve(), {**asked, **named}
+    )
+    batch = run_batch(job, tasks, processes=processes, dask=dask, on_row=_teller())
+    report = population_page.write(batch, out / "population.html", f"{verb}: {source}")
+    failed = len(batch.failed)
+    typer.echo(
+        f"{len(batch.rows)} recordings, {batch.before} of them known before, {failed} failed: "
+        f"{batch.results}, {batch.values}, {report}"
+    )
+    if failed == len(batch.rows):
+        raise NothingDoneError(f"not one recording could be used: {batch.failed[0]['error']}")
+
+
+def _teller() -> "Callable[[Row, int, int], None]":
+    def tell(row: "Row", done: int, of: int) -> None:
+        name = Path(row["recording"]).name
+        typer.echo(f"{done}/{of} {name}: {row['error'] or 'done'}", err=row["state"] != "done")
+
+    return tell

@@ -1,0 +1,1 @@
+"""One job over many recordings: on all cores or a Dask cluster, resumable, with a population."""

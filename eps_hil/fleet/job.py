@@ -1,0 +1,142 @@
+"""What is done with each recording of a batch, in whatever process or machine it happens."""
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from eps_hil.errors import EpsHilError
+from eps_hil.fleet.tasks import Task
+from eps_hil.version import VERSION
+
+Verb = Literal["estimate", "identify", "diagnose"]
+Row = dict[str, Any]
+"""JSON-ready: key, recording, unit, state ("done" or "failed"), error, seconds, start_s, output,
+and ``values``, a list of quantity, value, low, high, si (its unit)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One verb with its model and how recordings are read, the same for all of a batch.
+
+    ``out``: the batch's folder; outputs of a recording go below it. ``reading``: options of
+    :func:`eps_hil.api.load`, as text and numbers.
+    """
+
+    verb: Verb
+    model: Path
+    out: Path
+    settings: Path | None = None
+    reading: Mapping[str, Any] = field(default_factory=dict)
+
+    def key(self, task: Task) -> str:
+        """Names the result: of this recording as it is now, by this job and version.
+
+        A recording counts as the same while path, size and time of change are.
+        """
+        digest = hashlib.sha256(f"{VERSION} {self.verb} {task.unit}".encode())
+        digest.update(json.dumps(self.reading, sort_keys=True, default=str).encode())
+        files = [self.model, self.settings, self.reading.get("signals")]
+        for path in [*files, *self.reading.get("dbc", ())]:
+            digest.update(b"-" if path is None else Path(path).read_bytes())
+        try:
+            now = task.path.stat()
+            digest.update(f"{task.path.resolve()} {now.st_size} {now.st_mtime_ns}".encode())
+        except OSError:
+            digest.update(f"{task.path} is not there".encode())
+        return digest.hexdigest()[:16]
+
+
+def run(job: Job, task: Task, key: str) -> Row:
+    """The row of one recording. Whatever goes wrong with it is its row, not an exception."""
+    begun = time.monotonic()
+    row: Row = {
+        "key": key,
+        "recording": str(task.path),
+        "unit": task.unit,
+        "state": "done",
+        "error": "",
+        "start_s": None,
+        "output": "",
+        "values": [],
+    }
+    try:
+        _fill(job, task, row)
+    except EpsHilError as error:
+        row |= {"state": "failed", "error": " ".join(str(error).split())}
+    except Exception as error:  # one bad file is not the end of a batch
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        row |= {"state": "failed", "error": f"internal error: {said}"}
+    return row | {"seconds": round(time.monotonic() - begun, 3), "process": os.getpid()}
+
+
+def _fill(job: Job, task: Task, row: Row) -> None:
+    from eps_hil.api import jobs
+
+    recording = jobs.load(task.path, **job.reading)
+    row["start_s"] = min(int(one.t_ns[0]) for one in recording.series.values()) * 1e-9
+    stem = f"{task.path.stem}-{row['key'][:8]}"
+    if job.verb == "estimate":
+        from eps_hil.recordings.write import write_table
+
+        found = jobs.estimate(recording, job.model, job.settings)
+        row["output"] = f"estimates/{stem}.parquet"
+        trace = found.trace
+        columns = {
+            "rack_force_estimate_n": trace.rack_force_n,
+            "friction_torque_nm": trace.friction_torque_nm,
+            "valid": trace.valid,
+        }
+        write_table(_place(job, row), columns, t_ns=trace.t_ns)
+        row["values"] = [_value("valid_share", float(trace.valid.mean()), "")]
+        if found.score is not None:
+            row["values"] += [
+                _value("error_moving", found.score.rmse_moving_n, "N"),
+                _value("error_overall", found.score.rmse_overall_n, "N"),
+                _value("bias_moving", found.score.bias_moving_n, "N"),
+            ]
+    elif job.verb == "identify":
+        named = jobs.identify(recording, job.model)
+        row["output"] = f"identifications/{stem}.json"
+        _write_json(_place(job, row), named.result.content())
+        row["values"] = [
+            _value(name, one.value, one.unit, one.ci95)
+            for name, one in {**named.result.parameters, **named.result.offsets}.items()
+            if one.status == "identified"
+        ]
+    else:
+        told = jobs.diagnose(recording, job.model)
+        row["output"] = f"diagnoses/{stem}.json"
+        _write_json(_place(job, row), told.content)
+        row["verdict"] = told.verdict
+        for finding in told.findings:
+            row["values"].append(_value(finding.effect, finding.confidence, "confidence"))
+            for name, one in finding.parameters.items():
+                if not isinstance(one["value"], int | float):
+                    continue  # a curve: it stands in the output
+                row["values"].append(
+                    _value(f"{finding.effect}.{name}", one["value"], one.get("unit", ""),
+                           one.get("ci95"))
+                )  # fmt: skip
+
+
+def _place(job: Job, row: Row) -> Path:
+    place = job.out / str(row["output"])
+    place.parent.mkdir(parents=True, exist_ok=True)
+    return place
+
+
+def _value(quantity: str, value: float, si: str, ci95: Any = None) -> dict[str, Any]:
+    low, high = (None, None) if ci95 is None else (float(ci95[0]), float(ci95[1]))
+    return {"quantity": quantity, "value": float(value), "low": low, "high": high, "si": si}
+
+
+def _write_json(path: Path, content: Any) -> None:
+    from eps_hil.recordings.files import replacing
+
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=2, default=str) + "\n", encoding="utf-8")

@@ -1,0 +1,65 @@
+"""The population as one self-contained page: every quantity over its units, outliers, failures."""
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+from eps_hil.fleet.batch import Batch
+from eps_hil.fleet.population import Quantity, population
+from eps_hil.report import page
+
+_MOST_LABELS = 40
+
+
+def write(batch: Batch, path: Path, title: str) -> Path:
+    """Write the page whole or not at all."""
+    quantities = population(batch.rows)
+    verdicts: dict[str, int] = {}
+    for row in batch.rows:
+        if said := row.get("verdict"):
+            verdicts[said] = verdicts.get(said, 0) + 1
+    html = page.fill(
+        "population.html.jinja",
+        package="eps_hil.fleet",
+        title=title,
+        css=page.asset("diagnosis.css"),
+        recordings=len(batch.rows),
+        units=len({row["unit"] for row in batch.rows}),
+        failed=batch.failed,
+        verdicts=verdicts,
+        quantities=[(one, _figure(one)) for one in quantities],
+        outliers=[(one, p) for one in quantities for p in one.points if p.outlier],
+    )
+    page.write(path, html)
+    return path
+
+
+def _figure(quantity: Quantity) -> str:
+    """Values with their intervals, unit by unit, in each by time; the band is the population."""
+    from eps_hil.report import figures
+
+    figure, axes = figures.subplots(1, 1, width_cm=24.0, height_cm=7.0)
+    axis = axes[0, 0]
+    points = quantity.points
+    reach = 3.5 * quantity.spread
+    axis.axhspan(quantity.middle - reach, quantity.middle + reach, color="0.92", lw=0)
+    axis.axhline(quantity.middle, color="0.6", lw=0.8)
+    for k, point in enumerate(points):
+        colour = figures.COLOURS[1] if point.outlier else figures.COLOURS[0]
+        if point.low is not None and point.high is not None:
+            axis.plot([k, k], [point.low, point.high], color=colour, lw=0.9)
+        axis.plot([k], [point.value], ".", color=colour, ms=4)
+    first, labels = _units([point.unit for point in points])
+    axis.set_xticks(first, labels, rotation=60 if len(labels) > 8 else 0, fontsize="small")
+    axis.set(ylabel=f"{quantity.name} in {quantity.si}" if quantity.si else quantity.name)
+    text = io.StringIO()
+    figure.savefig(text, format="svg", bbox_inches="tight")
+    svg = text.getvalue()
+    return svg[svg.index("<svg") :]
+
+
+def _units(units: Sequence[str]) -> tuple[list[int], list[str]]:
+    """Where each unit begins, and its name; every n-th of very many."""
+    first = [k for k, unit in enumerate(units) if k == 0 or units[k - 1] != unit]
+    step = -(-len(first) // _MOST_LABELS)
+    return first[::step], [units[k] for k in first[::step]]

@@ -1,0 +1,92 @@
+"""Where tasks run: processes of this machine, or the workers of a Dask cluster.
+
+Both give rows as they are done. A recording that takes its process down with it (memory, a crash
+of a library) is tried once more, alone, and is then a failed row.
+"""
+
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+
+from eps_hil.errors import InputError
+from eps_hil.fleet.job import Job, Row, run
+from eps_hil.fleet.tasks import Task
+
+Todo = Sequence[tuple[Task, str]]
+"""Tasks with their keys."""
+_RETRIES = 2
+
+
+def here(job: Job, todo: Todo, processes: int | None = None) -> Iterator[Row]:
+    """In ``processes`` of this machine (default: one a core).
+
+    The first task goes alone: what it compiles the others find in the cache.
+    """
+    many = processes or os.cpu_count() or 1
+    waiting, suspects = list(reversed(todo)), list[tuple[Task, str]]()
+    warm = False
+    while waiting or suspects:
+        alone = not waiting
+        if alone:
+            waiting = [suspects.pop()]
+        pool = ProcessPoolExecutor(1 if alone else many, mp_context=get_context("spawn"))
+        running: dict[Future[Row], tuple[Task, str]] = {}
+        try:
+            while waiting or running:
+                while waiting and len(running) < (many if warm and not alone else 1):
+                    task = waiting.pop()
+                    running[pool.submit(run, job, *task)] = task
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for one in done:
+                    row = one.result()
+                    running.pop(one)
+                    warm = True
+                    yield row
+        except BrokenProcessPool:
+            if alone:
+                yield _died(*next(iter(running.values())))
+            else:
+                suspects += running.values()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def on_dask(job: Job, todo: Todo, address: str) -> Iterator[Row]:
+    """On the workers of the scheduler at ``address``, which see the same files at the same paths.
+
+    :class:`InputError` where Dask is not installed, or nobody answers.
+    """
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise InputError(
+            "--dask", "", "needs the 'fleet' extra", 'pip install "eps_hil[fleet]"'
+        ) from None
+    try:
+        client = Client(address, timeout="10s", set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        problem = f"no scheduler answers at {address} ({type(error).__name__})"
+        raise InputError("--dask", "", problem, "give its address, like tcp://host:8786") from None
+    with client, client.as_current():
+        sent = {
+            client.submit(run, job, task, key, key=f"eps_hil-{key}", retries=_RETRIES): (task, key)
+            for task, key in todo
+        }
+        for future in as_completed(list(sent)):
+            if future.status == "finished":
+                yield future.result()
+            else:  # its workers died with it too often, or they lack the package
+                cause = future.exception()
+                said = " ".join(f"{type(cause).__name__}: {cause}".split())
+                yield _died(*sent[future], said)
+            future.release()
+
+
+def _died(task: Task, key: str, why: str = "out of memory, or a crash") -> Row:
+    return {
+        "key": key, "recording": str(task.path), "unit": task.unit, "state": "failed",
+        "error": f"its process died ({why})", "start_s": None, "output": "",
+        "values": [], "seconds": None,
+    }  # fmt: skip

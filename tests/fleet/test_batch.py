@@ -1,0 +1,221 @@
+"""Batches: resumable and idempotent, one bad file is a row, processes and Dask workers may die."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+
+from eps_hil.cli.main import main
+from eps_hil.errors import InputError
+from eps_hil.fleet import workers
+from eps_hil.fleet.batch import run_batch
+from eps_hil.fleet.job import Job, Row
+from eps_hil.fleet.population import population
+from eps_hil.fleet.tasks import Task, tasks_of
+from eps_hil.recordings.write import write_table
+
+ROOT = Path(__file__).parents[2]
+MODEL = ROOT / "configs" / "reference_rig.yaml"
+
+
+def recording(path: Path, seed: int = 1, seconds: float = 2.0) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * 1000)) * 1e-3
+    speed = 20 * np.sin(3 * t)
+    columns = {
+        "time_s": 1000.0 * seed + t,
+        "motor_torque_nm": 0.3 * np.sin(3 * t + 0.4) + rng.normal(0, 5e-3, len(t)),
+        "motor_speed_rad_s": speed + rng.normal(0, 0.1, len(t)),
+        "motor_angle_rad": np.cumsum(speed) * 1e-3,
+        "rack_force_n": 700 * np.sin(3 * t + 0.4) + 10 * seed,
+    }
+    write_table(path, columns)
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two units with two recordings each, a broken one, and a file that is none."""
+    source = tmp_path / "recordings"
+    for seed, name in enumerate(["a/1.csv", "a/2.parquet", "b/1.csv", "b/2.csv"], start=1):
+        recording(source / name, seed)
+    (source / "b" / "broken.csv").write_text("time_s,motor_torque_nm\n0.0,x\n")
+    (source / "notes.txt").write_text("no recording")
+    return source
+
+
+def job(tmp_path: Path) -> Job:
+    return Job("estimate", MODEL, tmp_path / "out")
+
+
+def test_the_folders_and_the_tables_units(folder: Path) -> None:
+    found = tasks_of(folder)
+    assert [(task.path.name, task.unit) for task in found] == [
+        ("1.csv", "a"), ("2.parquet", "a"), ("1.csv", "b"), ("2.csv", "b"), ("broken.csv", "b"),
+    ]  # fmt: skip
+    table = folder / "list.txt"
+    table.write_text("unit,path,operator\ncar 7,a/1.csv,me\n,b/2.csv,\n,gone.csv,\n")
+    assert tasks_of(table) == [
+        Task(folder / "a/1.csv", "car 7"), Task(folder / "b/2.csv", "2"),
+        Task(folder / "gone.csv", "gone"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [(None, "no such file"), ("a,b\n", "column path"), ("path\n", "no recording")]
+)
+def test_what_is_no_source(tmp_path: Path, text: str | None, said: str) -> None:
+    table = tmp_path / "list.csv"
+    if text is not None:
+        table.write_text(text)
+    with pytest.raises(InputError, match=said.replace("no such file", "(?i)no such file")):
+        tasks_of(table)
+
+
+def test_the_verb_goes_on_where_it_was(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    words = ["batch", "estimate", str(folder), "--model", str(MODEL), "--out", str(out)]
+    assert main([*words, "--processes", "2"]) == 0
+    said = capsys.readouterr()
+    assert "5 recordings, 0 of them known before, 1 failed" in said.out
+    assert "broken.csv" in said.err
+    results = pyarrow.parquet.read_table(out / "results.parquet").to_pylist()
+    assert [row["state"] for row in results] == ["done"] * 4 + ["failed"]
+    assert "line 2" in results[4]["error"]
+    assert all((out / row["output"]).exists() for row in results[:4])
+    values = pyarrow.parquet.read_table(out / "values.parquet").to_pylist()
+    assert {(one["quantity"], one["si"]) for one in values} == {
+        ("valid_share", ""), ("error_moving", "N"), ("error_overall", "N"), ("bias_moving", "N"),
+    }  # fmt: skip
+    assert {one["unit"] for one in values} == {"a", "b"}
+    page = (out / "population.html").read_text()
+    assert "error_moving" in page
+    assert "broken.csv" in page
+    before = {path: path.stat().st_mtime_ns for path in (out / "rows").iterdir()}
+
+    (out / "estimates" / Path(results[0]["output"]).name).unlink()  # somebody tidied up
+    recording(folder / "a" / "3.csv", 9)
+    assert main(words) == 0
+    assert "6 recordings, 4 of them known before, 1 failed" in capsys.readouterr().out
+    changed = [path for path, at in before.items() if path.stat().st_mtime_ns != at]
+    assert [path.stem for path in changed] == [results[0]["key"]]
+    assert main(words) == 0
+    assert "6 recordings, 6 of them known before" in capsys.readouterr().out
+
+
+def test_nothing_that_could_be_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.csv").write_text("time_s\n0\n")
+    words = ["batch", "identify", str(tmp_path / "in"), "--model", str(MODEL)]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 1
+    assert "not one recording could be used" in capsys.readouterr().err
+
+
+def deadly(of: Job, task: Task, key: str) -> Row:
+    """A job that some recordings take their process down with."""
+    if task.unit == "deadly":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"key": key, "recording": str(task.path), "unit": task.unit, "state": "done",
+            "error": "", "start_s": 0.0, "output": "", "values": [], "seconds": 0.0}  # fmt: skip
+
+
+def test_a_recording_that_kills_its_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "run", deadly)
+    units = ["one", "two", "deadly", "three", "four"]
+    tasks = [Task(tmp_path / f"{k}.csv", unit) for k, unit in enumerate(units)]
+    batch = run_batch(job(tmp_path), tasks, processes=2)
+    assert [row["state"] for row in batch.rows] == ["done", "done", "failed", "done", "done"]
+    assert "its process died" in batch.failed[0]["error"]
+
+
+def test_outliers_of_a_population() -> None:
+    def row(k: int, value: float, half: float | None) -> Row:
+        ends = {"low": None, "high": None}
+        if half is not None:
+            ends = {"low": value - half, "high": value + half}  # type: ignore[dict-item]
+        one: dict[str, Any] = {"quantity": "inertia", "value": value, "si": "kg m^2", **ends}
+        return {"recording": f"{k}.csv", "unit": f"u{k // 2}", "start_s": float(k), "values": [one]}
+
+    usual = [row(k, 1.0 + 0.01 * (k % 5), 0.001) for k in range(20)]
+    (found,) = population([*usual, row(20, 1.5, 0.01), row(21, 1.6, 0.7), row(22, 1.7, None)])
+    assert [p.recording for p in found.points if p.outlier] == ["20.csv", "22.csv"]
+    assert found.middle == pytest.approx(1.02)
+    assert found.between is not None
+    (few,) = population([*usual[:3], row(20, 99.0, 0.01)])
+    assert not any(p.outlier for p in few.points)
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """A Dask scheduler with two worker processes, as a cluster has them."""
+    pytest.importorskip("distributed", reason="needs the 'fleet' extra")
+    address_file = tmp_path / "scheduler.json"
+    words = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0"]
+    words += ["--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(address_file)]
+    started = [subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.DEVNULL)]
+    try:
+        until = time.monotonic() + 60.0
+        while not address_file.exists() and time.monotonic() < until:
+            time.sleep(0.1)
+        for _ in range(2):
+            words = [sys.executable, "-m", "distributed.cli.dask_worker", "--no-dashboard"]
+            words += ["--scheduler-file", str(address_file), "--nthreads", "1", "--no-nanny"]
+            words += ["--local-directory", str(tmp_path)]
+            started.append(subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.DEVNULL))
+        import json
+
+        yield json.loads(address_file.read_text())["address"], started[1:]
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.slow
+def test_a_dask_worker_that_is_killed_in_mid_run(
+    scheduler: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
+) -> None:
+    address, processes = scheduler
+    source = tmp_path / "recordings"
+    for seed in range(1, 13):
+        recording(source / f"{seed:02d}.parquet", seed, seconds=20.0)
+    (source / "broken.csv").write_text("time_s,motor_torque_nm\n0.0,x\n")
+    tasks = tasks_of(source)
+    killed: list[int] = []
+
+    def kill_one(row: Row, done: int, _of: int) -> None:
+        if done == 3:
+            victim = next(one for one in processes if one.pid == row["process"])
+            victim.kill()
+            killed.append(victim.pid)
+
+    batch = run_batch(job(tmp_path), tasks, dask=address, on_row=kill_one)
+    assert killed
+    assert [row["state"] for row in batch.rows] == ["done"] * 12 + ["failed"]
+    later = {row["process"] for row in batch.rows} - set(killed)
+    assert len(later) == 1  # the other one did the rest
+    here = run_batch(Job("estimate", MODEL, tmp_path / "here"), tasks, processes=1)
+    for there, mine in zip(batch.rows, here.rows, strict=True):
+        assert there["values"] == mine["values"]
+    again = run_batch(job(tmp_path), tasks, dask=address)
+    assert again.before == 13
+
+
+def test_nobody_answers(tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="needs the 'fleet' extra")
+    task = Task(recording(tmp_path / "a.csv"), "a")
+    with pytest.raises(InputError, match="no scheduler answers"):
+        run_batch(job(tmp_path), [task], dask="tcp://127.0.0.1:1")
