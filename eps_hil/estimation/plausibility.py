@@ -23,6 +23,7 @@ from eps_hil.estimation.speed_and_angle import (
 )
 from eps_hil.estimation.state import Records, record_of
 from eps_hil.estimation.torque_jumps import (
+    add_pace,
     bend_noise,
     blind,
     bridge,
@@ -86,7 +87,15 @@ class Watch:
     # Aligned T_1m, less what is unexplained of it, and speed of the last steps.
     torque: Annotated[Floats, RING]
     speed: Annotated[Floats, RING]
+    # The speed as it would be if the friction stayed the same, and its bend; what is added to the
+    # speed for that (rad/s), the friction torque (Nm) that it makes up for, that of the last step,
+    # and whether that was known.
+    pace: Annotated[Floats, RING]
     bend: Annotated[Floats, RING]
+    lent: float
+    changed_nm: float
+    friction_nm: float
+    friction_known: int
     steps: int
     # The step at which the torque left its course last, what it was, and its slope (Nm a step).
     edge_at: int
@@ -315,6 +324,7 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     torque = u.motor_torque_nm + p.sensor_to_rotor * u.torque_sensor_nm
     w.torque[at] = course(w, p, torque - w.unexplained_nm, seen)
     w.speed[at] = u.motor_speed_rad_s
+    add_pace(w, p)
     w.steps += 1
     w.moving = 1 if abs(u.motor_speed_rad_s) > _MOVING_RAD_S else 0
     watch_jump(w, p, u)

@@ -139,6 +139,7 @@ def verdict(c: Constants, s: Moment) -> int:
 @kernel
 def publish(c: Constants, s: Moment, friction: float) -> None:
     """Outputs of one instant: the friction waits for as long as the force was filtered."""
+    s.friction = friction
     if c.known_force:
         s.out_force, s.out_friction = 0.0, s.filtered / c.ratio
         return

@@ -38,6 +38,9 @@ class Moment:
     bristle: float
     speed: float
     acceleration: float
+    # Its torque of the last step (Nm), and how well the bristle filter knows z (rad, rms).
+    friction: float
+    bristle_rms: float
     # By how much the friction may be off (Nm), what that is at the rack (N), and for how many
     # steps more the output holds something of it.
     unknown_nm: float

@@ -32,6 +32,7 @@ from eps_hil.estimation.stream_timing import (
     TORQUE,
     Timing,
 )
+from eps_hil.estimation.torque_jumps import take_friction
 from eps_hil.estimation.validity import Reason
 
 _LOST = np.array(
@@ -224,6 +225,8 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         keep(m.carried, m.kept, (reason | doubt) & ~_SOUND == 0, c.keep_steps)
         m.t_ns[n] = at - lag
         now = m.carried.moment[0]
+        known = now.running == RUNS and now.unknown_n <= c.unknown_limit_n
+        take_friction(m.watch, now.friction, known)
         if timing.limits.on and abs(now.out_force) > timing.limits.estimate_n:
             doubt |= _IMPLAUSIBLE
             now.settle_steps = max(now.settle_steps, c.settle_steps)

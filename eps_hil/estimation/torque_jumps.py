@@ -14,6 +14,7 @@ import numpy.typing as npt
 from eps_hil.compiled import kernel
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.speed_and_angle import RING
+from eps_hil.estimation.state import Records
 from eps_hil.estimation.validity import Reason
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
     n, k = p.window, w.steps - 1
     if k < 2 * n:
         return
-    torque, speeds, weights = w.torque, w.speed, p.hinge
+    torque, speeds, weights = w.torque, w.pace, p.hinge
     done = 0.0
     for j in range(2 * n + 1):
         done += weights[j] * speeds[(k - 2 * n + j) % RING]
@@ -104,6 +105,26 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
     if w.stalled > 0 and w.unexplained_nm == 0.0:
         return  # what stood still catches up
     _found(w, p, base, slope, before)
+
+
+@kernel
+def add_pace(w: "Watch", p: "Limits") -> None:
+    """The speed of the newest step, with what the friction's changes took from it given back.
+
+    Friction that turns over where the rotor does bends the speed's course as much as a torque that
+    jumps, and would hide one that jumps there, or excuse one that did not.
+    """
+    w.lent += p.step_s * p.inverse_inertia * w.changed_nm
+    w.pace[w.steps % RING] = w.speed[w.steps % RING] + w.lent
+
+
+@kernel
+def take_friction(watch: Records, friction_nm: float, known: bool) -> None:
+    """The estimator's friction torque (Nm) of the step that was made, and whether it is known."""
+    w = watch[0]
+    if known and w.friction_known:
+        w.changed_nm += friction_nm - w.friction_nm
+    w.friction_nm, w.friction_known = friction_nm, 1 if known else 0
 
 
 @kernel
@@ -246,5 +267,6 @@ def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
         w.torque[at] = w.torque[(w.steps - 1) % RING] + w.slope_nm
         if not np.isfinite(w.speed[at]):
             w.speed[at] = speed + j * slope
+        add_pace(w, p)
         w.steps += 1
         watch_jump(w, p, u)
