@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.adaptation.gates import InjectionInputs
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation.alignment import RING, push_sample, read_at
 from eps_hil.physics.model import Model
 
@@ -26,13 +26,13 @@ Int64 = npt.NDArray[np.int64]
 Float64 = npt.NDArray[np.float64]
 
 
-@njit
+@kernel
 def _push_all(stamps: Int64, values: Float64, count: Int64, t: int, row: Float64) -> None:
     for i in range(len(row)):
         push_sample(stamps, values, count, i, t, row[i])
 
 
-@njit
+@kernel
 def _read_all(
     stamps: Int64, values: Float64, count: Int64, at: int, delay: Int64, row: Float64
 ) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.identification.butterworth import low_pass
 from eps_hil.identification.frequency_response import (
     INPUT,
@@ -116,7 +116,7 @@ def simulated(
     row[LOAD_STIFFNESS], row[LOAD_DAMPING] = load.stiffness_n_per_m, load.damping_n_s_per_m
     row[LOAD_POSITION] = load.position_m
     out = np.zeros((part.rows, len(_SIGNALS)))
-    _drive(chain, state, part.columns[INPUT], row, np.zeros((2, INPUTS)), out)
+    _drive(chain, state, part.columns[INPUT], row, np.zeros_like(row), np.zeros((2, INPUTS)), out)
     return Stretch({INPUT: part.columns[INPUT]} | dict(zip(_SIGNALS, out.T.copy(), strict=True)))
 
 
@@ -189,11 +189,16 @@ def linear_response(
     }
 
 
-@njit
+@kernel
 def _drive(
-    chain: Chain, state: ChainState, torque_nm: Floats, row: Floats, scratch: Floats, out: Floats
+    chain: Chain,
+    state: ChainState,
+    torque_nm: Floats,
+    row: Floats,
+    rate: Floats,
+    scratch: Floats,
+    out: Floats,
 ) -> None:
-    rate = np.zeros_like(row)
     for k in range(out.shape[0]):
         reading = read_out(chain, state, row, rate)
         out[k, 0] = reading.motor_speed_rad_s

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.effect import Ratios
 from eps_hil.physics.friction import (
@@ -78,7 +78,7 @@ def sliding_levels_nm(model: Model, motion: Motion) -> Floats:
     return levels[0]
 
 
-@njit
+@kernel
 def _levels_with_effects(drive: Drive, m: Motion, levels: Floats) -> None:
     ratios = Ratios(drive.sensor_to_rotor, drive.ratio)
     _levels(m, drive.law, levels)
@@ -91,7 +91,7 @@ _BACKWARD = -1e-300
 """A direction without a speed."""
 
 
-@njit
+@kernel
 def _balance(
     drive: Drive,
     m: Motion,
@@ -144,7 +144,7 @@ def _balance(
         out[k, 1] = friction + load[k]
 
 
-@njit
+@kernel
 def _levels(m: Motion, law: FrictionLaw, levels: Floats) -> None:
     """Eq. 3 along the motion; the second row for the other way, where nothing says which."""
     for k in range(len(m.time_s)):

@@ -9,7 +9,7 @@ x would be at the ratio of mid travel; inertias stay as they are there.
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.chain import (
     LOAD_DAMPING,
     LOAD_FORCE,
@@ -34,7 +34,7 @@ _NEAR_RAD = 1e-3
 _NOTHING = np.zeros(3)
 
 
-@njit
+@kernel
 def rack_m(chain: Chain, angle: float) -> float:
     """Position (m) at a coordinate of rack or road wheels."""
     if not chain.at_rotor.use.position:
@@ -42,7 +42,7 @@ def rack_m(chain: Chain, angle: float) -> float:
     return instant(chain.at_rotor, 0.0, 0.0, angle, _NOTHING).position_m
 
 
-@njit
+@kernel
 def rack_m_per_rad(chain: Chain, angle: float) -> float:
     """dx/dq there."""
     if not chain.at_rotor.use.position:
@@ -51,7 +51,7 @@ def rack_m_per_rad(chain: Chain, angle: float) -> float:
     return 0.5 * (ahead - behind) / _NEAR_RAD
 
 
-@njit
+@kernel
 def load_force_n(chain: Chain, angle: float, speed: float, row: Floats, rate: Floats) -> float:
     """Force of the rig on the tie rods, N: profile and spring-damper of its linear motor."""
     if chain.at_rotor.use.position:
@@ -63,7 +63,7 @@ def load_force_n(chain: Chain, angle: float, speed: float, row: Floats, rate: Fl
     return float(row[LOAD_FORCE] + spring + damper)
 
 
-@njit
+@kernel
 def linear_load_nm(chain: Chain, angle: float, speed: float, row: Floats, rate: Floats) -> float:
     """The same at the rotor, Nm, without effects: what the step has in its matrix."""
     i_apa = chain.rack_to_rotor
@@ -72,7 +72,7 @@ def linear_load_nm(chain: Chain, angle: float, speed: float, row: Floats, rate: 
     return float(row[LOAD_FORCE] + spring + damper) / i_apa
 
 
-@njit
+@kernel
 def drive_level_nm(
     chain: Chain, t: float, speed: float, angle: float, rack: float, load_n: float
 ) -> float:
@@ -83,7 +83,7 @@ def drive_level_nm(
     return level_nm(chain.at_rotor, u)
 
 
-@njit
+@kernel
 def seen(
     chain: Chain,
     t: float,
@@ -100,7 +100,7 @@ def seen(
     return Instant(t, speed, angle, x, load_n, pinion, motor_nm, bar_nm, chain.rack_to_rotor)
 
 
-@njit
+@kernel
 def torsion_nm(chain: Chain, angle: Floats, speed: Floats, linear: bool) -> float:
     """Torque of the torsion bar, at the column; ``linear``: as the step has it in its matrix."""
     wheel, rack = chain.group[STEERING_WHEEL], chain.group[RACK]
@@ -113,7 +113,7 @@ def torsion_nm(chain: Chain, angle: Floats, speed: Floats, linear: bool) -> floa
     return (chain.torsion_stiffness * twist + chain.torsion_damping * rate) / side
 
 
-@njit
+@kernel
 def act(
     chain: Chain,
     t: float,
@@ -162,7 +162,7 @@ def act(
     return shaft_nm
 
 
-@njit
+@kernel
 def remember(
     chain: Chain,
     t: float,
@@ -188,7 +188,7 @@ def remember(
         added.advance(chain.at_rack.effects, u, dt)
 
 
-@njit
+@kernel
 def reported_nm(chain: Chain, reading_nm: float) -> float:
     """What the torsion bar's sensor makes of the true torque (Nm); once a sample, in order."""
     if not chain.sensor.use.sensor:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.chain import (
     HAND_ANGLE,
     HAND_DAMPING,
@@ -37,7 +37,7 @@ Floats = npt.NDArray[np.float64]
 _PASSES = 12
 
 
-@njit
+@kernel
 def hand_nm(chain: Chain, angle: float, speed: float, row: Floats, rate: Floats) -> float:
     """Torque of hands or robot on the steering wheel, Nm, at its own angle and speed."""
     return float(
@@ -47,7 +47,7 @@ def hand_nm(chain: Chain, angle: float, speed: float, row: Floats, rate: Floats)
     )
 
 
-@njit
+@kernel
 def read_out(chain: Chain, state: ChainState, row: Floats, rate: Floats) -> Reading:
     """What is physically true at this instant, under the input row of the instant."""
     angle, speed = state.angle_rad, state.speed_rad_s
@@ -83,7 +83,7 @@ def read_out(chain: Chain, state: ChainState, row: Floats, rate: Floats) -> Read
     )
 
 
-@njit
+@kernel
 def _rubbing_nm(chain: Chain, state: ChainState, i: int, load_n: float) -> float:
     """Friction at coordinate ``i``: its share of eq. 2d."""
     angle, speed, t = state.angle_rad, state.speed_rad_s, state.time_s[0]
@@ -92,7 +92,7 @@ def _rubbing_nm(chain: Chain, state: ChainState, i: int, load_n: float) -> float
     return float(chain.friction_share[i] * torque)
 
 
-@njit
+@kernel
 def _torques_nm(chain: Chain, state: ChainState, load_n: float, bar_nm: float) -> float:
     """What effects add beside friction and load, on all masses."""
     angle, speed, t = state.angle_rad, state.speed_rad_s, state.time_s[0]
@@ -110,7 +110,7 @@ def _torques_nm(chain: Chain, state: ChainState, load_n: float, bar_nm: float) -
     return total
 
 
-@njit
+@kernel
 def _rigid_sensor_nm(
     chain: Chain, state: ChainState, row: Floats, rate: Floats, load_n: float
 ) -> float:

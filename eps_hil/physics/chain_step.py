@@ -11,7 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.chain import (
     HAND_ANGLE,
     HAND_DAMPING,
@@ -57,7 +57,7 @@ _PASSES, _MOST_PASSES = 3, 16
 _SETTLED_RAD_S = 1e-10
 
 
-@njit
+@kernel
 def _solve(matrix: Floats, vector: Floats) -> None:
     """Solve in place by elimination; the matrix is symmetric and positive, so without pivots."""
     n = vector.size
@@ -75,7 +75,7 @@ def _solve(matrix: Floats, vector: Floats) -> None:
         vector[k] = total / matrix[k, k]
 
 
-@njit
+@kernel
 def _motor_step(chain: Chain, state: ChainState, command_nm: float) -> float:
     """Dead time T_t, then lag τ_em; the mean torque of the step, as late as at the shaft."""
     limited = min(max(command_nm, -chain.torque_limit), chain.torque_limit)
@@ -98,7 +98,7 @@ def _motor_step(chain: Chain, state: ChainState, command_nm: float) -> float:
     return float(0.5 * (before + after))
 
 
-@njit
+@kernel
 def _load_externals(
     chain: Chain, state: ChainState, motor_nm: float, row: Floats, row_rate: Floats
 ) -> None:
@@ -129,7 +129,7 @@ def _load_externals(
         ext[3, rack] += k * (angle[rack] - math.copysign(limit, angle[rack]))
 
 
-@njit
+@kernel
 def _friction(
     law: FrictionLaw, dt: float, bristle: float, speed: float, level: float
 ) -> tuple[float, float, float]:
@@ -141,7 +141,7 @@ def _friction(
     return torque, slope, after
 
 
-@njit
+@kernel
 def _rigid_bar_nm(chain: Chain, state: ChainState, row: Floats, rate: Floats) -> float:
     """Torque through a rigid torsion bar in the middle of the step (Nm, at the column)."""
     wheel, half = chain.group[STEERING_WHEEL], 0.5 * chain.step_s
@@ -156,7 +156,7 @@ def _rigid_bar_nm(chain: Chain, state: ChainState, row: Floats, rate: Floats) ->
     return float(hand - rubbed - chain.steering_wheel_inertia * acceleration)
 
 
-@njit
+@kernel
 def _act_in_the_middle(
     chain: Chain, state: ChainState, motor_nm: float, row: Floats, rate: Floats
 ) -> float:
@@ -169,7 +169,7 @@ def _act_in_the_middle(
     return act(chain, t, state.half_way, state.middle, motor_nm, bar, row, rate, state.more)
 
 
-@njit
+@kernel
 def _drive_friction(
     chain: Chain, state: ChainState, i: int, load_n: float
 ) -> tuple[float, float, float]:
@@ -187,7 +187,7 @@ def _drive_friction(
     return _friction(chain.drive, chain.step_s, state.bristle_rad[i], middle[i], level)
 
 
-@njit
+@kernel
 def _middle_speed(
     chain: Chain, state: ChainState, motor_nm: float, row: Floats, rate: Floats
 ) -> None:
@@ -234,7 +234,7 @@ def _middle_speed(
             break
 
 
-@njit
+@kernel
 def _commit(chain: Chain, state: ChainState, motor_nm: float, row: Floats, rate: Floats) -> None:
     """Move the state to the end of the step and book the work that was done."""
     n, dt = chain.inertia.size, chain.step_s
@@ -278,7 +278,7 @@ def _commit(chain: Chain, state: ChainState, motor_nm: float, row: Floats, rate:
     state.time_s[0] += dt
 
 
-@njit
+@kernel
 def _book_effects(
     chain: Chain, state: ChainState, motor_nm: float, load_n: float, row: Floats, rate: Floats
 ) -> None:
@@ -298,7 +298,7 @@ def _book_effects(
     state.effects_j[0] += taken
 
 
-@njit
+@kernel
 def advance(
     chain: Chain,
     state: ChainState,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.catalogue import joint_of, with_model_effects
 from eps_hil.physics.effects.effect import Effect, Instant, Slot
@@ -71,7 +71,12 @@ def drive_of(model: Model, only: Callable[[Effect, Slot], bool] | None = None) -
 
 def rack_position_m(model: Model, rack_rad: Floats) -> Floats:
     """The rack's position, (n,), of an angle that is i_APA times it where the ratio is one."""
-    return _positions(drive_of(model), np.asarray(rack_rad, dtype=np.float64))
+    rack = np.asarray(rack_rad, dtype=np.float64)
+    drive = drive_of(model)
+    position = rack / drive.ratio
+    if drive.use.position:
+        _positions(drive, rack, np.zeros(3), position)
+    return position
 
 
 def rotor_angle_rad(model: Model, rack_position_m: Floats) -> Floats:
@@ -85,14 +90,10 @@ def rotor_angle_rad(model: Model, rack_position_m: Floats) -> Floats:
     return angle
 
 
-@njit
-def _positions(drive: Drive, rack_rad: Floats) -> Floats:
-    position = rack_rad / drive.ratio
-    if drive.use.position:
-        nothing = np.zeros(3)
-        for k in range(len(position)):
-            position[k] = instant(drive, 0.0, 0.0, rack_rad[k], nothing).position_m
-    return position
+@kernel
+def _positions(drive: Drive, rack_rad: Floats, nothing: Floats, position: Floats) -> None:
+    for k in range(len(position)):
+        position[k] = instant(drive, 0.0, 0.0, rack_rad[k], nothing).position_m
 
 
 def simulate(
@@ -117,16 +118,16 @@ def simulate(
     start = np.array([speed_rad_s, angle_rad, bristle_rad])
     joint = joint_of(model)
     if joint is None:
-        _integrate(drive_of(model), time_s, inputs, start, out)
+        _integrate(drive_of(model), time_s, inputs, start, np.empty(3), out)
         out[:, 3] = out[:, 1]
     else:
         from eps_hil.physics.two_masses import integrate
 
-        integrate(drive_of(model), joint, time_s, inputs, start, out)
+        integrate(drive_of(model), joint, time_s, inputs, start, np.empty(3), out)
     return Motion(out[:, 0], out[:, 1], out[:, 2], out[:, 3])
 
 
-@njit
+@kernel
 def instant(drive: Drive, t: float, speed: float, angle: float, row: Floats) -> Instant:
     """What a kernel is told; ``row``: motor torque, torsion-bar torque, rack force."""
     position = angle / drive.ratio
@@ -138,28 +139,28 @@ def instant(drive: Drive, t: float, speed: float, angle: float, row: Floats) -> 
     return Instant(t, speed, angle, position, row[2], pinion, row[0], row[1], drive.ratio)
 
 
-@njit
+@kernel
 def motor_nm(drive: Drive, u: Instant) -> float:
     """Shaft torque of the motor from the reported one."""
     reported = u.motor_torque_nm
     return added.motor_nm(drive.effects, u, reported) if drive.use.motor else reported
 
 
-@njit
+@kernel
 def sensor_nm(drive: Drive, u: Instant) -> float:
     """True torsion-bar torque from the reported one, at the column."""
     reported = u.torque_sensor_nm
     return added.sensor_nm(drive.effects, u, reported) if drive.use.sensor else reported
 
 
-@njit
+@kernel
 def load_nm(drive: Drive, u: Instant) -> float:
     """What the rack force is at the rotor (Nm)."""
     load = u.rack_force_n / drive.ratio
     return added.load_nm(drive.effects, u, load) if drive.use.load else load
 
 
-@njit
+@kernel
 def level_nm(drive: Drive, u: Instant) -> float:
     """T_fs (Nm) with what effects add to it."""
     level = static_level_nm(u.speed_rad_s, u.rack_force_n, drive.law)
@@ -168,17 +169,19 @@ def level_nm(drive: Drive, u: Instant) -> float:
     return max(level, SMALLEST_LEVEL_NM)
 
 
-@njit
+@kernel
 def friction_nm(drive: Drive, u: Instant, level: float, bristle: float, after: float) -> float:
     """Friction and added torque (Nm) with the bristle half way."""
     torque = friction_torque_nm(0.5 * (bristle + after), u.speed_rad_s, level, drive.law)
     return torque + added.torque_nm(drive.effects, u, 0.0) if drive.use.torque else torque
 
 
-@njit
-def _integrate(drive: Drive, time_s: Floats, inputs: Floats, start: Floats, out: Floats) -> None:
+@kernel
+def _integrate(
+    drive: Drive, time_s: Floats, inputs: Floats, start: Floats, row: Floats, out: Floats
+) -> None:
+    """Into ``out`` (n, 4); ``row`` (3,) is for work."""
     speed, angle, bristle = start[0], start[1], start[2]
-    row = np.empty(3)
     for k in range(len(time_s)):
         u = instant(drive, time_s[k], speed, angle, inputs[k])
         out[k, 0], out[k, 1] = speed, angle
@@ -201,7 +204,7 @@ def _integrate(drive: Drive, time_s: Floats, inputs: Floats, start: Floats, out:
             speed = 2.0 * middle - speed
 
 
-@njit
+@kernel
 def _middle(
     drive: Drive, t: float, speed: float, angle: float, bristle: float, row: Floats, dt: float
 ) -> tuple[float, float]:

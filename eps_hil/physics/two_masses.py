@@ -14,7 +14,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.effect import Joint
 from eps_hil.physics.friction import bristle_step
@@ -33,7 +33,7 @@ STEP_S = 2e-5
 Floats = npt.NDArray[np.float64]
 
 
-@njit
+@kernel
 def joint_torque_nm(joint: Joint, twist_rad: float, rate_rad_s: float) -> float:
     """τ (Nm) that the rotor hands on; a gap passes nothing, and never pulls."""
     half = 0.5 * joint.gap_rad
@@ -46,15 +46,23 @@ def joint_torque_nm(joint: Joint, twist_rad: float, rate_rad_s: float) -> float:
     return torque if torque * pressed > 0.0 else 0.0
 
 
-@njit
+@kernel
 def integrate(
-    drive: Drive, joint: Joint, time_s: Floats, inputs: Floats, start: Floats, out: Floats
+    drive: Drive,
+    joint: Joint,
+    time_s: Floats,
+    inputs: Floats,
+    start: Floats,
+    row: Floats,
+    out: Floats,
 ) -> None:
-    """Speed, angle, friction torque and rack angle at each instant into ``out`` (n, 4)."""
+    """Speed, angle, friction torque and rack angle at each instant into ``out`` (n, 4).
+
+    ``row`` (3,) is for work.
+    """
     behind = joint.behind_share * drive.inertia
     rotor = drive.inertia - behind
     speed, angle, bristle = start[0], start[1], start[2]
-    row = np.empty(3)
     first = drive.sensor_to_rotor * inputs[0, 1] - inputs[0, 2] / drive.ratio
     rack_speed, rack = speed, angle + _rest_twist(joint, first)
     for k in range(len(time_s)):
@@ -84,14 +92,14 @@ def integrate(
             angle += dt * speed
 
 
-@njit
+@kernel
 def _rest_twist(joint: Joint, outer_nm: float) -> float:
     """Rack angle less rotor angle at which the joint carries the first instant's load."""
     pressed = outer_nm / joint.stiffness_nm_per_rad
     return pressed + math.copysign(0.5 * joint.gap_rad, pressed) if pressed != 0.0 else 0.0
 
 
-@njit
+@kernel
 def _middle(
     drive: Drive,
     inertia: float,

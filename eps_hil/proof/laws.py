@@ -6,13 +6,13 @@ Torques and angles are at the rotor.
 
 import math
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.proof.truth import Chain, Drive, Floats, Hidden, Slip
 
 _LEAST_LEVEL_NM = 1.0e-3
 
 
-@njit
+@kernel
 def sliding_level(
     d: Drive,
     h: Hidden,
@@ -47,7 +47,7 @@ def sliding_level(
     return max(level, _LEAST_LEVEL_NM)
 
 
-@njit
+@kernel
 def pressed(
     h: Hidden,
     speed: float,
@@ -78,7 +78,7 @@ def pressed(
     return more
 
 
-@njit
+@kernel
 def slip_friction(
     d: Drive, s: Slip, state: Floats, speed: float, forth: float, back: float, dt: float
 ) -> float:
@@ -104,7 +104,7 @@ def slip_friction(
     return torque + _damping(d, speed) * speed * sticking
 
 
-@njit
+@kernel
 def bristle_friction(d: Drive, state: Floats, speed: float, level: float, dt: float) -> float:
     """One step of a LuGre bristle (eq. 2); ``state[0]`` is z in rad, returns T_f."""
     stretch = abs(speed) * d.sigma0 / level
@@ -112,12 +112,12 @@ def bristle_friction(d: Drive, state: Floats, speed: float, level: float, dt: fl
     return d.sigma0 * state[0] + _damping(d, speed) * (speed - stretch * state[0])
 
 
-@njit
+@kernel
 def _damping(d: Drive, speed: float) -> float:
     return d.sigma1 * math.exp(-((speed / d.sigma1_speed) ** 2))
 
 
-@njit
+@kernel
 def beside_friction(
     d: Drive,
     h: Hidden,
@@ -155,7 +155,7 @@ def beside_friction(
     return torque + h.late_wet_drag * wet
 
 
-@njit
+@kernel
 def on_the_shaft(
     d: Drive, h: Hidden, reported: float, angle: float, speed: float, heat: float, t: float
 ) -> float:
@@ -182,7 +182,7 @@ def on_the_shaft(
     return torque * (1.0 - h.alien_heat_loss * heat)
 
 
-@njit
+@kernel
 def delayed(past: Floats, tick: int, late: float) -> float:
     """What a ring buffer of past values held ``late`` (not whole) ticks ago."""
     late = min(late, len(past) - 2.0)
@@ -191,7 +191,7 @@ def delayed(past: Floats, tick: int, late: float) -> float:
     return newer + (late - whole) * (older - newer)
 
 
-@njit
+@kernel
 def joint(c: Chain, i: int, twist: float, rate: float) -> float:
     """Torque that joint ``i`` hands from mass i to mass i + 1."""
     if c.gap_rad > 0.0 and i == c.rack - 1:

@@ -7,7 +7,7 @@ it is later, noisier and coarser (sensors.py).
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.chain import (
     INPUTS,
     LOAD_FORCE,
@@ -50,7 +50,7 @@ TRUE_SIGNALS = (
 """Columns of a truth row: physical values of the instant, before any sensor."""
 
 
-@njit
+@kernel
 def motor_command_nm(
     reading: Reading, sensor_nm: float, row: Floats, rack_to_rotor: float
 ) -> float:
@@ -64,7 +64,7 @@ def motor_command_nm(
     )
 
 
-@njit
+@kernel
 def one_step(
     chain: Chain,
     state: ChainState,
@@ -104,7 +104,7 @@ def one_step(
     advance(chain, state, command, now, after, steps, scratch)
 
 
-@njit
+@kernel
 def _run(chain: Chain, state: ChainState, table: Floats, scratch: Floats, truth: Floats) -> None:
     for k in range(truth.shape[0]):
         one_step(chain, state, table[k], table[k + 1], False, 0.0, STEPS_PER_MS, scratch, truth[k])

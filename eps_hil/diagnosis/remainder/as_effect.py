@@ -70,20 +70,20 @@ _MEMORIES: Mapping[str, str] = {
 }
 _SIGN = """
 
-@njit
+@kernel
 def _sign(value: float) -> float:
     return 1.0 if value > 0.0 else (-1.0 if value < 0.0 else 0.0)
 """
 _LEFT = f"""
 
-@njit
+@kernel
 def _left(x: float, low: float, high: float) -> float:
     \"\"\"Share of the effect at ``x``: 1 in the range that was seen, fading out beyond it.\"\"\"
     return min(max(1.0 - max(low - x, x - high) / ({FADE} * (high - low)), 0.0), 1.0)
 """
 _OUTSIDE = """
 
-@njit
+@kernel
 def _outside(_p: Floats, u: Instant) -> bool:
     return {tests}
 """
@@ -97,7 +97,7 @@ Found in recordings by `eps-hil diagnose`; name, bounds and twins are for a revi
 
 import math
 
-from eps_hil.compiled import njit
+from eps_hil.compiled import kernel
 from eps_hil.physics.effects.effect import (
     Effect,
     Floats,
@@ -109,7 +109,7 @@ from eps_hil.physics.effects.effect import (
 {resolved})
 {helpers}
 
-@njit
+@kernel
 def _kernel(p: Floats, s: Floats, u: Instant, value: float) -> float:
 {kernel}
 {outside}
@@ -144,9 +144,8 @@ def as_effect(entry: Entry, name: str) -> str:
     body = "".join(remembers)
     advance = ""
     if body:
-        advance = (
-            f"@njit\ndef _advance(p: Floats, s: Floats, u: Instant, dt: float) -> None:\n{body}\n\n"
-        )
+        head = "def _advance(p: Floats, s: Floats, u: Instant, dt: float) -> None:"
+        advance = f"@kernel\n{head}\n{body}\n\n"
     outside = _outside(entry)
     used = kernel + body + outside
     helpers = (_SIGN if "_sign(" in used else "") + (_LEFT if "_left(" in used else "")
