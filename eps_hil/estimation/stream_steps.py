@@ -222,7 +222,9 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         if now_seen and m.carried.moment[0].running == RUNS:
             roll_back(m.carried, m.kept)
         reason = step(c, x, m.carried, inputs, reason | (doubt if now_seen else 0))
-        keep(m.carried, m.kept, (reason | doubt) & ~_SOUND == 0, c.keep_steps)
+        seen_since = m.watch[0].unsure == 0 or m.watch[0].started != 0
+        sound = (reason | doubt) & ~_SOUND == 0 and seen_since
+        keep(m.carried, m.kept, sound, c.keep_steps)
         m.t_ns[n] = at - lag
         now = m.carried.moment[0]
         known = now.running == RUNS and now.unknown_n <= c.unknown_limit_n

@@ -30,6 +30,8 @@ friction change its bend too, but a torque that leaves its own course at once is
 UNEXPLAINED_N = 50.0
 _KEPT = 1.5
 """So much of it is kept as unexplained; less is nothing."""
+_ROLLED_BACK = 2
+"""Steps for which a doubt of something past is a doubt of now, so that the state is rolled back."""
 _BACK = 0.4
 """Share of an unexplained torque that may be left when it has jumped back."""
 
@@ -158,14 +160,14 @@ def _edge(w: "Watch", p: "Limits", u: Inputs) -> tuple[float, float]:
 def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> None:
     """Take a jump that nothing followed out of the ring; ``level`` (Nm) is what is left of it."""
     n, k = p.window, w.steps - 1
-    since = k - n - w.edge_at
+    first, since = k - n, k - n - w.edge_at
     if 0 < since <= n + p.edge:  # perhaps the end of a spike: what is left is of before it
         level += base - w.edge_nm - since * slope
-        base = w.edge_nm + since * slope
+        first, base = w.edge_at, w.edge_nm
         if abs(level) * p.ratio < _KEPT * UNEXPLAINED_N:
-            return
-    for j in range(1, n + 1):
-        w.torque[(k - n + j) % RING] = base + j * slope
+            level = 0.0
+    for j in range(1, k - first + 1):
+        w.torque[(first + j) % RING] = base + j * slope
     old = w.unexplained_nm
     w.unexplained_nm += level if abs(level) * p.ratio > UNEXPLAINED_N else 0.0
     if abs(w.unexplained_nm) * p.ratio < _KEPT * UNEXPLAINED_N or (
@@ -174,7 +176,7 @@ def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> 
         forget_unexplained(w)
     w.quiet, w.missed = 0, 0
     if w.unsure > 0:  # it may as well be the end of what was wrong since nobody looked
-        w.missed, w.stalled = 1, p.stalled_steps
+        w.missed, w.stalled, w.told = 1, p.stalled_steps, _ROLLED_BACK
     else:
         w.told = p.told_steps
 

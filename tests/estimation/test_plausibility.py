@@ -201,6 +201,35 @@ def test_a_spike_of_the_torque_is_over_when_it_is(
     assert told(trace, SINCE + 1900, SINCE + 5000) == Reason.FINE
 
 
+def test_a_spike_that_begins_between_two_steps_is_told(
+    reference_model: Model, weave_truth: Any
+) -> None:
+    """Interpolated, it begins with a little of itself: that is its beginning, not its end."""
+    right = estimate(series_of(weave_truth), reference_model)
+    for since in (6400, SINCE, 12_100):
+        series = series_of(weave_truth)
+        series[NAMES[0]].value[since] -= 0.04
+        series[NAMES[0]].value[since + 1 : since + 6] -= 0.8
+        trace = estimate(series, reference_model)
+        assert told(trace, since, since + 30) & Reason.INCONSISTENT
+        assert wrong_and_valid_ms(trace, right) <= 20
+
+
+@pytest.mark.parametrize("offset_nm", [2.2, -2.2])
+def test_what_began_in_a_hole_has_not_bent_the_bristle(
+    reference_model: Model, steps_truth: Any, offset_nm: float
+) -> None:
+    """The rotor came to rest under a torque that was false since a hole; its end takes it back."""
+    right = estimate(series_of(steps_truth), reference_model)
+    for until in (3000, 3100, 3200, 3300, 5400, 8000, 11_300):
+        series = series_of(steps_truth)
+        series[NAMES[0]].value[until - 500 : until] += offset_nm
+        trace = estimate(holed(series, until - 530, 35), reference_model)
+        same = np.searchsorted(right.t_ns, trace.t_ns)
+        wrong = np.abs(trace.rack_force_n - right.rack_force_n[same]) > 100.0
+        assert np.count_nonzero(wrong & trace.valid & right.valid[same]) <= 20
+
+
 @pytest.mark.parametrize("since", [11_700, 12_100])
 def test_a_small_spike_at_rest_is_over_when_it_is(
     reference_model: Model, steps_truth: Any, since: int
