@@ -37,3 +37,14 @@ def test_a_loss_that_looks_like_a_ratio_is_modelled(reference_model: Model) -> N
     )
     assert after < 0.2 * before
     assert found["model"]["holdout_share_removed"] == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.slow
+def test_friction_that_follows_the_load_late_is_found_beside_what_follows_at_once(
+    reference_model: Model,
+) -> None:
+    """Only a part of it is late: the law and the model's own load friction are found together."""
+    (found,) = diagnosed(reference_model, "alien_load_memory", seed=84).content["findings"]
+    assert found["resembles"][0]["what"] == "friction that follows the load late"
+    assert found["where"][0]["signal"] == "rack_force_n"
+    assert found["model"]["holdout_share_removed"] == pytest.approx(1.0, abs=0.05)

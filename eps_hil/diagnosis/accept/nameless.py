@@ -77,8 +77,8 @@ def _modelled(
     part = (lambda done: say("modelling what has no name", done)) if say else None
     given = augmented_by(problem, selection.found, findings, tied)
 
-    def beside(model: Model, jacobian: Floats) -> Remainder | None:
-        return find(problem, kept, model, jacobian, part)
+    def beside(model: Model, jacobian: Floats, free: Sequence[str] = ()) -> Remainder | None:
+        return find(problem, kept, model, jacobian, part, free)
 
     def energy(model: Model) -> float:
         return float(np.sum(kept.residual(model)[kept.sliding] ** 2))
@@ -92,16 +92,26 @@ def _modelled(
     if tied or (best is not None and best.share > 1.0 - _MORE):
         return best, named
     start = augmented_by(problem, selection.found, named)
-    free = _refitted(problem, selection, named)
-    again = beside(*free)
+    bare = Sight(kept, start)
+    refitted = _refitted(problem, selection, named)
+    moving = [name for name in _moving(refitted[0]) if name not in (OFFSET, HOLD)]
+    again: Remainder | None = None
+    for free in ((), moving):  # beside the refit as it stands, then together with it
+        one = beside(*refitted, free)
+        if one is None:
+            continue
+        one = replace(one, model=_settled(problem, one.model, kept))
+        if again is None or energy(one.model) < energy(again.model):
+            again = one
+        if share_removed(bare, kept.residual(again.model))[0] > 1.0 - _MORE:
+            break
     if again is None:
         return best, named
-    again = replace(again, model=_settled(problem, again.model, kept))
     before = Sight(kept, start if best is None else best.model)
     gone, (low, _) = share_removed(before, kept.residual(again.model))
     if gone < _MORE or low < LEAST_LOWER:
         return best, named
-    share, ends = share_removed(Sight(kept, start), kept.residual(again.model))
+    share, ends = share_removed(bare, kept.residual(again.model))
     return replace(
         again,
         share=share,
@@ -133,12 +143,17 @@ def _refitted(
     return model, free.jacobian
 
 
+def _moving(model: Model) -> list[str]:
+    """Numbers of the model's own beside a law; of the others sliding says nothing more."""
+    done = {"sigma0_nm_per_rad", "sigma1_nm_s_per_rad"}
+    done |= {OFFSET} if any(entry["effect"] == OFFSET for entry in model.effects) else set()
+    return [name for name in ALL if name not in done]
+
+
 def _settled(problem: Problem, model: Model, kept: Problem) -> Model:
     """The model's own numbers once more, now beside the laws, where hold-outs agree."""
     beside = replace(problem, model=model)
-    done = {"sigma0_nm_per_rad", "sigma1_nm_s_per_rad"}  # of which sliding says nothing more
-    done |= {OFFSET} if any(entry["effect"] == OFFSET for entry in model.effects) else set()
-    own = {name: 0.0 for name in ALL if name not in done}
+    own = dict.fromkeys(_moving(model), 0.0)
     free = fit(beside, [], own=own)
     moved = augmented_by(beside, free, (), moved=True)
     before, after = (np.sum(kept.residual(one)[kept.sliding] ** 2) for one in (model, moved))

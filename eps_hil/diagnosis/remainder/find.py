@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.balance.baseline import turned
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.balance.reference import torque_is_referenced
 from eps_hil.diagnosis.data.repeated import repeated
@@ -38,6 +39,8 @@ more is looked for; no further term is worth less than the latter."""
 _REFINED, _SIMPLE = 6, 4
 _BEYOND = 0.02
 _DRAWS = 400
+_OWN_STEP = 0.05
+"""Of a usual error of a number of the model's own, for a difference."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,41 @@ class _Trial:
     kept: Floats
     fitted: Floats
     worth: float
+    model: Model
+    """What it is beside: numbers of its own that are free have moved with it."""
+
+
+class Own:
+    """Numbers of the model's own that move with a term, and what they do to the residual.
+
+    A term that shares its work with such a number (friction that follows the load late, with the
+    part that follows at once) is only found with both free.
+    """
+
+    def __init__(self, sight: Sight, names: Sequence[str]) -> None:
+        self.sight, self.names = sight, names
+        self.columns = self.of(sight) if names else None
+
+    def of(self, sight: Sight) -> Floats:
+        """Sensitivities (n, p) of a residual to the numbers, each in usual errors of it."""
+
+        def column(name: str) -> Floats:
+            moved = turned(sight.model, {name: _OWN_STEP}, sight.problem.size)
+            return (sight.problem.residual(moved) - sight.residual) / _OWN_STEP
+
+        return np.column_stack([column(name) for name in self.names])
+
+    def moved(self, entry: Entry) -> Model:
+        """The model beside ``entry``, its numbers by one linear step within their prior."""
+        sight = self.sight
+        if self.columns is None:
+            return sight.model
+        left = sight.problem.residual(_with(sight.model, [entry])) * sight.weight
+        prior = np.eye(len(self.names))
+        rows = np.vstack([self.columns * sight.weight[:, None], prior])
+        step = -np.linalg.lstsq(rows, np.append(left, np.zeros(len(prior))), rcond=None)[0]
+        values = dict(zip(self.names, step.tolist(), strict=True))
+        return turned(sight.model, values, sight.problem.size)
 
 
 def find(
@@ -82,12 +120,13 @@ def find(
     model: Model,
     jacobian: Floats,
     say: Callable[[float], None] | None = None,
+    free: Sequence[str] = (),
 ) -> Remainder | None:
     """Terms that ``model`` lacks to explain ``problem``, as far as ``kept`` confirms them.
 
     ``jacobian`` (n, p): sensitivities of the residual to what was fitted beside; see ``screen``.
+    ``free``: numbers of the model's own that move with each term (``balance/baseline.py``).
     """
-    start = model
     known = torque_is_referenced(problem)
     maps = not repeated(problem.recordings, kept.recordings)
     before, first = (Sight(one, model, referenced=known) for one in (problem, kept))
@@ -103,18 +142,19 @@ def find(
             break
         if np.sum(fitted.use) < 500 or np.sum(judged.use) < 100:
             break
-        best = _best(fitted, judged, jacobian, ranges, maps=maps)
+        own = Own(fitted, free)
+        best = _best(fitted, judged, jacobian, ranges, own, maps=maps)
         if best is None or left - _excess(first, best.kept) < _MORE * whole:
             break
         terms.append(best.term)
-        model = _with(model, [best.term.entry])
+        model = _with(best.model, [best.term.entry])
         fitted, judged = (Sight(one, model, referenced=known) for one in (problem, kept))
     if not terms:
         return None
     share, ends = share_removed(first, judged.residual)
     return Remainder(
         tuple(terms),
-        _with(start, [term.entry for term in terms]),
+        model,
         share,
         ends,
         before.residual,
@@ -123,13 +163,18 @@ def find(
 
 
 def _best(
-    fitted: Sight, kept: Sight, jacobian: Floats, ranges: Ranges, *, maps: bool
+    fitted: Sight, kept: Sight, jacobian: Floats, ranges: Ranges, own: Own, *, maps: bool
 ) -> _Trial | None:
     """The term that takes most off, if the gate lets it through."""
-    screening = screen(fitted, kept, jacobian)
-    trials = [_law(fitted, kept, one.law, ranges) for one in _shortlist(screening.best)]
+    free = None
+    if own.columns is not None:
+        free = own.columns, own.of(kept)
+    screening = screen(fitted, kept, jacobian, free)
+    trials = [_law(fitted, kept, one.law, ranges, own) for one in _shortlist(screening.best)]
     law = max((one for one in trials if one is not None), key=_worth, default=None)
-    others = [_table(fitted, kept, one.entry(ranges)) for one in tables(fitted, kept, maps=maps)]
+    others = [
+        _table(fitted, kept, one.entry(ranges), own) for one in tables(fitted, kept, maps=maps)
+    ]
     table = max(others, key=_worth, default=None)
     chosen = law
     if table is not None and (law is None or table.worth > law.worth + LAW_MARGIN):
@@ -164,22 +209,23 @@ def _shortlist(best: Sequence[Screened]) -> list[Screened]:
     return list(chosen.values())
 
 
-def _law(fitted: Sight, kept: Sight, law: Law, ranges: Ranges) -> _Trial | None:
-    found = refine(fitted.problem, fitted.model, law, ranges)
+def _law(fitted: Sight, kept: Sight, law: Law, ranges: Ranges, own: Own) -> _Trial | None:
+    found = refine(fitted.problem, fitted.model, law, ranges, own.columns)
     if not np.isfinite(found.law.size) or found.law.size == 0.0:
         return None
     entry = _rounded(found.law.entry(ranges))
-    trial = _table(fitted, kept, entry)
+    trial = _table(fitted, kept, entry, own)
     return replace(
         trial, term=Term(entry, found.law), worth=trial.worth - found.law.price * abs(trial.worth)
     )
 
 
-def _table(fitted: Sight, kept: Sight, entry: Entry) -> _Trial:
+def _table(fitted: Sight, kept: Sight, entry: Entry, own: Own) -> _Trial:
     entry = _rounded(entry)
-    here, there = (one.problem.residual(_with(one.model, [entry])) for one in (fitted, kept))
+    model = own.moved(entry)
+    here, there = (one.problem.residual(_with(model, [entry])) for one in (fitted, kept))
     worth = min(_share(fitted, here), _share(kept, there))
-    return _Trial(Term(entry, None), there, here, worth)
+    return _Trial(Term(entry, None), there, here, worth, model)
 
 
 def _share(sight: Sight, after: Floats) -> float:

@@ -39,8 +39,14 @@ def with_laws(model: Model, laws: Sequence[Law], ranges: Ranges) -> Model:
     return replace(model, effects=(*model.effects, *(one.entry(ranges) for one in laws)))
 
 
-def refine(problem: Problem, model: Model, law: Law, ranges: Ranges) -> Refined:
-    """The law with the numbers at which ``model`` with it leaves least of ``problem``."""
+def refine(
+    problem: Problem, model: Model, law: Law, ranges: Ranges, beside: Floats | None = None
+) -> Refined:
+    """The law with the numbers at which ``model`` with it leaves least of ``problem``.
+
+    ``beside`` (n, p): sensitivities of the residual to numbers that move with it; what they can do
+    does not count (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973).
+    """
     zero = problem.residual(model)
     use = problem.sliding
     weight = np.sqrt(np.where(use, huber(zero, knee(zero)), 0.0))
@@ -50,13 +56,19 @@ def refine(problem: Problem, model: Model, law: Law, ranges: Ranges) -> Refined:
         for name in one.numbers
         if not (name == "centre" and one.name.endswith("_power_sign"))
     ]
-    base = zero * weight
+    basis = np.zeros((len(zero), 0)) if beside is None else orthonormal(beside * weight[:, None])
+
+    def seen(residual: Floats) -> Floats:
+        weighed = residual * weight
+        return np.asarray(weighed - basis @ (basis.T @ weighed))
+
+    base = seen(zero)
 
     def at(law: Law) -> tuple[Law, Floats, float]:
         """The law with its best size, the weighted residual and its cost."""
         size = law.size
         for _ in range(2):
-            left = problem.residual(with_laws(model, [replace(law, size=size)], ranges)) * weight
+            left = seen(problem.residual(with_laws(model, [replace(law, size=size)], ranges)))
             column = (left - base) / size if size else left * 0.0
             norm = float(column @ column)
             if norm <= 0.0:
@@ -93,7 +105,17 @@ def refine(problem: Problem, model: Model, law: Law, ranges: Ranges) -> Refined:
         if before - cost < _ENOUGH * before:
             break
     residual = problem.residual(with_laws(model, [law], ranges))
-    return Refined(law, residual, float(np.sum((residual * weight) ** 2)))
+    return Refined(law, residual, float(np.sum(seen(residual) ** 2)))
+
+
+def orthonormal(columns: Floats) -> Floats:
+    """An orthonormal basis (n, k) of what columns (n, p) span."""
+    size = np.sqrt(np.sum(columns**2, axis=0))
+    columns = columns[:, size > 0] / size[size > 0]
+    if columns.shape[1] == 0:
+        return columns
+    q, r = np.linalg.qr(columns)
+    return np.asarray(q[:, np.abs(np.diag(r)) > 1e-6])
 
 
 def _step(law: Law, key: tuple[int, str]) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.remainder.grammar import Law, columns_of, laws
+from eps_hil.diagnosis.remainder.refine import orthonormal
 from eps_hil.diagnosis.remainder.sight import Sight
 
 Floats = npt.NDArray[np.float64]
@@ -48,10 +49,24 @@ class Screening:
     """The same of the real one."""
 
 
-def screen(fitted: Sight, kept: Sight, jacobian: Floats) -> Screening:
-    """Try all laws; ``jacobian`` (n, p) of the fitted residual to numbers that may move with it."""
+def screen(
+    fitted: Sight, kept: Sight, jacobian: Floats, free: tuple[Floats, Floats] | None = None
+) -> Screening:
+    """Try all laws; ``jacobian`` (n, p) of the fitted residual to numbers that may move with it.
+
+    ``free`` (n, q), (m, q): sensitivities of both residuals to numbers that do move. By how much is
+    said by the fitted recordings, so that the hold-outs judge a law with that.
+    """
     ours, theirs = _weights(fitted), _weights(kept)
-    basis = _basis(jacobian[fitted.rows] * fitted.weight[fitted.rows, None])
+    carried: Floats = np.zeros((0, 0))
+    moved: Floats = carried
+    if free is not None:
+        here, moved = (
+            part[sight.rows] * sight.weight[sight.rows, None]
+            for part, sight in zip(free, (fitted, kept), strict=True)
+        )
+        carried = np.asarray(np.linalg.pinv(here))
+    basis = orthonormal(jacobian[fitted.rows] * fitted.weight[fitted.rows, None])
     left, other = _turned(fitted), _turned(kept)
     left -= basis @ (basis.T @ left)
     found: list[Screened] = []
@@ -62,8 +77,10 @@ def screen(fitted: Sight, kept: Sight, jacobian: Floats) -> Screening:
         if not there:
             continue
         x = np.hstack([x for _, x, _ in there]) * ours[:, None]
-        x -= basis @ (basis.T @ x)
         y = np.hstack([y for _, _, y in there]) * theirs[:, None]
+        if free is not None:
+            y -= moved @ (carried @ x)
+        x -= basis @ (basis.T @ x)
         gains, judged, sizes = _gains(x, left, y, other, [one.shape[1] for _, one, _ in there])
         null = np.maximum(null, np.max(judged[:, 1:], axis=0, initial=0.0))
         most = max(most, float(np.max(judged[:, 0])))
@@ -131,12 +148,3 @@ def _turned(sight: Sight) -> Floats:
     real = (sight.residual * sight.weight)[sight.rows]
     signs = [rng.choice([-1.0, 1.0], int(np.max(sight.block)) + 1)[block] for _ in range(NULLS)]
     return np.column_stack([real, *(real * one for one in signs)])
-
-
-def _basis(columns: Floats) -> Floats:
-    size = np.sqrt(np.sum(columns**2, axis=0))
-    columns = columns[:, size > 0] / size[size > 0]
-    if columns.shape[1] == 0:
-        return columns
-    q, r = np.linalg.qr(columns)
-    return np.asarray(q[:, np.abs(np.diag(r)) > 1e-6])

@@ -9,7 +9,7 @@ import pytest
 
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
-from eps_hil.diagnosis.remainder.find import find, share_removed
+from eps_hil.diagnosis.remainder.find import Own, find, share_removed
 from eps_hil.diagnosis.remainder.grammar import Input, Law, columns_of
 from eps_hil.diagnosis.remainder.refine import refine
 from eps_hil.diagnosis.remainder.sight import Sight
@@ -71,6 +71,33 @@ def test_numbers_are_refined_by_the_simulator(eddy: tuple[Problem, Problem]) -> 
     bent = Problem(problem.recordings, lacking)
     found = refine(bent, lacking, start, {})
     assert np.mean(found.residual[bent.sliding] ** 2) < 1.05 * np.mean(before[bent.sliding] ** 2)
+
+
+def test_a_law_is_refined_with_the_number_that_it_shares_its_work_with(
+    record: Record, reference_model: Model
+) -> None:
+    """Friction that follows the load late, less what follows at once: neither does it alone."""
+    problem = over(record({}, ("sweep", "weave"), seed=3, seconds=10.0), reference_model)
+    late = Law("friction", "sum", (Input("abs_rack_force_n", "linear", "lag", {"memory": 0.7}),),
+               3e-5)  # fmt: skip
+    rubs = problem.model.friction
+    more = replace(rubs, load_pos_nm_per_n=rubs.load_pos_nm_per_n + 3e-5,
+                   load_neg_nm_per_n=rubs.load_neg_nm_per_n + 3e-5)  # fmt: skip
+    lacking = replace(problem.model, friction=more, effects=(replace(late, size=-3e-5).entry({}),))
+    bent = Problem(problem.recordings, lacking)
+    own = Own(Sight(bent, lacking), ("load_pos_nm_per_n", "load_neg_nm_per_n"))
+    start = replace(late, inputs=(replace(late.inputs[0], numbers={"memory": 0.3}),))
+    law = refine(bent, lacking, start, {}, own.columns).law
+    assert law.inputs[0].numbers["memory"] == pytest.approx(0.7, rel=0.1)
+    model = own.moved(law.entry({}))
+    assert model.friction.load_pos_nm_per_n == pytest.approx(rubs.load_pos_nm_per_n, rel=0.1)
+
+    def left(model: Model) -> float:
+        residual = bent.residual(replace(model, effects=(*model.effects, law.entry({}))))
+        return float(np.mean(residual[bent.sliding] ** 2))
+
+    right = float(np.mean(bent.residual(problem.model)[bent.sliding] ** 2))
+    assert left(model) < 1.05 * right < 1.2 * right < left(lacking)
 
 
 def test_a_curve_follows_what_it_is_drawn_through(eddy: tuple[Problem, Problem]) -> None:
