@@ -124,6 +124,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
         begin_anew(e, x.effects)
         return _DIVERGED
     s.phi, s.omega, s.bristle = b.mean[PHI], b.mean[OMEGA], b.mean[BRISTLE]
+    s.bristle_rms = math.sqrt(b.cov[BRISTLE, BRISTLE])
     s.force, s.slope = b.mean[FORCE], 0.0
     _follow_unknown(f, law, b, s, u)
     size = f.lag + 1
@@ -223,7 +224,7 @@ def _start(
     level = static_level_nm(speed if speed != 0.0 else -1.0, ratio * torque, law)
     unsure = _RELAXED * level / stiffness
     if s.running == HELD:
-        unsure = min(unsure, math.sqrt(cov[BRISTLE, BRISTLE]))
+        unsure = min(unsure, s.bristle_rms)
     most = max(
         static_level_nm(1.0, ratio * torque, law), static_level_nm(-1.0, ratio * torque, law)
     )

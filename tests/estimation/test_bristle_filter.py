@@ -12,9 +12,9 @@ from scipy.linalg import expm, solve_discrete_are
 
 from eps_hil.estimation import bristle_smoother
 from eps_hil.estimation.batch import estimate, events, latency_s, sample_periods_s
-from eps_hil.estimation.bristle_filter import PhysicsInside
+from eps_hil.estimation.bristle_filter import PhysicsInside, filter_step
 from eps_hil.estimation.bristle_model import Step, transition
-from eps_hil.estimation.bristle_setup import FORCE, OMEGA, PHI, RATE, SIZE, Drive
+from eps_hil.estimation.bristle_setup import BRISTLE, FORCE, OMEGA, PHI, RATE, SIZE, Drive
 from eps_hil.estimation.bristle_smoother import smooth
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.settings import (
@@ -23,6 +23,8 @@ from eps_hil.estimation.settings import (
     PlausibilitySettings,
     problem,
 )
+from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.state import HELD
 from eps_hil.estimation.stream import SIGNALS, Estimate, StreamEstimator, Trace
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.friction import friction_law
@@ -348,6 +350,30 @@ def test_a_gap_is_named_and_left_behind(
     whole = estimate(series_of(weave_truth, ANGLE, 9000), reference_model, settings)
     late = slice(-2000, -500)
     assert rms(trace.rack_force_n[late] - whole.rack_force_n[late]) < 30.0
+
+
+def test_a_state_that_is_rolled_back_knows_the_bristle_no_better_than_it_did(
+    reference_model: Model,
+) -> None:
+    """A false speed slides the bristle, and the filter then believes to know it."""
+    stream = StreamEstimator(reference_model, FILTER, dict.fromkeys(ANGLE, 1e-3))
+    x, e = stream.physics, stream.memory.carried
+    assert isinstance(x, PhysicsInside)
+
+    def run(steps: int, speed: float, since: float) -> float:
+        for k in range(steps):
+            filter_step(
+                stream.constants, x, e, Inputs(0.3, 0.0, speed, since + speed * 1e-3 * k), 0
+            )
+        return math.sqrt(x.belief.cov[BRISTLE, BRISTLE])
+
+    run(100, 0.0, 0.0)
+    known = run(33, 0.9, 0.0)
+    before = e.moment.copy()
+    assert run(100, 0.9, 0.03) < 0.3 * known
+    e.moment[:] = before
+    e.moment["running"], e.moment["held_steps"] = HELD, 100
+    assert run(1, 0.0, 0.03) > 0.7 * known
 
 
 def test_adapted_levels_are_gone_over_to(reference_model: Model, weave_truth: Any) -> None:

@@ -11,7 +11,7 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -111,9 +111,15 @@ class Healthy:
 class World:
     """Everything that the cases share: the recordings, a fresh core, the layouts of the frames."""
 
-    def __init__(self, manoeuvres: Sequence[tuple[str, int]], config: Path = CONFIG) -> None:
-        """``manoeuvres``: (name, seconds) of each recording."""
-        self.parts = prepare(load_config(config), config)
+    def __init__(
+        self,
+        manoeuvres: Sequence[tuple[str, int]],
+        config: Path = CONFIG,
+        kind: Literal["observer", "bristle_filter"] = "observer",
+    ) -> None:
+        """``manoeuvres``: (name, seconds) of each recording; ``kind``: the estimator's."""
+        asked = load_config(config)
+        self.parts = prepare(replace(asked, estimator=replace(asked.estimator, kind=kind)), config)
         self.parts.warm_up()
         parts = self.parts
         self.memo = {id(each): each for each in (parts.database, *parts.database.messages)}
