@@ -142,11 +142,12 @@ def kernel(
 
 
 def _decorator(**options: Any) -> Callable[[F], F]:
-    decorate: Any = numba.njit(cache=FOLDER is not None, nogil=True, **options)
-
     def decorated(function: F) -> F:
         with _cached_there(function):
-            compiled: F = decorate(function)
+            try:
+                compiled: F = numba.njit(cache=FOLDER is not None, nogil=True, **options)(function)
+            except RuntimeError:  # numba finds no folder that it may write to after all
+                compiled = numba.njit(nogil=True, **options)(function)
         return compiled
 
     return decorated

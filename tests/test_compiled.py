@@ -123,6 +123,20 @@ def test_it_compiles_where_nothing_can_be_written(read_only_install: Path) -> No
     assert said_by(read_only_install)["folder"] == "None"
 
 
+def test_numba_that_finds_no_folder_compiles_anew(read_only_install: Path, tmp_path: Path) -> None:
+    """As where sources and cache are read-only and numba does not ask for our locator."""
+    package = read_only_install / "eps_hil"
+    text = (package / "compiled.py").read_text()
+    refuses = 'raise RuntimeError("cannot cache function: no locator available")'
+    (package / "compiled.py").write_text(
+        text.replace(
+            "        if FOLDER is None:\n", f"        {refuses}\n        if FOLDER is None:\n"
+        )
+    )
+    said = said_by(read_only_install, HOME=str(tmp_path))
+    assert not list(Path(str(said["folder"])).rglob("*.nbi"))
+
+
 def owns(kind: Any) -> bool:
     """Whether a value of this type holds an array."""
     inside = (*get_args(kind), *getattr(kind, "__annotations__", {}).values())
