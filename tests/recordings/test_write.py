@@ -139,3 +139,28 @@ def test_full_disk_leaves_the_old_file_and_no_litter(
 def test_columns_of_different_length_are_a_mistake_of_ours(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="differ in length"):
         write_table(tmp_path / "t.csv", {"time_s": np.zeros(2), "rack_force_n": np.zeros(1)})
+
+
+def test_a_long_csv_holds_what_a_short_one_does(tmp_path: Path) -> None:
+    """From some ten thousand rows on pyarrow writes it."""
+    n = 25_000
+    rng = np.random.default_rng(3)
+    force = rng.normal(0, 1e3, n) * 10.0 ** rng.integers(-12, 12, n)
+    force[[3, 4, 20_000]] = np.nan, 0.1, 1.0
+    columns = {"rack_force_estimate_n": force, "valid": np.arange(n) % 2 == 0}
+    for start_ns in (0, 1_757_617_431_821_276_007, -1_500_000_000):
+        t_ns = start_ns + np.arange(n) * 1_000_000
+        whole, part = tmp_path / "whole.csv", tmp_path / "part.csv"
+        write_table(whole, columns, t_ns=t_ns)
+        write_table(part, {name: one[:10] for name, one in columns.items()}, t_ns=t_ns[:10])
+        head, *rows = whole.read_text().splitlines()
+        assert len(rows) == n
+        assert head == part.read_text().splitlines()[0]
+        for row, short in zip(rows, part.read_text().splitlines()[1:], strict=False):
+            cells = zip(row.split(","), short.split(","), strict=True)
+            assert all(a == b or float(a) == float(b) for a, b in cells)
+        back = read_columns(whole, gaps="mark")[0]
+        assert np.array_equal(back["rack_force_estimate_n"].value, force[~np.isnan(force)]) or (
+            np.array_equal(back["rack_force_estimate_n"].value, force, equal_nan=True)
+        )
+        assert np.array_equal(back["valid"].t_ns, t_ns)
