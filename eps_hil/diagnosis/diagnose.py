@@ -13,7 +13,7 @@ from eps_hil.diagnosis.accept.as_written import (
     under_any_force,
     under_written_load,
 )
-from eps_hil.diagnosis.accept.free_run import worse_free_run
+from eps_hil.diagnosis.accept.free_run import disagreement
 from eps_hil.diagnosis.accept.holdout_support import (
     augmented_by,
     bristle_of_unknown,
@@ -348,7 +348,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         *in_no_file(content["fit"]["holdout"]),
         *unjudged(told.found, findings, judged, weighed),
         *worse_force(content["fit"]["holdout"]),
-        *worse_free_run(content["fit"]["holdout"]),
+        *disagreement(content["fit"]["holdout"], as_read or judged, model, ready_to_write),
         *left_open(content["findings"], problem.size),
         *small_ratio(content),
     ]

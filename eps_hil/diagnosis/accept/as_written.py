@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from eps_hil.diagnosis.accept.free_run import worse_free_run
+from eps_hil.diagnosis.accept.free_run import DISAGREE, worse_free_run
 from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
     measures,
@@ -98,8 +98,10 @@ def under_any_force(content: Mapping[str, Any]) -> dict[str, Any]:
 def _with(content: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:
     """The content with other hold-out figures, and what its limits say of them."""
     known = content["fit"]["holdout"]
-    before = [*still_left(known), *worse_free_run(known)]
+    before = [*still_left(known), *(one for one in content["limits"] if one.startswith(DISAGREE))]
     silent = content["verdict"] in ("no_mismatch", "explained")
-    limits = [one for one in content["limits"] if one not in before]
+    limits = [
+        one for one in content["limits"] if one not in before and not one.startswith(DISAGREE)
+    ]
     limits += [*(still_left(told) if silent else []), *worse_free_run(told)]
     return {**content, "limits": limits, "fit": {**content["fit"], "holdout": dict(told)}}

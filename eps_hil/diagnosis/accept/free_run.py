@@ -4,11 +4,13 @@ A constant of a few mNm is nothing in the torque balance and metres in a free ru
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.data.prepare import STEP_S
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.physics.balance import Motion as Measured
 from eps_hil.physics.effects.catalogue import with_model_effects
@@ -25,6 +27,10 @@ Floats = npt.NDArray[np.float64]
 _FIGURES = (("speed_rmse_rad_s", "speed", "rad/s"), ("angle_rmse_rad", "angle", "rad"))
 _WORSE = 1.05
 """Times the error that it was, from which a worse free run is said."""
+DISAGREE = "Balance and free run disagree"
+LASTS_S = 5.0
+_DRIVEN = ("motor_torque_nm", "torque_sensor_nm", "rack_force_n")
+_DRAWS, _SEED = 4, 20
 
 
 def free_run(holdouts: "Sequence[Holdout]", model: Model) -> dict[str, float | None]:
@@ -37,23 +43,122 @@ def free_run(holdouts: "Sequence[Holdout]", model: Model) -> dict[str, float | N
     return {"speed_rmse_rad_s": _rms(speed), "angle_rmse_rad": _rms(angle)}
 
 
-def worse_free_run(told: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """A sentence where hold-outs (``fit.holdout``) simulated freely end further off than before."""
+def worse_free_run(
+    told: Mapping[str, Mapping[str, Any]], noise: Mapping[str, float] | None = None
+) -> list[str]:
+    """A sentence where hold-outs (``fit.holdout``) simulated freely end further off than before.
+
+    By more than twice the ``noise`` of each figure, if that is given.
+    """
+    further = _further(told, noise or {})
+    if not further:
+        return []
+    return [
+        f"{DISAGREE}: the torque balance is better with the findings, but a "
+        f"simulation of the whole hold-outs is not ({'; '.join(further)}). Nothing holds a free "
+        "run, so it adds up what stays small in the balance, a constant first of all."
+    ]
+
+
+def _further(told: Mapping[str, Mapping[str, Any]], noise: Mapping[str, float]) -> list[str]:
+    """Figures of the free run that are worse although the balance is better, in words."""
+    balance = [told[one]["torque_nrmse"] for one in ("baseline", "augmented")]
+    if not balance[1] < balance[0]:
+        return []
     runs = [told[one].get("free_run", {}) for one in ("baseline", "augmented")]
-    further = [
+    return [
         f"{words} {after:.3g} {unit} off, {before:.3g} {unit} without"
         for name, words, unit in _FIGURES
         for before, after in [tuple(run.get(name) for run in runs)]
         if before is not None and after is not None and after > _WORSE * before
+        if after - before > 2.0 * noise.get(name, 0.0)
     ]
-    balance = [told[one]["torque_nrmse"] for one in ("baseline", "augmented")]
-    if not further or not balance[1] < balance[0]:
+
+
+def disagreement(
+    told: Mapping[str, Mapping[str, Any]],
+    holdouts: "Sequence[Holdout]",
+    given: Model,
+    written: Model,
+) -> list[str]:
+    """The same with what it is due to: sensor noise, or a finding and what lasts.
+
+    ``holdouts`` as the figures were made of; ``given``, ``written``: the model files before, after.
+    """
+    further = _further(told, {})
+    if not further:
         return []
+    noise = free_run_noise(holdouts, written)
+    said = worse_free_run(told, noise)
+    if not said:
+        worth = ", ".join(f"{noise[name]:.2g} {unit}" for name, _, unit in _FIGURES)
+        return [
+            f"{DISAGREE}, by no more than the sensors' noise makes: the whole hold-outs simulated "
+            f"freely are further off with the findings ({'; '.join(further)}); the noise of the "
+            f"torques that drive the run is worth {worth}."
+        ]
+    after = told["augmented"]["free_run"]["angle_rmse_rad"]
+    new = [entry for entry in written.effects if entry not in given.effects]
+    shares = []
+    for entry in new if len(new) > 1 else ():
+        others = tuple(one for one in written.effects if one is not entry)
+        spared = free_run(holdouts, replace(written, effects=others))["angle_rmse_rad"]
+        shares.append((np.inf if spared is None else spared, _words(entry)))
+    why = ""
+    if shares and after is not None and min(shares)[0] < after / _WORSE:
+        nearest, words = min(shares)
+        why = f" Most of it comes with {words}: without that the angle is {nearest:.3g} rad off."
+    lasts, lasted = (_lasting_nm(holdouts, written, one) for one in (written, given))
+    kind = "more" if lasts > lasted else "less: before, errors cancelled over the run"
     return [
-        "Balance and free run disagree: the torque balance is better with the findings, but a "
-        f"simulation of the whole hold-outs is not ({'; '.join(further)}). Nothing holds a free "
-        "run, so it adds up what stays small in the balance, a constant first of all."
+        f"{said[0]}{why} What lasts of the balance's residual, in means over {LASTS_S:g} s, is "
+        f"{1e3 * lasts:.2g} mNm with the findings and {1e3 * lasted:.2g} mNm without, {kind}."
     ]
+
+
+def free_run_noise(holdouts: "Sequence[Holdout]", model: Model) -> dict[str, float]:
+    """What the noise of the driving torques and force makes of either error (rms over draws)."""
+    rng = np.random.default_rng(_SEED)
+
+    found: list[list[float]] = []
+    for _ in range(_DRAWS):
+        pairs = []
+        for one in holdouts:
+            ready = one.prepared
+            motion = ready.motion(with_model_effects(model))
+            wide = np.sqrt(ready.interval_s / STEP_S)  # as dense a spectrum as its own samples have
+            moved = motion._replace(
+                **{
+                    k: getattr(motion, k)
+                    + wide * ready.noise.get(k, 0.0) * rng.standard_normal(len(motion.time_s))
+                    for k in _DRIVEN
+                }
+            )
+            here, there = (simulated(each_one, model, slice(None)) for each_one in (motion, moved))
+            pairs.append((there.speed_rad_s - here.speed_rad_s, there.angle_rad - here.angle_rad))
+        found.append([_rms(np.concatenate([p[k] for p in pairs])) or np.inf for k in (0, 1)])
+    rms = np.sqrt(np.mean(np.square(found), axis=0)).tolist()
+    return {name: value for (name, _, _), value in zip(_FIGURES, rms, strict=True)}
+
+
+def _lasting_nm(holdouts: "Sequence[Holdout]", common: Model, model: Model) -> float:
+    """Rms of the sliding residual's means over stretches of ``LASTS_S``, Nm."""
+    means: list[float] = []
+    for one in holdouts:
+        use, left = one.judging(common), one.prepared.left_over(model)
+        time_s = one.prepared.thin_time_s
+        stretch = ((time_s - time_s[0]) // LASTS_S).astype(np.int64)
+        count = np.bincount(stretch[use])
+        sums = np.bincount(stretch[use], left[use])
+        means += (sums[count > 0] / count[count > 0]).tolist()
+    return float(np.sqrt(np.mean(np.square(means)))) if means else 0.0
+
+
+def _words(entry: Mapping[str, Any]) -> str:
+    """A finding's id, or what an effect without a name acts by."""
+    if entry["effect"] != "empirical":
+        return str(entry["effect"])
+    return f"what has no name, by {' and '.join(dict.fromkeys(entry['inputs']))}"
 
 
 def simulated(motion: Measured, model: Model, part: slice) -> Simulated:

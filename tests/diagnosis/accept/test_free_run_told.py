@@ -1,8 +1,21 @@
 """Where torque balance and free run disagree, a diagnosis says so."""
 
+import re
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
-from eps_hil.diagnosis.accept.free_run import worse_free_run
+import pytest
+
+from eps_hil.diagnosis.accept.free_run import (
+    disagreement,
+    free_run,
+    free_run_noise,
+    worse_free_run,
+)
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout
+from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.physics.model import Model
 
 
 def told(balance: float, angle: float | None) -> dict[str, Any]:
@@ -20,3 +33,56 @@ def test_nothing_is_said_where_they_agree_or_there_is_none() -> None:
     assert worse_free_run({"baseline": told(0.3, 8.0), "augmented": told(0.1, 8.1)}) == []
     assert worse_free_run({"baseline": told(0.3, None), "augmented": told(0.1, None)}) == []
     assert worse_free_run({"baseline": told(0.3, 8.0), "augmented": told(0.3, 8.0)}) == []
+
+
+def test_what_the_sensors_noise_makes_of_a_free_run_is_no_disagreement() -> None:
+    figures = {"baseline": told(0.3, 8.0), "augmented": told(0.1, 12.0)}
+    assert worse_free_run(figures, {"angle_rmse_rad": 1.9}) != []
+    assert worse_free_run(figures, {"angle_rmse_rad": 2.1}) == []
+
+
+@pytest.fixture(scope="module")
+def holdout(record: Callable[..., Any]) -> Holdout:
+    ((name, series),) = record({}, ("weave",), seconds=12.0).items()
+    return Holdout(prepare(name, series), series)
+
+
+def test_noise_adds_up_in_a_free_run(holdout: Holdout, reference_model: Model) -> None:
+    noise = free_run_noise([holdout], reference_model)
+    assert noise["angle_rmse_rad"] > 0.0
+    loud = {name: 3.0 * size for name, size in holdout.prepared.noise.items()}
+    louder = replace(holdout, prepared=holdout.prepared.changed(noise=loud))
+    assert free_run_noise([louder], reference_model)["angle_rmse_rad"] == pytest.approx(
+        3.0 * noise["angle_rmse_rad"], rel=0.2
+    )
+
+
+def test_the_finding_that_a_worse_free_run_comes_with_is_said(
+    holdout: Holdout, reference_model: Model
+) -> None:
+    """A constant beside a ripple: the ripple is nothing in the run, the constant all of it."""
+    ripple = {"effect": "cogging_torque", "order": 6.0, "amplitude_nm": 1e-4, "phase_rad": 0.0}
+    constant = {"effect": "motor_torque_offset", "offset_nm": 0.05}
+    written = replace(reference_model, effects=(ripple, constant))
+    before, after = (
+        {"torque_nrmse": balance, "free_run": free_run([holdout], one)}
+        for balance, one in ((1.0, reference_model), (0.5, written))
+    )
+    figures = {"baseline": before, "augmented": after}
+    (said,) = disagreement(figures, [holdout], reference_model, written)
+    assert "comes with motor_torque_offset" in said
+    told_nm = re.search(r"is ([\d.]+) mNm with the findings", said)
+    assert told_nm
+    assert float(told_nm[1]) == pytest.approx(50.0, rel=0.1)
+    assert disagreement({**figures, "augmented": before}, [holdout], reference_model, written) == []
+
+
+def test_a_worse_free_run_within_the_noise_is_told_as_that(
+    holdout: Holdout, reference_model: Model
+) -> None:
+    noise = free_run_noise([holdout], reference_model)
+    near = noise["angle_rmse_rad"]
+    figures = {"baseline": told(0.3, near), "augmented": told(0.1, 2.5 * near)}
+    (said,) = disagreement(figures, [holdout], reference_model, reference_model)
+    assert "by no more than the sensors' noise makes" in said
+    assert f"{noise['speed_rmse_rad_s']:.2g} rad/s, {near:.2g} rad." in said
