@@ -37,6 +37,11 @@ _GONE = 0.15
 """Of an effect's size before: less is nothing."""
 _NO_WORSE = 1.02
 """Times the residual of the other way of saying it."""
+_MORE = 2.0
+"""Times the mean square that the first state leaves: less is no change of what has no name."""
+_AS_BEFORE = (
+    "what has no name is left in both states, and no more of it in the second: that is no change"
+)
 _UNKNOWN, _EMPIRICAL = "unknown", "empirical"
 
 
@@ -188,9 +193,12 @@ class _State:
     def content(self, given: Model, limits: Sequence[str], before: Recordings) -> dict[str, Any]:
         """The JSON of the second diagnosis with each finding's ``change``, and what was before."""
         content, first = dict(self.after.content), self.before.content
-        content["findings"] = [
-            {**one, "change": self.change(k)} for k, one in enumerate(self.findings)
-        ]
+        told = [{**one, "change": self.change(k)} for k, one in enumerate(self.findings)]
+        if self.as_unknown_as_before():
+            told = [one for one in told if one["effect"] != _UNKNOWN]
+            limits = [*limits, _AS_BEFORE]
+            content["verdict"] = "explained" if told else "no_mismatch"
+        content["findings"] = told
         content["limits"] = [*limits, *content["limits"]]
         content["fit"] = {**content["fit"], "holdout": dict(content["fit"]["holdout"])}
         content["before"] = {
@@ -201,6 +209,24 @@ class _State:
             "effects_given": [dict(one) for one in given.effects],
         }
         return content
+
+    def as_unknown_as_before(self) -> bool:
+        """Whether both states leave something without a name, and the second hardly more of it.
+
+        By the hold-outs' mean squares beyond the noise, under the first state's model.
+        """
+
+        def beyond(told: Diagnosis, figures: str) -> float:
+            holdout = told.content["fit"]["holdout"]
+            left, noise = (holdout[one]["torque_nrmse"] for one in (figures, "noise_floor"))
+            return float(left**2 - noise**2)
+
+        states = (self.before, self.after)
+        if not all(_UNKNOWN in {f["effect"] for f in one.content["findings"]} for one in states):
+            return False
+        if len(self.findings) > 1:  # what the names leave, not what the first model leaves
+            return beyond(self.after, "augmented") < _MORE * beyond(self.before, "augmented")
+        return beyond(self.after, "baseline") < _MORE * beyond(self.before, "augmented")
 
     def change(self, k: int) -> dict[str, Any]:
         """In which way finding ``k`` is a change of what the rig was before."""
