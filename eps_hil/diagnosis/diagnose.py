@@ -21,7 +21,6 @@ from eps_hil.diagnosis.accept.holdout_support import (
     unjudged,
 )
 from eps_hil.diagnosis.accept.measured_ratio import settled
-from eps_hil.diagnosis.accept.nameless import nameless
 from eps_hil.diagnosis.accept.placebo import placebos
 from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
@@ -31,7 +30,6 @@ from eps_hil.diagnosis.accept.proof_of_fit import (
     worse_force,
 )
 from eps_hil.diagnosis.accept.standing import price, price_of_one, standing, worse
-from eps_hil.diagnosis.attribute.beside import not_whitened, selected_beside
 from eps_hil.diagnosis.attribute.channel_fault import (
     ChannelFault,
     channel_fault,
@@ -70,10 +68,19 @@ from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.data.size import size_of
 from eps_hil.diagnosis.direct.kinematics import small_ratio
-from eps_hil.diagnosis.first_look import FirstLook, first_look
-from eps_hil.diagnosis.mismatch.leftover import Leftover, how_held, late_torque, leftover
+from eps_hil.diagnosis.first_look import first_look
+from eps_hil.diagnosis.mismatch.leftover import how_held, late_torque
 from eps_hil.diagnosis.remainder.find import Remainder, with_remainder
-from eps_hil.diagnosis.search import Searched, likelier, put_right, searched
+from eps_hil.diagnosis.search import (
+    Names,
+    Searched,
+    beside_left,
+    left_of,
+    likelier,
+    modelled,
+    put_right,
+    searched,
+)
 from eps_hil.diagnosis.search import holdouts as kept_holdouts
 from eps_hil.diagnosis.verdict.content import content_of, without_nan
 from eps_hil.physics.model import Model
@@ -301,19 +308,23 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     if say:
         say("looking at what is left", 0.9)
     hidden = load is not None and load.form == "arbitrary"  # what is left may be the load
-    left = None if hidden else force or _left(problem, selection, judged)
-    weighed, told = problem, selection
-    if left is not None:
-        weighed, told, selection, findings, left = _beside_left(
-            problem, selection, judged, look, force
-        )
+    now = first = Names(
+        problem,
+        selection,
+        selection,
+        findings,
+        None if hidden else force or left_of(problem, selection, judged),
+    )
+    if now.left is not None:
+        now = beside_left(problem, selection, judged, look, force)
+    selection, findings, left, extra = now.as_told
     if left is not None and BRISTLE not in without and bristle_of_unknown(problem, selection.found):
         return case.again({*without, BRISTLE})
     if left is None and not hidden and HOLD in without:
         left = late_torque(problem, selection.found)
-    extra = None
     if left is not None and (force is not None or not left.words) and EMPIRICAL not in without:
-        extra, findings = nameless(problem, selection, findings, judged, others, say)
+        now = modelled(problem, now, first, judged, look, force, others, say)
+        selection, findings, left, extra = now.as_told
     written = with_remainder(augmented_by(problem, selection.found, findings, others), extra)
     beside_load = augmented_by(problem, selection.found, findings) if extra is None else written
     if worse(problem, beside_load, judged):
@@ -322,7 +333,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     if wrong is not None:
         content = with_channel_fault(content, wrong.finding(model))
     content["findings"] = doubted(content["findings"], load)
-    content["fit"]["placebo"] = placebos(weighed, told, findings, judged)
+    content["fit"]["placebo"] = placebos(now.weighed, now.told, findings, judged)
     as_read: list[Holdout] = []
     ready_to_write = look.in_model(written)
     if look.model is not model or look.put_right or look.entries or wrong is not None:
@@ -346,7 +357,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         ),
         *beside_a_gap(judged, problem.model),
         *in_no_file(content["fit"]["holdout"]),
-        *unjudged(told.found, findings, judged, weighed),
+        *unjudged(now.told.found, findings, judged, now.weighed),
         *worse_force(content["fit"]["holdout"]),
         *disagreement(content["fit"]["holdout"], as_read or judged, model, ready_to_write),
         *left_open(content["findings"], problem.size),
@@ -364,22 +375,6 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         price=price(problem, selection, findings, judged, written, extra)
         + (wrong is not None) * price_of_one(problem, judged),
     )
-
-
-def _beside_left(
-    problem: Problem,
-    selection: Selection,
-    judged: Sequence[Holdout],
-    look: FirstLook,
-    force: Leftover | None,
-) -> tuple[Problem, Selection, Selection, Sequence[int], Leftover | None]:
-    """Names weighed beside what is unknown; as they were weighed, not whitened; what stays."""
-    weighed, told = selected_beside(selection)
-    named = holdout_support(weighed, told, judged)
-    findings, more = settled(weighed, told, named, look.ratio_is_measured)
-    findings = standing(weighed, told, findings, judged)
-    shown = not_whitened(problem, told, selection)
-    return weighed, told, shown, findings, force or more or _left(problem, shown, judged)
 
 
 def _only_kept(
@@ -402,11 +397,3 @@ def _not_explained(
     silent = ("explained",) if held else ("no_mismatch", "explained")
     said = kept or (still_left(content["fit"]["holdout"]) if content["verdict"] in silent else [])
     return [*said, *held]
-
-
-def _left(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Leftover | None:
-    """What is left of the fitted recordings, on those themselves or on the hold-outs."""
-    test = problem.over([one.prepared for one in judged])
-    found = selection.found
-    residual = test.residual(test.with_entries(found.entries, found.own))
-    return leftover(problem, found.residual, (test, residual))

@@ -1,13 +1,18 @@
 """What the balance shows, and again beside what only then is known: sensors, bristle, a channel."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
 import numpy as np
 
-from eps_hil.diagnosis.accept.holdout_support import augmented_by
+from eps_hil.diagnosis.accept.beside_law import beside_law
+from eps_hil.diagnosis.accept.holdout_support import augmented_by, holdout_support
+from eps_hil.diagnosis.accept.measured_ratio import settled
+from eps_hil.diagnosis.accept.nameless import nameless, simulated_too
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
-from eps_hil.diagnosis.accept.standing import only_noise, price, price_of_one
+from eps_hil.diagnosis.accept.standing import only_noise, price, price_of_one, standing
+from eps_hil.diagnosis.attribute.beside import not_whitened, selected_beside
 from eps_hil.diagnosis.attribute.channel_fault import (
     ChannelFault,
     held_out_energy,
@@ -20,6 +25,7 @@ from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.direct.reversals import bristle, reversals_agree
 from eps_hil.diagnosis.direct.zero_reading import ZeroReadings
 from eps_hil.diagnosis.first_look import FirstLook
+from eps_hil.diagnosis.mismatch.leftover import Leftover, leftover
 from eps_hil.diagnosis.remainder.find import Remainder
 from eps_hil.series import Series
 
@@ -155,3 +161,75 @@ def holdouts(look: FirstLook, kept: Mapping[str, Mapping[str, Series]]) -> list[
         Holdout(one, kept[one.name], data)
         for one, data in zip(look.kept, look.kept_quality, strict=True)
     ]
+
+
+@dataclass(frozen=True)
+class Names:
+    """What is found, and what stays unknown beside it.
+
+    ``told`` is of the problem ``weighed``, in which the names were judged; ``shown`` is the same
+    with all that is left of the given problem, as figures and words need it.
+    """
+
+    weighed: Problem
+    told: Selection
+    shown: Selection
+    findings: Sequence[int]
+    left: Leftover | None
+    extra: Remainder | None = None
+
+    @property
+    def as_told(self) -> tuple[Selection, Sequence[int], Leftover | None, Remainder | None]:
+        """What the verdict is made of."""
+        return self.shown, self.findings, self.left, self.extra
+
+
+def beside_left(
+    problem: Problem,
+    selection: Selection,
+    judged: Sequence[Holdout],
+    look: FirstLook,
+    force: Leftover | None,
+) -> Names:
+    """Names weighed beside a free discrepancy."""
+    weighed, told = selected_beside(selection)
+    named = holdout_support(weighed, told, judged)
+    findings, more = settled(weighed, told, named, look.ratio_is_measured)
+    findings = standing(weighed, told, findings, judged)
+    shown = not_whitened(problem, told, selection)
+    left = force or more or left_of(problem, shown, judged)
+    return Names(weighed, told, shown, findings, left)
+
+
+def modelled(
+    problem: Problem,
+    now: Names,
+    ordinary: Names,
+    judged: Sequence[Holdout],
+    look: FirstLook,
+    force: Leftover | None,
+    tied: Mapping[str, float],
+    say: Say | None,
+) -> Names:
+    """With a model of what has no name, and the names that stand beside that.
+
+    ``ordinary``: what was found before anything was weighed beside what is left.
+    """
+    starts = () if tied else tuple((one.shown, one.findings) for one in (now, ordinary))
+    ratio = look.ratio_is_measured
+    found = beside_law(problem, starts, judged, measured=ratio, say=say)
+    if found is None:
+        extra, findings = nameless(problem, now.shown, now.findings, judged, tied, say)
+        return replace(now, findings=findings, extra=extra)
+    shown, findings = found.selection, found.findings
+    extra = simulated_too(problem, shown, findings, found.remainder, judged)
+    left = force or left_of(problem, shown, judged) or now.left
+    return Names(found.weighed, found.told, shown, findings, left, extra)
+
+
+def left_of(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Leftover | None:
+    """What is left of the fitted recordings, on those themselves or on the hold-outs."""
+    test = problem.over([one.prepared for one in judged])
+    found = selection.found
+    residual = test.residual(test.with_entries(found.entries, found.own))
+    return leftover(problem, found.residual, (test, residual))

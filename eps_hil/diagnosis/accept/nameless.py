@@ -48,9 +48,20 @@ def nameless(
     found, named = _modelled(problem, selection, findings, judged, tied, say)
     if found is None or tied:
         return found, named
+    return simulated_too(problem, selection, named, found, judged), named
+
+
+def simulated_too(
+    problem: Problem,
+    selection: Selection,
+    named: Sequence[int],
+    found: Remainder,
+    judged: Sequence[Holdout],
+) -> Remainder:
+    """The same with its sizes refined by simulation, where hold-outs confirm that."""
     model = refined_by_simulation(problem, found.model, judged, own=found.refitted)
     if model is found.model:
-        return found, named
+        return found
     start = augmented_by(problem, selection.found, named)
     kept = problem.over([one.prepared for one in judged])
     share, ends = share_removed(Sight(kept, start), kept.residual(model))
@@ -60,8 +71,7 @@ def nameless(
         for k, term in zip(places, found.terms, strict=True)
     ]
     after = problem.residual(model)
-    better = replace(found, terms=tuple(terms), model=model, share=share, ci95=ends, after=after)
-    return better, named
+    return replace(found, terms=tuple(terms), model=model, share=share, ci95=ends, after=after)
 
 
 def _modelled(

@@ -20,7 +20,7 @@ from eps_hil.diagnosis.attribute.scoring import (
     refitted,
 )
 from eps_hil.diagnosis.attribute.select import Selection, rivals_of
-from eps_hil.diagnosis.balance.baseline import ALL, HOLD, SIDES, TIMING
+from eps_hil.diagnosis.balance.baseline import ALL, HOLD, SIDES, TIMING, is_free
 from eps_hil.diagnosis.balance.discrepancy import Discrepancy, Evidence
 from eps_hil.diagnosis.balance.fit import Fit, deviation, fit, own_column
 from eps_hil.diagnosis.balance.probes import Candidate, orders_of
@@ -163,7 +163,7 @@ class _Search:
     def _own(self, entries: Entries) -> dict[str, float]:
         own = dict(self.own)
         names = {str(entry["effect"]) for entry in entries}
-        if len(own) < len(ALL):
+        if not is_free(own):
             own |= {side: 0.0 for name in names for side in SIDES.get(name, ())}
         if HOLD in names:
             own.pop(HOLD, None)

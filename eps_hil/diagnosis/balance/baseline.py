@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 from eps_hil.diagnosis.data.size import ORDINARY, Size
+from eps_hil.physics.empirical_entry import NUMBERS
 from eps_hil.physics.model import Friction, Model
 
 Width = Callable[[Model, Size], float]
@@ -145,6 +146,10 @@ TIMING: Mapping[str, float] = {HOLD: 0.0}
 
 _BY_NAME = {knob.name: knob for knob in KNOBS}
 
+_LEARNT, _LAW = "empirical", "law"
+_LAW_WIDTH = 0.3
+"""What an error of usual size is of a learnt law's number: a share, or of a phase in rad."""
+_ORDER_WIDTH = 1e-3
 
 _TERMS = (OFFSET, SPRING)
 
@@ -157,6 +162,56 @@ def levels_of(model: Model, size: Size = ORDINARY) -> dict[str, float]:
     }
 
 
+def is_free(own: Mapping[str, float]) -> bool:
+    """Whether all of the model's own numbers are free, and go with no name."""
+    return "inertia" in own
+
+
+def law_knobs(model: Model, first: int) -> dict[str, float]:
+    """Knobs of the numbers of learnt laws among the model's effects, from place ``first`` on.
+
+    Of a curve or map the size alone. Like ``tied`` numbers they are free in every fit: a name is
+    worth what it gains beside a law that is fitted again.
+    """
+    names = []
+    for k, entry in enumerate(model.effects):
+        if k >= first and entry["effect"] == _LEARNT:
+            keys = [key for key in entry if key.rpartition("_")[0] in NUMBERS]
+            names += [f"{_LAW}.{k}.{key}" for key in ("size", *keys)]
+    return dict.fromkeys(names, 0.0)
+
+
+def of_law(name: str) -> bool:
+    """Whether a knob is a learnt law's number."""
+    return name.startswith(f"{_LAW}.")
+
+
+def knob_of(name: str) -> Knob:
+    """The knob with that name, one of a learnt law's numbers included."""
+    if not of_law(name):
+        return _BY_NAME[name]
+    return Knob(name, lambda model, value, _size: _law_moved(model, name, value))
+
+
+def _law_moved(model: Model, name: str, value: float) -> Model:
+    _, place, key = name.split(".")
+    entry = dict(model.effects[int(place)])
+    number, kind = float(entry.get(key, 1.0)), key.rpartition("_")[0]
+    if kind in ("width", "memory"):
+        number *= math.exp(_LAW_WIDTH * value)
+    elif kind == "phase":
+        number += _LAW_WIDTH * value
+    elif kind == "centre":
+        i = key.rpartition("_")[2]
+        number += _LAW_WIDTH * value * float(entry.get(f"width_{i}", abs(number) or 1.0))
+    else:
+        number *= 1.0 + (_ORDER_WIDTH if kind == "order" else _LAW_WIDTH) * value
+    entry[key] = number
+    effects = list(model.effects)
+    effects[int(place)] = entry
+    return replace(model, effects=tuple(effects))
+
+
 def turned(model: Model, values: Mapping[str, float], size: Size = ORDINARY) -> Model:
     """The model with its own numbers moved by ``values`` (knob name -> multiples of its width)."""
     if not values:
@@ -165,6 +220,8 @@ def turned(model: Model, values: Mapping[str, float], size: Size = ORDINARY) -> 
     for name, value in values.items():
         if name == HOLD:
             model = _hold(model, value)
+        elif of_law(name):
+            model = _law_moved(model, name, value)
         elif name not in _TERMS and value != 0.0:
             model = _merged(model, nominal, _BY_NAME[name].turn(nominal, value, size))
     for name in _TERMS:

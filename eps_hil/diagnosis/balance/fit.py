@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.balance.baseline import ALL, KNOBS, SIDES
+from eps_hil.diagnosis.balance.baseline import SIDES, is_free, knob_of
 from eps_hil.diagnosis.balance.probes import bounds, neutral_value, probe_step
 from eps_hil.diagnosis.balance.problem import Problem, huber, knee, term_of
 from eps_hil.diagnosis.balance.spread import Integers, half_widths
@@ -171,7 +171,7 @@ def own_column(problem: Problem, name: str) -> Floats:
     Taken at ``problem.at`` (the refitted numbers, once they are known).
     """
     if name not in problem.columns:
-        (knob,) = (knob for knob in KNOBS if knob.name == name)
+        knob = knob_of(name)
         at = problem.at.get(name, 0.0)
         up, down = (
             problem.residual(problem.with_entries([], {**problem.at, name: at + step}))
@@ -236,7 +236,7 @@ def _moved(
 
 def own_without(found: Fit, places: Collection[int]) -> dict[str, float]:
     """The model's own numbers without those that only went with the entries at ``places``."""
-    if len(found.own) >= len(ALL):  # the free baseline goes with no name
+    if is_free(found.own):  # the free baseline goes with no name
         return dict(found.own)
     gone = {side for k in places for side in SIDES.get(str(found.entries[k]["effect"]), ())}
     return {name: value for name, value in found.own.items() if name not in gone}

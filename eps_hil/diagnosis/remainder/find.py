@@ -121,20 +121,23 @@ def find(
     jacobian: Floats,
     say: Callable[[float], None] | None = None,
     free: Sequence[str] = (),
+    *,
+    one_law: bool = False,
 ) -> Remainder | None:
     """Terms that ``model`` lacks to explain ``problem``, as far as ``kept`` confirms them.
 
     ``jacobian`` (n, p): sensitivities of the residual to what was fitted beside; see ``screen``.
     ``free``: numbers of the model's own that move with each term (``balance/baseline.py``).
+    ``one_law``: no more than one term, and no curve or map, which may hold a name's effect too.
     """
     known = torque_is_referenced(problem)
-    maps = not repeated(problem.recordings, kept.recordings)
+    maps = not one_law and not repeated(problem.recordings, kept.recordings)
     before, first = (Sight(one, model, referenced=known) for one in (problem, kept))
     ranges = _ranges(before)
     terms: list[Term] = []
     fitted, judged = before, first
     whole = _excess(first, first.residual)
-    for step in range(MOST_TERMS):
+    for step in range(1 if one_law else MOST_TERMS):
         if say is not None:
             say(step / MOST_TERMS)
         left = _excess(first, judged.residual)
@@ -143,7 +146,7 @@ def find(
         if np.sum(fitted.use) < 500 or np.sum(judged.use) < 100:
             break
         own = Own(fitted, free)
-        best = _best(fitted, judged, jacobian, ranges, own, maps=maps)
+        best = _best(fitted, judged, jacobian, ranges, own, maps=maps, drawn=not one_law)
         if best is None or left - _excess(first, best.kept) < _MORE * whole:
             break
         terms.append(best.term)
@@ -163,7 +166,14 @@ def find(
 
 
 def _best(
-    fitted: Sight, kept: Sight, jacobian: Floats, ranges: Ranges, own: Own, *, maps: bool
+    fitted: Sight,
+    kept: Sight,
+    jacobian: Floats,
+    ranges: Ranges,
+    own: Own,
+    *,
+    maps: bool,
+    drawn: bool,
 ) -> _Trial | None:
     """The term that takes most off, if the gate lets it through."""
     free = None
@@ -172,9 +182,8 @@ def _best(
     screening = screen(fitted, kept, jacobian, free)
     trials = [_law(fitted, kept, one.law, ranges, own) for one in _shortlist(screening.best)]
     law = max((one for one in trials if one is not None), key=_worth, default=None)
-    others = [
-        _table(fitted, kept, one.entry(ranges), own) for one in tables(fitted, kept, maps=maps)
-    ]
+    drawings = tables(fitted, kept, maps=maps) if drawn else ()
+    others = [_table(fitted, kept, one.entry(ranges), own) for one in drawings]
     table = max(others, key=_worth, default=None)
     chosen = law
     if table is not None and (law is None or table.worth > law.worth + LAW_MARGIN):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eps_hil.diagnosis.balance.baseline import ALL, HOLD, KNOBS, SIDES, turned
+from eps_hil.diagnosis.balance.baseline import ALL, HOLD, KNOBS, SIDES, is_free, law_knobs, turned
 from eps_hil.physics.model import dump_model, load_model
 
 REFERENCE = load_model(Path(__file__).parents[3] / "configs" / "reference_rig.yaml")
@@ -49,3 +49,26 @@ def test_what_goes_with_a_name_turns_the_directions_against_each_other(
     up, down = (getattr(after, side) - getattr(before, side) for side in (first, second))
     assert up == pytest.approx(7e-4 * value, abs=1e-15)  # half the mean, and 2e-4
     assert down == pytest.approx(-up, abs=1e-15)
+
+
+def test_a_learnt_law_has_a_knob_for_each_of_its_numbers() -> None:
+    """At nothing the law is what it was; each knob moves its own number alone."""
+    law = {
+        "effect": "empirical", "form": "law", "where": "rotor", "how": "sum",
+        "inputs": ["motor_speed_rad_s", "motor_angle_rad"], "memory": ["none", "none"],
+        "shapes": ["gaussian", "sine"], "size": 0.02, "centre_1": 4.0, "width_1": 2.0,
+        "order_2": 1.25, "phase_2": 0.5,
+    }  # fmt: skip
+    model = replace(REFERENCE, effects=(law,))
+    knobs = law_knobs(model, 0)
+    keys = {name.split(".")[2] for name in knobs}
+    assert keys == {"size", "centre_1", "width_1", "order_2", "phase_2"}
+    assert law_knobs(model, 1) == {}
+    assert not is_free(knobs)
+    assert is_free({**ALL, **knobs})
+    assert turned(model, knobs).effects == (law,)
+    for name in knobs:
+        (moved,) = turned(model, {**knobs, name: 1.0}).effects
+        assert {key for key in law if moved[key] != law[key]} == {name.split(".")[2]}
+    (far,) = turned(model, dict.fromkeys(knobs, -8.0)).effects
+    assert far["width_1"] > 0.0
