@@ -3,6 +3,8 @@
 from enum import IntFlag
 from functools import lru_cache
 
+# frozen into compiled code: the kernels hold these bits
+
 
 class Reason(IntFlag):
     """Bits published beside the estimate; 0 means that it is valid.
