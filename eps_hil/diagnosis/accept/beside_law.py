@@ -33,6 +33,7 @@ from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
 
+_LEARNT = "empirical"
 MOST_LAWS = 2
 ENOUGH = 0.9
 """Share of the hold-outs' excess that laws and names together have to take off: beside a law that
@@ -248,6 +249,11 @@ def _told(
     shown = replace(told, null=before.null, part=before.part, found=alone, least=least)
     start = augmented_by(problem, alone, named)
     share, ends = share_removed(Sight(kept, start), kept.residual(model))
+    first = len(problem.model.effects)
+    given, rest = model.effects[:first], model.effects[first:]
+    names = tuple(one for one in rest if one["effect"] != _LEARNT)
+    learnt = tuple(one for one in rest if one["effect"] == _LEARNT)
+    model = replace(model, effects=(*given, *names, *learnt))  # as without this step: names first
     remainder = Remainder(
         tuple(Term(dict(one), None) for one in laws),
         model,
