@@ -6,7 +6,7 @@ Each case is a rig of the proof's truth plant (which shares no code with what is
 hidden family, and the whole diagnosis is run on it. Its oracle is the same rig with nothing hidden:
 no model of the effect can leave less of the hold-out than that does, nor estimate the rack force
 better. *Share*: of what the oracle takes off the hold-out's mean square. *Force*: of the oracle's
-gain in rack-force error. Both by the written model file on the hold-out as it was read. *Run*:
+gain in rack-force error. Both by the written model file on the uncorrected hold-out. *Run*:
 error of the angle in a free run over the whole hold-out ÷ what it was before. *Place*: the first
 place told is a signal that the effect depends on. *Law*: named, or written with its own inputs and
 memory. ``--out`` keeps a line of JSON for each case, and goes on with what such a file holds.

@@ -94,7 +94,7 @@ def test_what_is_reported_is_what_was_written(
 def as_simulated_and_estimated(
     result: Diagnosis, kept: Mapping[str, Series], folder: Path
 ) -> dict[str, Any]:
-    """What the written file does with the hold-out as it was read, held against what is told."""
+    """The written file on the raw hold-out gives the figures that are reported."""
     model, told = written(result, folder), result.content["fit"]["holdout"]["augmented"]
     json.dumps(result.content, allow_nan=False)
     again = measures([Holdout(prepared("holdout", kept, 0.0), kept)], model, model)

@@ -60,9 +60,9 @@ def as_the_file_does(
 ) -> dict[str, Any]:
     """``fit.holdout`` of the files ``given`` and ``written`` on hold-outs as their files have them.
 
-    ``told``: the same on recordings put right. A joint that gives or has play is in the written
-    file, but in no balance of one mass: without ``balance`` the torque residual stays as it was
-    told. With it, no file holds what was put right, and ``put_right`` keeps what was told.
+    ``told``: the same on corrected recordings. A joint that gives or has play is in the written
+    file, but in no balance of one mass: without ``balance`` the residual is that of ``told``.
+    With it, no file holds the correction, and ``put_right`` keeps ``told``.
     """
     after = measures(as_read, written, written)
     if not balance:
