@@ -9,7 +9,8 @@ from eps_hil.fleet.job import Row
 
 _SIGMA_OF_MAD = 1.4826
 _FAR = 3.5
-_FEWEST = 5
+FEWEST = 5
+"""Values below which none is called an outlier."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,7 @@ def _quantity(name: str, si: str, points: list[Point]) -> Quantity:
         across = point.low is not None and point.high is not None
         if across and (point.low or 0.0) <= middle <= (point.high or 0.0):
             nearest = 0.0
-        far = len(points) >= _FEWEST and spread > 0.0 and nearest > _FAR * spread
+        far = len(points) >= FEWEST and spread > 0.0 and nearest > _FAR * spread
         judged.append(
             Point(point.recording, point.unit, point.start_s, point.value, point.low, point.high,
                   bool(far))
@@ -83,8 +84,8 @@ def _quantity(name: str, si: str, points: list[Point]) -> Quantity:
                           or [np.zeros(0)])  # fmt: skip
     return Quantity(
         name, si, tuple(judged), middle, spread,
-        _spread(medians) if len(medians) >= _FEWEST else None,
-        _spread(left) if len(left) >= _FEWEST else None,
+        _spread(medians) if len(medians) >= FEWEST else None,
+        _spread(left) if len(left) >= FEWEST else None,
     )  # fmt: skip
 
 

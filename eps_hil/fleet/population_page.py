@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from eps_hil.fleet.batch import Batch
-from eps_hil.fleet.population import Quantity, population
+from eps_hil.fleet.population import FEWEST, Quantity, population
 from eps_hil.report import page
 
 _MOST_LABELS = 40
@@ -42,7 +42,8 @@ def _figure(quantity: Quantity) -> str:
     axis = axes[0, 0]
     points = quantity.points
     reach = 3.5 * quantity.spread
-    axis.axhspan(quantity.middle - reach, quantity.middle + reach, color="0.92", lw=0)
+    if len(quantity.points) >= FEWEST:  # of fewer, none is called an outlier
+        axis.axhspan(quantity.middle - reach, quantity.middle + reach, color="0.92", lw=0)
     axis.axhline(quantity.middle, color="0.6", lw=0.8)
     for k, point in enumerate(points):
         colour = figures.COLOURS[1] if point.outlier else figures.COLOURS[0]
