@@ -51,7 +51,8 @@ def read_at(
 def read_between(
     stamps: Stamps, values: Values, count: Stamps, i: int, t: int, stale: int, lost: int
 ) -> tuple[float, int, int]:
-    """As :func:`read_at`, and how far apart (ns) the neighbours are; 0 without any."""
+    """As :func:`read_at`, and how far apart (ns) the neighbours are; beyond the newest sample, how
+    far that is; 0 without any."""
     n = count[i]
     if n == 0:
         return 0.0, lost, 0
@@ -59,8 +60,8 @@ def read_between(
     if t >= newest:
         value = values[i, (n - 1) % RING]
         if t - newest > stale:
-            return value, lost, 0
-        return value, (0 if np.isfinite(value) else _BAD), 0
+            return value, lost, t - newest
+        return value, (0 if np.isfinite(value) else _BAD), t - newest
     oldest = max(0, n - RING)
     k = n - 2
     while k >= oldest and stamps[i, k % RING] > t:

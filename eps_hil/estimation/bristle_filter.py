@@ -221,14 +221,14 @@ def _start(
     ratio, stiffness = f.drive.ratio, law.sigma0_nm_per_rad
     mean, cov = b.mean, b.cov
     speed = u.motor_speed_rad_s
-    level = static_level_nm(speed if speed != 0.0 else -1.0, ratio * torque, law)
+    way = speed if speed != 0.0 else -1.0
+    pos = static_level_nm(1.0, ratio * torque, law)
+    neg = static_level_nm(-1.0, ratio * torque, law)
+    level = pos if way >= 0.0 else neg
     unsure = _RELAXED * level / stiffness
     if s.running == HELD:
         unsure = min(unsure, s.bristle_rms)
-    most = max(
-        static_level_nm(1.0, ratio * torque, law), static_level_nm(-1.0, ratio * torque, law)
-    )
-    bridge(c, s, u, level, most, stiffness)
+    bridge(c, s, u, pos, neg, way, stiffness)
     bend = s.bristle
     if s.unknown_nm > _KEPT * level:
         bend, unsure = 0.0, _RELAXED * level / stiffness

@@ -13,6 +13,8 @@ from eps_hil.estimation.setup import Constants, Inputs
 from eps_hil.estimation.state import NEVER_RAN, Moment
 from eps_hil.physics.friction import bristle_step
 
+NOISE_SIGMA = 4.0
+"""Deviations of a single angle within which a rotor did not creep."""
 KNOWN_NM = 1e-6
 """Less than this is nothing, and costs no exponential."""
 
@@ -26,17 +28,24 @@ def still_unknown(unknown_nm: float, slip_rad: float, level_nm: float, sigma0: f
 
 
 @kernel
-def bridge(c: Constants, s: Moment, u: Inputs, level: float, most: float, sigma0: float) -> None:
+def bridge(
+    c: Constants, s: Moment, u: Inputs, pos: float, neg: float, way: float, sigma0: float
+) -> None:
     """Bristle and what is unknown of it as estimating begins, or begins again after held steps.
 
-    ``level`` is T_fs (Nm) of the direction that counts, ``most`` the larger of both.
+    ``pos``, ``neg``: T_fs (Nm) of either direction; that of ``way`` is the one that counts.
 
     A rotor at rest on both sides of a gap, its angle changed by less than the bristle can bend,
     has kept its bristle. Without an angle it may have moved and come back: no further than the
     acceleration that counts as rest (SP_B of eq. 4a) takes it, a path of SP_B T²/8. A rotor that
     slid on, its angle measured and its speed changed by no more than noise (SP_A) and SP_B T,
     has taken the bristle along by that angle, and the same path is all that it may have hidden.
+
+    Creep that is no more than the angle's noise is followed from where it was, noise filtered.
+    More of it bends the bristle at once: were the rotor then judged as moving, it would leave
+    behind what the filter holds back.
     """
+    level, most = pos if way >= 0.0 else neg, max(pos, neg)
     end = level / sigma0
     speed = u.motor_speed_rad_s
     angle, held = s.angle, s.held
@@ -54,9 +63,14 @@ def bridge(c: Constants, s: Moment, u: Inputs, level: float, most: float, sigma0
     if c.angle_seen and rested:
         hidden = 0.0
     kept = abs(change) + hidden < end if rested else c.angle_seen and steady
-    if kept and rested and c.angle_seen:  # creep is followed from where it was, noise filtered
-        s.angle, s.held = angle, held
-        return
+    if kept and rested and c.angle_seen:
+        crept = u.motor_angle_rad - held
+        noise = NOISE_SIGMA * NOISE_SIGMA * s.angle_noise
+        if crept * crept < noise or noise == 0.0:  # the bristle filter follows creep by itself
+            s.angle, s.held = angle, held
+            return
+        change = crept if abs(crept) < end else change
+        level, end = pos if change >= 0.0 else neg, most / sigma0
     s.bristle = bristle_step(s.bristle, change, abs(change), level, sigma0)
     s.bristle = min(max(s.bristle, -end), end)
     anything = sigma0 * abs(s.bristle) + most

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import kernel, njit
+from eps_hil.estimation.holes import blind, course, unseen
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.speed_and_angle import (
@@ -25,13 +26,10 @@ from eps_hil.estimation.state import Records, record_of
 from eps_hil.estimation.torque_jumps import (
     add_pace,
     bend_noise,
-    blind,
     bridge,
-    course,
     due_noise,
     hinge,
     latched,
-    unseen,
     watch_jump,
 )
 from eps_hil.estimation.validity import Reason
@@ -105,6 +103,12 @@ class Watch:
     hole: int
     unseen: int
     slope_nm: float
+    # How wrong a torque may be that was guessed (Nm², 0: it was seen), and the one before the hole;
+    # how many were guessed in a row; how far the torque bends by itself (Nm²; holes.py).
+    doubt: Annotated[Floats, RING]
+    guess_before: float
+    guesses: int
+    swing: float
     # Innovation of the motion after a torque jump: its spread, the jumps that nothing followed.
     spread: float
     innovation: float
@@ -322,7 +326,7 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     at = w.steps % RING
     reason = unseen(w, p)
     torque = u.motor_torque_nm + p.sensor_to_rotor * u.torque_sensor_nm
-    w.torque[at] = course(w, p, torque - w.unexplained_nm, seen)
+    w.torque[at] = course(w, p, torque - w.unexplained_nm, u.drive_noise, seen)
     w.speed[at] = u.motor_speed_rad_s
     add_pace(w, p)
     w.steps += 1

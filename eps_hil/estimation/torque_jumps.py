@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import kernel
+from eps_hil.estimation.holes import guessed, learn_swing, lose_course, undecided
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.speed_and_angle import RING
 from eps_hil.estimation.state import Records
@@ -20,9 +21,10 @@ from eps_hil.estimation.validity import Reason
 if TYPE_CHECKING:
     from eps_hil.estimation.plausibility import Limits, Watch
 
-_INCONSISTENT, _SETTLING = int(Reason.INCONSISTENT), int(Reason.SETTLING)
+_INCONSISTENT = int(Reason.INCONSISTENT)
 _FOLLOWS = 0.3
-"""Share of what a torque jump should do to the speed, below which it was not there."""
+"""Share of what a torque jump should do to the speed, below which it was not there; the more that
+is beside noise and load, the nearer is this share to a half, where both are equally near."""
 _CLIP, _LEAST_SPREAD = 6.6, 0.02**2
 _MOTION = 4.0
 """A jump's own motion must exceed two deviations of what the load makes of the speed: load and
@@ -86,6 +88,7 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
     if k < 3 * n:
         return
     done -= w.bend[(k - n) % RING]  # the load goes on bending the course as it did
+    learn_swing(w, p)
     base, slope, edge = torque[(k - n) % RING], *_edge(w, p, u)
     noise = p.bend_noise * u.speed_noise + p.due_noise * u.drive_noise
     limit = max(p.jump * noise, _MOTION * w.spread)
@@ -100,13 +103,23 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
         due += weights[n + j] * speed
         most, before = max(most, abs(off)), off
     w.innovation = done - due
-    if abs(edge) < 0.3 * most or edge * due <= 0.0 or done * due > _FOLLOWS * due * due:
+    if abs(edge) < 0.3 * most or edge * due <= 0.0 or _followed(done, due, limit):
         return
     if due * due < limit or w.innovation * w.innovation < limit:
         return
     if w.stalled > 0 and w.unexplained_nm == 0.0:
         return  # what stood still catches up
-    _found(w, p, base, slope, before)
+    if undecided(w, p, edge):
+        lose_course(w)
+    else:
+        _found(w, p, base, slope, before)
+
+
+@kernel
+def _followed(done: float, due: float, limit: float) -> bool:
+    """Whether the speed's bend ``done`` is that of the torque, ``due`` (rad/s); not zero."""
+    share = max(_FOLLOWS, 0.5 - _FOLLOWS * (limit / (due * due)) ** 0.5)
+    return done * due > share * due * due
 
 
 @kernel
@@ -209,50 +222,6 @@ def latched(w: "Watch", p: "Limits") -> int:
 
 
 @kernel
-def unseen(w: "Watch", p: "Limits") -> int:
-    """Settling while a torque may be wrong since a time at which nobody looked.
-
-    Whatever began to be wrong in a hole of the inputs is not seen; only its end would be, and for
-    so long it is waited for. After a start it is only not known which of both a jump is: who
-    begins amid traffic waits by himself (service/core.py), a recording begins before its faults.
-    """
-    if w.missed_now:
-        w.unsure, w.missed_now = p.unsure_steps, 0
-    if w.unsure == 0:
-        w.started = 0
-        return 0
-    w.unsure -= 1
-    return 0 if w.started else _SETTLING
-
-
-@kernel
-def blind(w: "Watch", p: "Limits", speed: float, refused: bool) -> None:
-    """Inputs are missing: for longer than a bridge carries, the torque's course is lost.
-
-    So it is where a sample was ``refused``: what is impossible now may have been wrong before.
-    """
-    w.speed[(w.steps + w.hole) % RING] = speed
-    w.hole += 1
-    if w.steps > 0 and (refused or w.hole > p.bridged):
-        w.missed_now, w.started = 1, 0
-        w.steps, w.missed, w.hole = 0, 1, 0
-
-
-@kernel
-def course(w: "Watch", p: "Limits", torque: float, seen: bool) -> float:
-    """``torque`` (Nm) of this step, or how it would have gone on where it was not seen.
-
-    What it did in a short hole is one jump at its end then, which the motion confirms or not.
-    """
-    k, n = w.steps, p.window
-    w.unseen = 0 if seen else w.unseen + 1
-    if 0 < w.unseen <= p.bridged and k > 0:
-        return float(w.torque[(k - 1) % RING] + w.slope_nm)
-    w.slope_nm = (torque - w.torque[(k - n) % RING]) / n if k >= n else 0.0
-    return torque
-
-
-@kernel
 def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
     """Fill a hole of some steps: the torque as in :func:`course`, the speed as measured.
 
@@ -266,9 +235,11 @@ def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
     for j in range(1, missing + 1):
         at = w.steps % RING
         w.apart[at] = w.apart[(w.steps - 1) % RING]
-        w.torque[at] = w.torque[(w.steps - 1) % RING] + w.slope_nm
+        w.torque[at] = guessed(w, p, u.drive_noise)
         if not np.isfinite(w.speed[at]):
             w.speed[at] = speed + j * slope
         add_pace(w, p)
         w.steps += 1
         watch_jump(w, p, u)
+        if w.steps == 0:
+            return

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eps_hil.board import Notice
 from eps_hil.bus.commands import of_database, refuse_command
 from eps_hil.bus.config import describe_ids
 from eps_hil.bus.database import find_message, load_database
@@ -166,7 +167,10 @@ class Rig:
         limit_ms = math.inf if loop else simulation.rows
         limit_ms = min(limit_ms, duration_s * 1000)
         self._announce(limit_ms)
+        notice = Notice("rig", str(self._setup.bus.bus), "simulated rig")
+        notice.put(text="loads its code (the first time it is compiled, which takes a minute)")
         self._warm_up()
+        notice.end()
         self._say(f"timing: {settle(self._setup.rig.realtime)}")
         while self._port.recv(0.0):
             pass  # what was commanded before we were ready is out of date

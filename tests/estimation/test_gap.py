@@ -151,3 +151,24 @@ def test_a_clock_set_back_repeats_nothing(reference_model: Model, back_ms: int) 
             assert stream.latest.valid == (k == 1499)
     assert steps == [1] * 2500
     assert stream.latest.valid or back_ms > 1000  # a long step is a new start, here at rest
+
+
+@pytest.mark.parametrize("lost_ms", [30, 45])
+def test_what_crept_in_a_gap_bends_the_bristle(reference_model: Model, lost_ms: int) -> None:
+    """A rotor that still creeps at the gap's end is judged as moving there: nothing is lost."""
+    series = back_and_rest()
+    t = series["motor_speed_rad_s"].t_ns * 1e-9
+    speed = np.where((t >= 1.0) & (t < 1.05), -0.4, 0.0)
+    series["motor_speed_rad_s"].value[:] += speed
+    series["motor_angle_rad"].value[:] += np.cumsum(speed) * 1e-3
+    lost = cut(series, lambda t: (t > 1000 * MS) & (t < (1000 + lost_ms) * MS))
+    trace = estimate(lost, reference_model)
+    assert within(trace, 2.8, 2.9)[-1] == 0
+    before = trace.rack_force_n[np.searchsorted(trace.t_ns, 950 * MS)]
+    law, ratio = reference_model.friction, reference_model.rack_to_rotor_ratio_rad_per_m
+    ends = [(offset + slope * 1100.0) / law.sigma0_nm_per_rad
+            for offset, slope in ((law.offset_pos_nm, law.load_pos_nm_per_n),
+                                  (law.offset_neg_nm, law.load_neg_nm_per_n))]  # fmt: skip
+    back = sum(ends) * (1.0 - np.exp(-0.02 / ends[1]))  # eq. 2a, from one end towards the other
+    expected = before + ratio * law.sigma0_nm_per_rad * back
+    assert trace.rack_force_n[-1] == pytest.approx(expected, abs=40.0)

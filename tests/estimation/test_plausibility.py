@@ -414,3 +414,21 @@ def test_an_offset_on_a_swing_of_4_hz_is_told(
     torque = 0.3 * np.sin(swing * t)
     assert told_at(reference_model, torque, speed, angle) == -1
     assert 1000 < told_at(reference_model, torque + offset_nm * (t >= 1.0), speed, angle) < 1014
+
+
+def test_of_a_large_offset_the_speed_must_show_more(reference_model: Model) -> None:
+    """A swing of 6 Hz bends the speed's course by a third of what this offset ought to.
+
+    With 0.3 of it at any size as the limit, 9 of 64 were believed.
+    """
+    t, swing, missed = 1e-3 * np.arange(1200), 2.0 * np.pi * 6.0, 0
+    for phase in np.arange(0.0, 2.0 * np.pi, 0.2):
+        speed = 60.0 * np.sin(swing * t + phase)
+        angle = -60.0 / swing * np.cos(swing * t + phase)
+        torque = 0.3 * np.sin(swing * t)
+        for offset_nm in (0.2, -0.2):
+            lied = torque + offset_nm * (t >= 1.0)
+            at = told_at(reference_model, lied, speed, angle)
+            assert not 0 <= at <= 1000
+            missed += at == -1
+    assert missed == 0

@@ -6,9 +6,8 @@ in batches afterwards, and a killed one loses them. ``now`` is the service's wal
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
-from eps_hil.bus.frame import Frame
+from eps_hil.bus.frame import Frame, frame_of
 from eps_hil.oracle.faults.stretch import MS, Item, Stretch
 from eps_hil.oracle.faults.traffic import Published, World, deliver
 from eps_hil.service.core import ServiceCore
@@ -89,5 +88,8 @@ def _end_of(spans: list[tuple[int, int]], at: int) -> int:
 
 def _stamped(item: Item, stretch: Stretch) -> Frame:
     """The frame with the stamp of the service's wall clock at its arrival."""
-    t_ns = stretch.wall(item.at)
-    return item.frame if item.frame.t_ns == t_ns else replace(item.frame, t_ns=t_ns)
+    t_ns = stretch.wall(item.at) if stretch.clock else item.at
+    f = item.frame
+    if f.t_ns == t_ns:
+        return f
+    return frame_of(t_ns, f.can_id, f.data, f.extended, f.fd, f.error, f.own, f.remote, f.brs)

@@ -201,15 +201,11 @@ def ecu_restarted(scene: Scene, since: int, until: int) -> tuple[str, int]:
     scene.change(ECU, until, scene.stretch.end, anew)
     # What is sampled is the rig's; a recording cannot be sampled anew, so its time moves along.
     scene.stretch.angle_lost |= zero
-    scene.stretch.world.append((until, scene.stretch.truth_of(until)[0], _shift(scene) + shift))
+    scene.stretch.pause(until, shift)
     return (
         f"the ECU is off and begins anew, {shift / MS:.2f} ms out of phase"
         + (", its angle from zero" if zero else ""), until,
     )  # fmt: skip
-
-
-def _shift(scene: Scene) -> int:
-    return scene.stretch.world[-1][2]
 
 
 def rig_restarted(scene: Scene, since: int, until: int) -> tuple[str, int]:
@@ -222,7 +218,7 @@ def rig_restarted(scene: Scene, since: int, until: int) -> tuple[str, int]:
     begun = scene.world.recordings[name].between(T0_NS, T0_NS + stretch.end - until)
     before, _, _ = stretch.take(since, since)
     stretch.items = before + [Item(item.at + shift, item.frame) for item in begun]
-    stretch.world.append((until, name, shift))
+    stretch.begin_anew(since, until, name, shift)
     stretch.angle_lost = True
     return f"the rig ends and begins anew with manoeuvre {name}", until
 
@@ -233,7 +229,7 @@ def rig_stopped(scene: Scene, since: int, until: int) -> tuple[str, int]:
     before, _, after = stretch.take(since, since)
     moved = [Item(item.at + wait, item.frame) for item in after]
     stretch.items = [item for item in before + moved if item.at < stretch.end]
-    stretch.world.append((until, stretch.truth_of(since)[0], _shift(scene) + wait))
+    stretch.pause(since, wait)
     return "the rig's process is stopped and goes on", until
 
 

@@ -138,8 +138,9 @@ def _back(scene: Scene, sent: list[Published], until: int, outcome: Outcome) -> 
 
 
 def fault_end(scene: Scene) -> int:
-    """When the last fault was over (true ns)."""
-    return max((each.until for each in scene.done), default=scene.stretch.start)
+    """When the last fault was over (true ns); a rig that was stopped may begin anew later."""
+    over = max((each.until for each in scene.done), default=scene.stretch.start)
+    return max(over, scene.stretch.world[-1][0])
 
 
 def asked_from(scene: Scene) -> int | None:
@@ -159,23 +160,23 @@ def asked_from(scene: Scene) -> int | None:
 
 def _angle(scene: Scene, since: int, until: int) -> Floats:
     """The rotor's angle each ms, as it truly was; restarts of the rig make steps in it."""
-    angle = []
-    for at in range(since, until, MS):
-        name, local = scene.stretch.truth_of(at)
+    at = np.arange(since, until, MS)
+    angle = np.zeros(len(at))
+    for k, (from_ns, name, shift) in enumerate(scene.stretch.world):
+        here = at >= from_ns if k else np.ones(len(at), bool)
         recording = scene.world.recordings[name]
-        angle.append(recording.angle_rad[min((local - T0_NS) // MS, recording.length_ms - 1)])
-    return np.array(angle)
+        place = np.minimum((at[here] - shift - T0_NS) // MS, recording.length_ms - 1)
+        angle[here] = recording.angle_rad[place]
+    return angle
 
 
 def _slid_at(scene: Scene, since: int, until: int) -> int | None:
     """When the rotor has turned far enough one way since ``since``."""
-    low = high = None
-    for k, angle in enumerate(_angle(scene, since, until)):
-        low = angle if low is None else min(low, angle)
-        high = angle if high is None else max(high, angle)
-        if angle - low > SLID_RAD or high - angle > SLID_RAD:
-            return since + k * MS
-    return None
+    angle = _angle(scene, since, until)
+    up = angle - np.minimum.accumulate(angle)
+    down = np.maximum.accumulate(angle) - angle
+    slid = np.flatnonzero((up > SLID_RAD) | (down > SLID_RAD))
+    return since + int(slid[0]) * MS if len(slid) else None
 
 
 def story(scene: Scene, sent: list[Published], off: Floats) -> list[str]:

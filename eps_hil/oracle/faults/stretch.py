@@ -72,6 +72,18 @@ class Stretch:
         """From ``at`` on the wall clock is ``step`` further and runs ``ppm`` too fast."""
         self.clock.append((at, self.wall(at) - at + step, ppm))
 
+    def begin_anew(self, since: int, until: int, name: str, shift: int) -> None:
+        """The rig ends at ``since``; from ``until`` on it is that of another recording."""
+        self.world = [each for each in self.world if each[0] <= since]
+        self.world.append((until, name, shift))
+
+    def pause(self, since: int, wait: int) -> None:
+        """What the rig does from ``since`` on it does ``wait`` later, a restart to come too."""
+        name, local = self.truth_of(since)
+        later = [(at + wait, where, by + wait) for at, where, by in self.world if at > since]
+        self.world = [each for each in self.world if each[0] <= since]
+        self.world += [(since + wait, name, since - local + wait), *later]
+
     def truth_of(self, at: int) -> tuple[str, int]:
         """(recording, its time) that was real at true time ``at``."""
         name, shift = "", 0

@@ -1,0 +1,111 @@
+"""Holes of the inputs: how the torque goes on in them, and how much of its end is only that guess.
+
+A short hole is bridged on the torque's own course, so that what it did meanwhile is one jump at the
+hole's end, which the motion confirms or not. A load that swings leaves that course by itself; by
+how much is learnt while samples come, and a jump that is no larger than that says nothing. Then,
+as after a hole that is too long to be bridged, what may have begun unseen is waited for.
+"""
+
+from typing import TYPE_CHECKING
+
+from eps_hil.compiled import kernel
+from eps_hil.estimation.speed_and_angle import RING
+from eps_hil.estimation.validity import Reason
+
+if TYPE_CHECKING:
+    from eps_hil.estimation.plausibility import Limits, Watch
+
+_SETTLING = int(Reason.SETTLING)
+_SIGMA = 2.0
+"""Deviations of the guess within which a jump at a hole's end may be the guess's own error."""
+
+
+@kernel
+def unseen(w: "Watch", p: "Limits") -> int:
+    """Settling while a torque may be wrong since a time at which nobody looked.
+
+    Whatever began to be wrong in a hole of the inputs is not seen; only its end would be, and for
+    so long it is waited for. After a start it is only not known which of both a jump is: who
+    begins amid traffic waits by himself (service/core.py), a recording begins before its faults.
+    """
+    if w.missed_now:
+        w.unsure, w.missed_now = p.unsure_steps, 0
+    if w.unsure == 0:
+        w.started = 0
+        return 0
+    w.unsure -= 1
+    return 0 if w.started else _SETTLING
+
+
+@kernel
+def lose_course(w: "Watch") -> None:
+    """Nobody knows how the torque should go on: it is looked at anew from here."""
+    w.missed_now, w.started = 1, 0
+    w.steps, w.missed, w.hole, w.guesses = 0, 1, 0, 0
+
+
+@kernel
+def blind(w: "Watch", p: "Limits", speed: float, refused: bool) -> None:
+    """Inputs are missing: for longer than a bridge carries, the torque's course is lost.
+
+    A hole goes on where inputs come but no torque is seen between two of them. The course is lost,
+    too, where a sample was ``refused``: what is impossible now may have been wrong before.
+    """
+    w.speed[(w.steps + w.hole) % RING] = speed
+    w.hole += 1
+    w.unseen += 1
+    if w.steps > 0 and (refused or w.unseen > p.bridged):
+        lose_course(w)
+
+
+@kernel
+def course(w: "Watch", p: "Limits", torque: float, noise: float, seen: bool) -> float:
+    """``torque`` (Nm) of this step, or how it would have gone on where it was not seen.
+
+    What it did in a short hole is one jump at its end then, which the motion confirms or not.
+    ``noise``: variance of the torque's samples.
+    """
+    k, n = w.steps, p.window
+    w.unseen = 0 if seen else w.unseen + 1
+    if 0 < w.unseen <= p.bridged and k > 0:
+        return guessed(w, p, noise)
+    w.guesses, w.doubt[k % RING] = 0, 0.0
+    w.slope_nm = (torque - w.torque[(k - n) % RING]) / n if k >= n else 0.0
+    return torque
+
+
+@kernel
+def guessed(w: "Watch", p: "Limits", noise: float) -> float:
+    """The torque (Nm) of the next step in a hole, as its course was, and how wrong that may be.
+
+    The course may bend meanwhile, and its slope is that of noisy torques, or of a guess where the
+    hole before ended less than a window ago.
+    """
+    k, n = w.steps, p.window
+    if w.guesses == 0:
+        w.guess_before = w.doubt[(k - 1 - n) % RING] if k > n else 0.0
+    w.guesses += 1
+    far = w.guesses / n
+    bent = 0.5 * far * (far + 1.0)
+    w.doubt[k % RING] = bent * bent * w.swing + far * far * (2.0 * noise + w.guess_before)
+    return float(w.torque[(k - 1) % RING] + w.slope_nm)
+
+
+@kernel
+def learn_swing(w: "Watch", p: "Limits") -> None:
+    """How far the torque leaves its course by itself within a window: the largest square (Nm²) of
+    its second difference in the last half second or so, of torques that were seen."""
+    n, m, t, doubt = p.window, w.steps - 1 - p.window, w.torque, w.doubt
+    if max(doubt[m % RING], doubt[(m - n) % RING], doubt[(m - 2 * n) % RING]) > 0.0:
+        return
+    bend = t[m % RING] - 2.0 * t[(m - n) % RING] + t[(m - 2 * n) % RING]
+    w.swing = max(bend * bend, w.swing * (1.0 - p.spread_memory))
+
+
+@kernel
+def undecided(w: "Watch", p: "Limits", edge: float) -> bool:
+    """Whether a jump of ``edge`` (Nm), a window ago, may be no more than where a guess ended."""
+    m, most = w.steps - 1 - p.window, 0.0
+    for j in range(p.edge):
+        most = max(most, w.doubt[(m + j) % RING])
+    return bool(edge * edge <= _SIGMA**2 * most)

@@ -1,0 +1,89 @@
+"""Holes while the load swings: what is only the guess's own error is waited for, not doubted."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.estimation.alignment import RING, push_sample, read_between
+from eps_hil.estimation.batch import estimate
+from eps_hil.estimation.plausibility import judge_step, limits_of, new_watch
+from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.validity import Reason
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+NAMES = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "motor_angle_rad")
+AT = 1000
+PHASES = np.arange(0.0, 2.0 * np.pi, 0.3)
+
+
+def told(model: Model, phase: float, holes: str, jump_nm: float = 0.0) -> list[Reason]:
+    """What is said of each step of a load that swings at 4 Hz, with ``holes`` from ``AT`` on.
+
+    ``holes``: m for a step without inputs, u for one whose torque is not seen, any other for a
+    good one. The torque jumps by ``jump_nm`` with the first.
+    """
+    t, swing = 1e-3 * np.arange(2400), 2.0 * np.pi * 4.0
+    speed = 60.0 * np.sin(swing * t + phase)
+    angle = -60.0 / swing * np.cos(swing * t + phase)
+    torque = 0.8 * np.sin(swing * t) + jump_nm * (t >= 1e-3 * AT)
+    limits, watch, said = limits_of(model, EstimatorSettings(), True), new_watch(), []
+    for k in range(len(t)):
+        now = holes[k - AT] if 0 <= k - AT < len(holes) else " "
+        u = Inputs(torque[k], 0.0, speed[k], angle[k], 0.0, 1e-6, 1e-3, 1e-7)
+        missing = int(Reason.BAD_SAMPLE) if now == "m" else 0
+        said.append(Reason(judge_step(watch, limits, u, now != "u", missing)[0]))
+    return said
+
+
+@pytest.mark.parametrize(
+    "holes",
+    [
+        "m" * 11 + "u" + "m" * 15 + "u" + "m" * 5 + "u",  # never seen in between: one hole
+        "m" * 17 + " " * 4 + "m" * 8,  # the second on a course that was itself guessed
+        "u" * 17,
+        "mmm   " * 8,
+    ],
+)
+def test_a_swing_that_leaves_its_course_in_holes_is_not_doubted(
+    reference_model: Model, holes: str
+) -> None:
+    """It was, for 10 s: no jump back ever showed."""
+    for phase in PHASES:
+        said = told(reference_model, float(phase), holes)
+        assert not any(each & Reason.INCONSISTENT for each in said)
+        assert said[AT + len(holes) + 800] == Reason.FINE
+
+
+@pytest.mark.parametrize("holes", ["m" * 7, "u" * 5, "m" * 3 + "u" * 2])
+def test_a_jump_in_a_hole_is_told_all_the_same(reference_model: Model, holes: str) -> None:
+    for phase in PHASES:
+        said = told(reference_model, float(phase), holes, 0.4)
+        assert any(each & Reason.INCONSISTENT for each in said[AT : AT + 40])
+
+
+def test_a_torque_that_is_held_is_not_seen() -> None:
+    stamps, values = np.zeros((1, RING), np.int64), np.zeros((1, RING))
+    count = np.zeros(1, np.int64)
+    for k in range(3):
+        push_sample(stamps, values, count, 0, k * 1_000_000, 1.0)
+    ages = [read_between(stamps, values, count, 0, t, 20_000_000, 1)[2]
+            for t in (1_500_000, 2_000_000, 7_000_000)]  # fmt: skip
+    assert ages == [1_000_000, 0, 5_000_000]
+
+
+def test_torques_that_stop_for_a_moment_are_not_doubted(
+    reference_model: Model, weave_truth: Any
+) -> None:
+    """For 20 ms the last one is held: it says nothing of how the torque goes on."""
+    t_ns = np.round(weave_truth.columns["time_s"] * 1e9).astype(np.int64)
+    kept = np.ones(len(t_ns), bool)
+    for since in range(2000, len(t_ns) - 3000, 1009):
+        kept[since : since + 22] = False
+    series = {n: Series(t_ns, weave_truth.columns[n]) for n in NAMES}
+    for name in NAMES[:2]:
+        series[name] = Series(t_ns[kept], series[name].value[kept])
+    trace = estimate(series, reference_model)
+    assert not np.any(trace.reason & int(Reason.INCONSISTENT))
