@@ -188,20 +188,47 @@ def _integrate(
         out[k, 2] = friction_nm(drive, u, level_nm(drive, u), bristle, bristle)
         if k + 1 == len(time_s):
             break
-        interval = time_s[k + 1] - time_s[k]
-        steps = max(1, int(np.ceil(interval / LONGEST_STEP_S - 1e-6)))
-        dt = interval / steps
-        for j in range(steps):
-            part = (j + 0.5) / steps
-            for i in range(3):
-                row[i] = inputs[k, i] + part * (inputs[k + 1, i] - inputs[k, i])
-            t = time_s[k] + part * interval
-            middle, bristle = _middle(drive, t, speed, angle, bristle, row, dt)
-            if drive.use.memory:
-                u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
-                added.advance(drive.effects, u, dt)
-            angle += dt * middle
-            speed = 2.0 * middle - speed
+        speed, angle, bristle = interval(
+            drive,
+            time_s[k],
+            time_s[k + 1] - time_s[k],
+            speed,
+            angle,
+            bristle,
+            inputs[k],
+            inputs[k + 1],
+            row,
+        )
+
+
+@kernel
+def interval(
+    drive: Drive,
+    start_s: float,
+    length_s: float,
+    speed: float,
+    angle: float,
+    bristle: float,
+    before: Floats,
+    after: Floats,
+    row: Floats,
+) -> tuple[float, float, float]:
+    """Speed, angle and bristle after ``length_s``; inputs run straight from ``before`` to
+    ``after`` (3,). ``row`` (3,) is for work."""
+    steps = max(1, int(np.ceil(length_s / LONGEST_STEP_S - 1e-6)))
+    dt = length_s / steps
+    for j in range(steps):
+        part = (j + 0.5) / steps
+        for i in range(3):
+            row[i] = before[i] + part * (after[i] - before[i])
+        t = start_s + part * length_s
+        middle, bristle = _middle(drive, t, speed, angle, bristle, row, dt)
+        if drive.use.memory:
+            u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
+            added.advance(drive.effects, u, dt)
+        angle += dt * middle
+        speed = 2.0 * middle - speed
+    return speed, angle, bristle
 
 
 @kernel

@@ -60,40 +60,75 @@ def integrate(
 
     ``row`` (3,) is for work.
     """
-    behind = joint.behind_share * drive.inertia
-    rotor = drive.inertia - behind
     speed, angle, bristle = start[0], start[1], start[2]
     first = drive.sensor_to_rotor * inputs[0, 1] - inputs[0, 2] / drive.ratio
-    rack_speed, rack = speed, angle + _rest_twist(joint, first)
+    rack_speed, rack = speed, angle + rest_twist(joint, first)
     for k in range(len(time_s)):
         u = instant(drive, time_s[k], speed, angle, inputs[k])
         out[k, 0], out[k, 1], out[k, 3] = speed, angle, rack
         out[k, 2] = friction_nm(drive, u, level_nm(drive, u), bristle, bristle)
         if k + 1 == len(time_s):
             break
-        interval = time_s[k + 1] - time_s[k]
-        steps = max(1, int(np.ceil(interval / STEP_S - 1e-6)))
-        dt = interval / steps
-        for j in range(steps):
-            part = (j + 0.5) / steps
-            for i in range(3):
-                row[i] = inputs[k, i] + part * (inputs[k + 1, i] - inputs[k, i])
-            t = time_s[k] + part * interval
-            u = instant(drive, t, speed, angle, row)
-            torque = joint_torque_nm(joint, angle - rack, speed - rack_speed)
-            outer = drive.sensor_to_rotor * sensor_nm(drive, u) - load_nm(drive, u)
-            rack_speed += dt / behind * (torque + outer)
-            rack += dt * rack_speed
-            middle, bristle = _middle(drive, rotor, t, speed, angle, bristle, row, dt, torque)
-            if drive.use.memory:
-                u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
-                added.advance(drive.effects, u, dt)
-            speed = 2.0 * middle - speed
-            angle += dt * speed
+        speed, angle, bristle, rack_speed, rack = interval(
+            drive,
+            joint,
+            time_s[k],
+            time_s[k + 1] - time_s[k],
+            speed,
+            angle,
+            bristle,
+            rack_speed,
+            rack,
+            inputs[k],
+            inputs[k + 1],
+            row,
+        )
 
 
 @kernel
-def _rest_twist(joint: Joint, outer_nm: float) -> float:
+def interval(
+    drive: Drive,
+    joint: Joint,
+    start_s: float,
+    length_s: float,
+    speed: float,
+    angle: float,
+    bristle: float,
+    rack_speed: float,
+    rack: float,
+    before: Floats,
+    after: Floats,
+    row: Floats,
+) -> tuple[float, float, float, float, float]:
+    """The rotor's speed, angle and bristle, the rack's speed and angle after ``length_s``.
+
+    Inputs run straight from ``before`` to ``after`` (3,); ``row`` (3,) is for work.
+    """
+    behind = joint.behind_share * drive.inertia
+    rotor = drive.inertia - behind
+    steps = max(1, int(np.ceil(length_s / STEP_S - 1e-6)))
+    dt = length_s / steps
+    for j in range(steps):
+        part = (j + 0.5) / steps
+        for i in range(3):
+            row[i] = before[i] + part * (after[i] - before[i])
+        t = start_s + part * length_s
+        u = instant(drive, t, speed, angle, row)
+        torque = joint_torque_nm(joint, angle - rack, speed - rack_speed)
+        outer = drive.sensor_to_rotor * sensor_nm(drive, u) - load_nm(drive, u)
+        rack_speed += dt / behind * (torque + outer)
+        rack += dt * rack_speed
+        middle, bristle = _middle(drive, rotor, t, speed, angle, bristle, row, dt, torque)
+        if drive.use.memory:
+            u = instant(drive, t, middle, angle + 0.5 * dt * middle, row)
+            added.advance(drive.effects, u, dt)
+        speed = 2.0 * middle - speed
+        angle += dt * speed
+    return speed, angle, bristle, rack_speed, rack
+
+
+@kernel
+def rest_twist(joint: Joint, outer_nm: float) -> float:
     """Rack angle less rotor angle at which the joint carries the first instant's load."""
     pressed = outer_nm / joint.stiffness_nm_per_rad
     return pressed + math.copysign(0.5 * joint.gap_rad, pressed) if pressed != 0.0 else 0.0

@@ -86,3 +86,35 @@ def test_a_model_needs_only_what_it_cannot_guess() -> None:
     bare = Model(2e-4, 125.7, 2513.0, friction)
     assert bare.delays_s == Delays()
     assert bare.effects == ()
+
+
+@pytest.mark.parametrize(
+    ("beside", "said"),
+    [
+        ("effects: []", "effects: stands beside 'model:', where it has no effect; indent it below"),
+        ("effect: []", "effect: stands beside 'model:', where it has no effect"),
+        ("inertia_kg_m2: 1.0", "as inertia_kg_m2"),
+    ],
+)
+def test_a_field_that_is_not_indented_is_refused(tmp_path: Path, beside: str, said: str) -> None:
+    path = tmp_path / "m.yaml"
+    text = REFERENCE.read_text()
+    path.write_text(f"{text}{beside}\n")
+    with pytest.raises(InputError) as caught:
+        load_model(path)
+    assert said in str(caught.value)
+    assert f"line {len(text.splitlines()) + 1}, " in str(caught.value)
+
+
+def test_other_blocks_may_stand_beside_the_model(tmp_path: Path) -> None:
+    path = tmp_path / "m.yaml"
+    text = REFERENCE.read_text()
+    path.write_text(f"{text}friction_map: []\nprovenance: {{by: me}}\n")
+    assert load_model(path) == load_model(REFERENCE)
+
+
+def test_a_misspelt_block_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "m.yaml"
+    path.write_text("modle:\n  inertia_kg_m2: 1.0\n")
+    with pytest.raises(InputError, match=r"section is missing; rename 'modle:' to 'model:'"):
+        load_model(path)

@@ -78,6 +78,19 @@ def added(model: Model, only: Callable[[Effect, Slot], bool] | None = None) -> A
         np.zeros((len(_KERNELS), MOST_TERMS, WIDTH)),
         np.zeros((len(_KERNELS), MOST_TERMS, STATES)),
     )
+    for _, _, row, term, numbers in terms(model, only):
+        table.terms[row] = term + 1
+        table.parameters[row, term, : len(numbers)] = numbers
+    return table
+
+
+def terms(
+    model: Model, only: Callable[[Effect, Slot], bool] | None = None
+) -> list[tuple[Effect, dict[str, Any], int, int, list[float]]]:
+    """Effect, checked values, row, place in the row, and the kernel's numbers of each entry that
+    acts at run time, in the model's order; as :func:`added`."""
+    found = []
+    count = [0] * len(_KERNELS)
     for entry in model.effects:
         effect, values = values_of(entry, model)
         slot = effect.slot if effect.slot_of is None else effect.slot_of(values)
@@ -85,13 +98,13 @@ def added(model: Model, only: Callable[[Effect, Slot], bool] | None = None) -> A
         if name not in _ROW or (only is not None and not only(effect, slot)):
             continue
         row = _ROW[name]
-        term = table.terms[row]
+        term = count[row]
         if term == MOST_TERMS:
             raise ValueError(f"'{effect.id}' stands more than {MOST_TERMS} times among the effects")
-        table.terms[row] = term + 1
+        count[row] += 1
         numbers = _numbers(values) if effect.numbers is None else effect.numbers(values)
-        table.parameters[row, term, : len(numbers)] = numbers
-    return table
+        found.append((effect, values, row, term, numbers))
+    return found
 
 
 class InUse(NamedTuple):
@@ -333,6 +346,14 @@ _ROWS_OF_SLOTS = [
     )
 ]
 """In the order of :class:`InUse`."""
+WALK: dict[str, list[tuple[int, Callable[..., Any]]]] = {
+    **{
+        name: [(_ROW[effect.id], kernel) for effect, kernel in acting]
+        for name, acting in zip(InUse._fields, _SLOTS, strict=False)
+    },
+    "memory": [(_ROW[one.id], one.advance) for one in _remembering(_KERNELS) if one.advance],
+}
+"""Row and kernel of what acts in each slot, in its order, for whoever walks it elsewhere."""
 
 level_nm = _fused("level", _LEVELS)
 """T_fs (Nm) with the added terms: ``level_nm(added, instant, level of eq. 3)``."""

@@ -1,0 +1,178 @@
+"""Both directions of a difference: what a simulator has and a rig lacks, which numbers differ.
+
+Each effect of the simulator is held against the recordings whole, by half and not at all, the
+model file's own numbers free beside it. One of which the rig has (nearly) none, and without which
+recordings kept from that fit are explained better, is too many. The diagnosis then starts from the
+simulator without it: it needs no negative friction, and no unknown, to say so.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from eps_hil.diagnosis.attribute.scoring import LEAST_GAIN
+from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, plain
+from eps_hil.diagnosis.data.prepare import Prepared
+from eps_hil.diagnosis.simulator.parameters import Reduction, reduce_parameters
+from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.model import Model
+
+_SHARES = (0.0, 0.5, 1.0)
+_GONE = 0.2
+"""Share of the simulator's amplitude below which the rig does not have the effect."""
+_APART = 0.02
+"""A number that differs by less than this part of itself is the same."""
+_WEAK = 0.05
+"""Share of the strongest change's significance below which another one is how reductions differ."""
+NUMBERS = (
+    "coulomb_level",
+    "friction_asymmetry",
+    "viscous_friction",
+    "load_dependent_friction",
+    "inertia",
+)
+"""Findings that say nothing but that numbers of the model file are others."""
+
+
+@dataclass(frozen=True)
+class Surplus:
+    """An effect that the simulator has and the rig lacks; ``rig``: its amplitude there."""
+
+    entry: Mapping[str, Any]
+    amplitude: str
+    unit: str
+    rig: float
+
+    @property
+    def simulator(self) -> float:
+        """The simulator's amplitude."""
+        return float(self.entry[self.amplitude])
+
+    def content(self) -> dict[str, Any]:
+        """For the JSON."""
+        effect = catalogue()[self.entry["effect"]]
+        size = f"{self.amplitude} {self.simulator:.3g} {self.unit}".strip()
+        return {
+            "effect": effect.id,
+            "parameters": {k: v for k, v in plain(dict(self.entry)).items() if k != "effect"},
+            "rig": {self.amplitude: {"value": self.rig, "unit": self.unit}},
+            "summary": f"The simulator has {effect.name.lower()} ({size}) that the rig lacks.",
+        }
+
+
+def surplus(
+    fitted: Sequence[Prepared],
+    kept: Sequence[Prepared],
+    model: Model,
+    effects: Collection[Mapping[str, Any]],
+) -> list[Surplus]:
+    """Those of the simulator's ``effects`` that the recordings do without; ``model`` has them."""
+    found: list[Surplus] = []
+    for entry in effects:
+        now = _gone(fitted, kept, model, entry)
+        if now is not None:
+            found.append(now)
+            model = without(model, [now])
+    return found
+
+
+def _gone(
+    fitted: Sequence[Prepared], kept: Sequence[Prepared], model: Model, entry: Mapping[str, Any]
+) -> Surplus | None:
+    """The effect, if it is too many: the model's own numbers are free beside all shares of it."""
+    effect = catalogue()[entry["effect"]]
+    probe = effect.probe
+    size = entry.get(probe.amplitude) if probe is not None else None
+    if probe is None or probe.neutral != 0.0 or not isinstance(size, float) or not size:
+        return None
+    tried = []
+    for share in _SHARES:
+        scaled = {**entry, probe.amplitude: share * size}
+        effects = tuple(scaled if dict(one) == dict(entry) else one for one in model.effects)
+        if not share:
+            effects = tuple(one for one in model.effects if dict(one) != dict(entry))
+        tried.append(reduce_parameters(Problem(fitted, replace(model, effects=effects))))
+    costs = [float(np.sum(one.residual**2)) for one in tried]
+    bend, slope, _ = np.polyfit(_SHARES, costs, 2)
+    share = -0.5 * slope / bend if bend > 0.0 else float(_SHARES[int(np.argmin(costs))])
+    if costs[0] > costs[-1] or abs(share) > _GONE:
+        return None
+    judge = [Problem(kept, one.model) for one in (tried[-1], tried[0])]
+    left = [one.residual(one.model) for one in judge]
+    gain = [float(np.sum(clipped(one, knee(left[1])) ** 2)) for one in left]
+    if gain[0] - gain[1] < LEAST_GAIN:
+        return None
+    unit = next(one.unit for one in effect.parameters if one.name == probe.amplitude)
+    return Surplus(entry, probe.amplitude, unit, share * size)
+
+
+def without(model: Model, found: Sequence[Surplus]) -> Model:
+    """The simulator's model without what is too many."""
+    gone = [dict(one.entry) for one in found]
+    return replace(model, effects=tuple(one for one in model.effects if dict(one) not in gone))
+
+
+def numbers(
+    recordings: Sequence[Prepared], model: Model, written: Model, findings: Collection[str]
+) -> list[dict[str, Any]]:
+    """Numbers in which rig and simulator differ: simulator's, rig's with interval, a sentence.
+
+    ``model``: the simulator; ``written``: the same with the findings. None unless a finding says
+    that a number differs: what no finding rests on is not made one here.
+    """
+    told = _of_effects(model, written)
+    if not set(findings) & set(NUMBERS):
+        return told
+    structure = tuple(one for one in written.effects if one["effect"] not in NUMBERS)
+    reduction: Reduction = reduce_parameters(
+        Problem(recordings, replace(model, effects=structure)), timing=False
+    )
+    pulls = [
+        abs(after - before) / max(sigma, 1e-300) for _, before, after, sigma in reduction.moved
+    ]
+    for (one, before, after, sigma), pull in zip(reduction.moved, pulls, strict=True):
+        small = abs(after - before) < _APART * max(abs(before), abs(after))
+        if small or pull < _WEAK * max(pulls):
+            continue
+        interval = [after - 1.96 * sigma, after + 1.96 * sigma]
+        told.append(_number(one.name, one.unit, before, after, interval))
+    return told
+
+
+def _of_effects(model: Model, written: Model) -> list[dict[str, Any]]:
+    """Effects of which the simulator has one term and the recordings ask for one more."""
+    told = []
+    for name in {str(one["effect"]) for one in model.effects}:
+        mine, theirs = (
+            [one for one in some.effects if one["effect"] == name] for some in (model, written)
+        )
+        probe = catalogue()[name].probe
+        if len(mine) != 1 or len(theirs) != 2 or probe is None or probe.phase is not None:
+            continue
+        values = [one.get(probe.amplitude) for one in theirs]
+        if None not in values:
+            unit = next(
+                one.unit for one in catalogue()[name].parameters if one.name == probe.amplitude
+            )
+            before, after = (
+                float(mine[0][probe.amplitude]),
+                sum(float(one or 0.0) for one in values),
+            )
+            told.append(_number(f"{name}.{probe.amplitude}", unit, before, after, None))
+    return told
+
+
+def _number(
+    name: str, unit: str, before: float, after: float, interval: list[float] | None
+) -> dict[str, Any]:
+    told = "" if interval is None else f" (95 %: {interval[0]:.4g} to {interval[1]:.4g})"
+    return {
+        "name": name,
+        "unit": unit,
+        "simulator": before,
+        "rig": after,
+        "ci95": interval,
+        "summary": f"{name}: {before:.4g} {unit} in the simulator, {after:.4g}{told} on the rig.",
+    }

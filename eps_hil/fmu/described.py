@@ -1,0 +1,133 @@
+"""An FMU's description: what it takes, gives and may be told, before anything of it runs."""
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from eps_hil.check import units
+from eps_hil.errors import InputError
+from eps_hil.fmu.variables import UNITS
+from eps_hil.recordings.files import needs_extra, refused_by_system
+
+_FLOATS = ("Real", "Float64")
+
+
+@dataclass(frozen=True, slots=True)
+class FmuVariable:
+    """One number of an FMU; ``to_si``: factor and offset to the SI unit, None where unknown."""
+
+    name: str
+    reference: int
+    causality: str
+    unit: str
+    quantity: str | None
+    to_si: tuple[float, float] | None
+    start: float | None
+    bounds: tuple[float | None, float | None]
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Described:
+    """A co-simulation FMU; ``raw`` is FMPy's description of it."""
+
+    path: Path
+    version: str
+    variables: Mapping[str, FmuVariable]
+    interpolates: bool
+    any_step: bool
+    step_s: float | None
+    raw: Any
+
+    def of(self, *causalities: str) -> dict[str, FmuVariable]:
+        """Its variables of these kinds."""
+        return {n: one for n, one in self.variables.items() if one.causality in causalities}
+
+
+def read_fmu(path: Path) -> Described:
+    """Read an FMU's description; :class:`InputError` where it cannot be run here."""
+    with needs_extra(path, "fmu"):
+        import fmpy
+    with refused_by_system(path), path.open("rb") as file:
+        if not zipfile.is_zipfile(file):
+            raise InputError(path, "", "is no FMU (a ZIP file)", "export it again")
+    try:
+        raw = fmpy.read_model_description(str(path), validate=False)
+    except Exception as error:  # FMPy raises whatever its parsers do
+        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(path, "modelDescription.xml", said, "export it again") from None
+    if raw.fmiVersion.split(".")[0] not in ("2", "3"):
+        raise InputError(path, "", f"is FMI {raw.fmiVersion}, 2 or 3 was expected", "export anew")
+    if raw.coSimulation is None:
+        raise InputError(
+            path, "", "is no co-simulation FMU", "export it with a solver in it (co-simulation)"
+        )
+    there = [one for one in fmpy.supported_platforms(str(path)) if one != "c-code"]
+    if fmpy.platform not in there and fmpy.platform_tuple not in there:
+        has = ", ".join(there) or "no binary"
+        raise InputError(path, "binaries", f"has {has}, this machine needs {fmpy.platform}",
+                         "export it for this platform")  # fmt: skip
+    experiment = raw.defaultExperiment
+    step = getattr(experiment, "stepSize", None) or raw.coSimulation.fixedInternalStepSize
+    known = {one.name: one for one in raw.unitDefinitions or []}
+    found = [_variable(one, known) for one in raw.modelVariables if one.type in _FLOATS]
+    return Described(
+        path,
+        raw.fmiVersion,
+        {one.name: one for one in found},
+        bool(raw.coSimulation.canInterpolateInputs) and raw.fmiVersion.startswith("2"),
+        bool(raw.coSimulation.canHandleVariableCommunicationStepSize),
+        float(step) if step else None,
+        raw,
+    )
+
+
+def _variable(one: Any, known: Mapping[str, Any]) -> FmuVariable:
+    declared = one.declaredType
+    unit = one.unit or getattr(declared, "unit", None) or ""
+    quantity, factor = _measures(unit, known)
+    start = one.start
+    return FmuVariable(
+        one.name,
+        one.valueReference,
+        one.causality or "local",
+        unit,
+        quantity,
+        factor,
+        float(start) if isinstance(start, str | int | float) and _is_number(start) else None,
+        (_number(one.min), _number(one.max)),
+        one.description or "",
+    )
+
+
+_Powers = tuple[tuple[str, int], ...]
+_QUANTITIES: dict[_Powers, str] = {
+    tuple(sorted((k, v) for k, v in UNITS[unit][1].items() if k != "rad")): quantity
+    for unit, quantity in (("Nm", "torque"), ("N", "force"), ("m", "length"), ("rad", "angle"))
+} | {(("s", -1),): "angular speed", (("m", 1), ("s", -1)): "speed",
+     (("m", 1), ("s", -2)): "acceleration", (("K", 1),): "temperature"}  # fmt: skip
+
+
+def _measures(unit: str, known: Mapping[str, Any]) -> tuple[str | None, Any]:
+    """(quantity, (factor, offset) to SI); "something else" where it is known to be another."""
+    base = getattr(known.get(unit), "baseUnit", None)
+    if base is not None and unit not in ("", "1"):
+        powers = {name: int(getattr(base, name)) for name in
+                  ("kg", "m", "s", "A", "K", "mol", "cd") if int(getattr(base, name))}  # fmt: skip
+        quantity = _QUANTITIES.get(tuple(sorted(powers.items())), "something else")
+        return quantity, (float(base.factor), float(base.offset))
+    found = units.known(unit) or units.known(unit.replace(".", ""))
+    return (None, None) if found is None else (found[0], (found[1], 0.0))
+
+
+def _is_number(text: object) -> bool:
+    return _number(text) is not None
+
+
+def _number(text: Any) -> float | None:
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        return None

@@ -1,0 +1,80 @@
+"""Recordings through somebody's FMU, as the traces that a diagnosis compares them with."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from eps_hil.errors import InputError
+from eps_hil.fmu.described import Described
+from eps_hil.fmu.drive import Signals, Simulator, opened
+from eps_hil.fmu.mapping import variable
+from eps_hil.physics.model import Model
+from eps_hil.recordings.files import read_bytes
+from eps_hil.recordings.foreign import Columns
+
+_NEEDED = "motor_torque_nm"
+
+
+def traces_of(
+    path: Path,
+    recordings: Mapping[str, Signals],
+    model: Model,
+    columns: Columns | None = None,
+    values: Mapping[str, float] | None = None,
+) -> tuple[dict[str, Signals], list[str]]:
+    """The FMU's answer to each recording, and how its variables were understood."""
+    with opened(path, columns) as simulator:
+        known = checked(simulator.fmu, values or {})
+        notes = simulator.notes()
+        notes += unmet(simulator, recordings)
+        traces: dict[str, Signals] = {
+            f"{path.name} on {Path(name).name}": simulator.trace(series, model, known)
+            for name, series in recordings.items()
+        }
+    return traces, notes
+
+
+def unmet(simulator: Simulator, recordings: Mapping[str, Signals]) -> list[str]:
+    """Inputs that a recording does not hold, which stay at zero; no torque is refused."""
+    notes = []
+    for name, series in recordings.items():
+        if _NEEDED not in series:
+            there = ", ".join(sorted(series))
+            raise InputError(
+                name, "", f"needs {_NEEDED}, which drives the FMU", f"it holds {there}"
+            )
+        notes += [
+            f"{name}: no {one}: {link.variable.name} is driven with zero"
+            for one, link in simulator.mapped.inputs.items()
+            if one not in series
+        ]
+    return notes
+
+
+def checked(fmu: Described, values: Mapping[str, float]) -> dict[str, float]:
+    """Values of parameters, each of which the FMU has."""
+    there = fmu.of("parameter", "structuralParameter")
+    for name in values:
+        variable(fmu, name, there, "no parameter")
+    return dict(values)
+
+
+def read_values(path: Path) -> dict[str, float]:
+    """Parameters from a YAML file ``name: value``, or from the JSON of ``identify``."""
+    text = read_bytes(path).decode("utf-8", errors="replace")
+    try:
+        content: Any = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
+    except (ValueError, yaml.YAMLError) as error:
+        raise InputError(path, "", str(error).splitlines()[0], "name: value, a line each") from None
+    if isinstance(content, dict) and isinstance(content.get("parameters"), dict):
+        content = {name: one.get("value") if isinstance(one, dict) else one
+                   for name, one in content["parameters"].items()}  # fmt: skip
+    if not isinstance(content, dict) or not content:
+        raise InputError(path, "", "holds no parameters", "name: value, a line each")
+    for name, value in content.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(path, str(name), f"is {value!r}, a number was expected")
+    return {str(name): float(value) for name, value in content.items()}

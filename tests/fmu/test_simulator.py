@@ -1,0 +1,259 @@
+"""Somebody's FMU: its variables understood, driven by recordings, its parameters fitted."""
+
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import eps_hil
+from eps_hil.cli.main import main
+from eps_hil.errors import EpsHilError, InputError
+from eps_hil.fmu.described import read_fmu
+from eps_hil.fmu.drive import opened
+from eps_hil.fmu.export import export_fmu
+from eps_hil.fmu.mapping import map_fmu
+from eps_hil.fmu.traces import read_values, traces_of
+from eps_hil.physics.model import Model, load_model
+from eps_hil.physics.simulate import simulate
+from eps_hil.recordings.foreign import Column, Columns
+from eps_hil.series import Series
+
+pytest.importorskip("fmpy")
+
+Floats = npt.NDArray[np.float64]
+MODEL_PATH = Path(__file__).parents[2] / "configs/reference_rig.yaml"
+MODEL = load_model(MODEL_PATH)
+Signals = Mapping[str, Series]
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("fmu") / "drive.fmu"
+    export_fmu(MODEL, path)
+    return path
+
+
+@pytest.fixture
+def other(drive: Path, tmp_path: Path) -> Callable[..., Path]:
+    """``other({"old": "new", …})``: the drive's FMU with other words in its description."""
+
+    def made(words: Mapping[str, str], without: str = "binaries/none") -> Path:
+        path = tmp_path / "other.fmu"
+        with zipfile.ZipFile(drive) as old, zipfile.ZipFile(path, "w") as new:
+            for name in old.namelist():
+                content = old.read(name)
+                if name == "modelDescription.xml":
+                    text = content.decode()
+                    for before, after in words.items():
+                        assert before in text
+                        text = text.replace(before, after)
+                    content = text.encode()
+                if not name.startswith(without):
+                    new.writestr(name, content)
+        return path
+
+    return made
+
+
+def recording(model: Model, seconds: float = 6.0, seed: int = 1) -> dict[str, Series]:
+    """A rig that is held by a soft controller; sensors as late as the model file says."""
+    rng = np.random.default_rng(seed)
+    t = np.asarray(np.arange(round(seconds * 1000)) * 1e-3, np.float64)
+    motor: Floats = 0.9 * np.sin(2 * np.pi * 0.8 * t + seed) + 0.3 * np.sin(2 * np.pi * 3.1 * t)
+    force: Floats = 900.0 * np.sin(2 * np.pi * 0.8 * t + seed - 0.4)
+    motion = simulate(model, t, motor, 0.0 * t, force)
+    late = model.delays_s
+
+    def told(value: np.ndarray, late_s: float, sigma: float) -> Series:
+        noisy = np.interp(t - late_s, t, value) + sigma * rng.standard_normal(len(t))
+        return Series(np.round(t * 1e9).astype(np.int64), noisy)
+
+    return {
+        "motor_torque_nm": told(motor, late.motor_torque, 2e-3),
+        "torque_sensor_nm": told(0.0 * t, 0.0, 0.01),
+        "rack_force_n": told(force, late.rack_force, 3.0),
+        "motor_speed_rad_s": told(motion.speed_rad_s, late.motor_speed, 0.1),
+        "motor_angle_rad": told(motion.angle_rad, late.motor_speed, 1e-3),
+    }
+
+
+def write(path: Path, signals: Signals) -> str:
+    first = next(iter(signals.values()))
+    table = np.column_stack([first.t_ns * 1e-9, *(one.value for one in signals.values())])
+    header = ",".join(["time_s", *signals])
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
+    return str(path)
+
+
+def test_names_of_another_tool_are_understood_by_words_and_unit(
+    other: Callable[..., Path],
+) -> None:
+    path = other({
+        '"motor_torque_nm"': '"T_mot"', '"torque_sensor_nm"': '"steering.torsionBar.tau"',
+        '"rack_force_n"': '"F_rack"', '"motor_speed_rad_s"': '"rotor.w"',
+        '"motor_angle_rad"': '"phiMotor"', '"rack_position_m"': '"rackTravel"',
+        "start_motor": "first",
+    })  # fmt: skip
+    found = map_fmu(read_fmu(path))
+    assert {n: one.variable.name for n, one in {**found.inputs, **found.outputs}.items()} == {
+        "motor_torque_nm": "T_mot",
+        "torque_sensor_nm": "steering.torsionBar.tau",
+        "rack_force_n": "F_rack",
+        "motor_speed_rad_s": "rotor.w",
+        "motor_angle_rad": "phiMotor",
+        "rack_position_m": "rackTravel",
+    }
+    assert found.open == ()
+    assert not found.start
+
+
+def test_units_are_those_that_the_fmu_declares(other: Callable[..., Path]) -> None:
+    base = '<Unit name="rad/s">\n      <BaseUnit rad="1" s="-1"'
+    rpm = other({base: f'{base} factor="0.5"'})
+    assert map_fmu(read_fmu(rpm)).outputs["motor_speed_rad_s"].scale == 0.5
+
+
+def test_a_mapping_goes_before_guesses_and_turns_signs(drive: Path) -> None:
+    columns = Columns({"rack_force_n": Column("rack_force_n", scale=-1.0)})
+    with opened(drive) as plain, opened(drive, columns) as turned:
+        assert "sign turned" in " ".join(turned.notes())
+        given = recording(MODEL, 1.0)
+        one, two = (sim.trace(given, MODEL)["rack_force_n"] for sim in (plain, turned))
+        assert np.allclose(one.value, two.value)  # what is told is ours
+        t_ns = plain.grid(given, MODEL)
+        first, second = (
+            sim.inputs(given, MODEL, t_ns)[:, list(sim.mapped.inputs).index("rack_force_n")]
+            for sim in (plain, turned)
+        )
+        assert np.allclose(first, -second)
+
+
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        ({"motor_speed_rad_s": "motor_sped"}, "variable 'motor_sped': is no input or output of it; "
+         "did you mean"),
+        ({"rack_force_n": "torque_sensor_nm"}, "is in N.m, rack_force_n (N) was expected"),
+    ],
+)  # fmt: skip
+def test_a_mapping_that_is_wrong_is_refused(
+    columns: Mapping[str, str], expected: str, drive: Path
+) -> None:
+    with pytest.raises(InputError, match=expected.replace("(", r"\(").replace(")", r"\)")):
+        map_fmu(read_fmu(drive), Columns({n: Column(one) for n, one in columns.items()}))
+
+
+def test_an_fmu_that_nobody_can_run_here_is_refused(
+    other: Callable[..., Path], tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_fmu(tmp_path / "none.fmu")
+    (tmp_path / "text.fmu").write_text("no zip", encoding="utf-8")
+    with pytest.raises(InputError, match="is no FMU"):
+        read_fmu(tmp_path / "text.fmu")
+    with pytest.raises(InputError, match="has no binary, this machine needs"):
+        read_fmu(other({}, without="binaries"))
+    words = {'"motor_speed_rad_s"': '"a"', '"motor_angle_rad"': '"b"', "start_motor": "first"}
+    units = {'rad="1" s="-1"': 'A="1"', '<BaseUnit rad="1" />': '<BaseUnit K="1" />'}
+    with pytest.raises(InputError, match="no output is known as rotor speed or angle"):
+        map_fmu(read_fmu(other({**words, **units})))
+
+
+def test_a_failure_says_when_and_what_the_fmu_said(drive: Path) -> None:
+    with opened(drive) as simulator:
+        given = simulator.inputs(recording(MODEL, 1.0), MODEL, np.arange(1000) * 1_000_000)
+        given[500:, 0] = np.nan
+        with pytest.raises(EpsHilError, match=r"fails at 0\.499 s: the motion is no number"):
+            simulator.run(given)
+        with pytest.raises(EpsHilError, match="does not start: inertia_kg_m2 is -1"):
+            simulator.run(given[:5], {"inertia_kg_m2": -1.0})
+
+
+def test_kept_at_the_recorded_motion_the_right_simulator_needs_no_torque(drive: Path) -> None:
+    given = recording(MODEL)
+    (trace,) = traces_of(drive, {"a.csv": given}, MODEL)[0].values()
+    speed = trace["motor_speed_rad_s"]
+    seen = np.interp(speed.t_ns + 4e6, given["motor_speed_rad_s"].t_ns,
+                     given["motor_speed_rad_s"].value)  # fmt: skip
+    assert np.std(seen - speed.value) < 0.2
+    with opened(drive) as simulator:
+        t_ns = simulator.grid(given, MODEL)
+        inputs = simulator.inputs(given, MODEL, t_ns)
+        right, wrong = (
+            simulator.run(inputs, values, None, simulator.follow(given, MODEL, t_ns))[1]
+            for values in ({}, {"friction.offset_pos_nm": 0.09})
+        )
+    assert np.std(right[300:-1]) < 0.004 < 0.5 * np.std(wrong[300:-1])
+
+
+@pytest.mark.slow
+def test_its_parameters_are_found_with_intervals_and_the_gain_on_what_was_kept(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    friction = replace(MODEL.friction, offset_pos_nm=0.08)
+    rig = replace(MODEL, inertia_kg_m2=2.4e-4, friction=friction)
+    path, values = write(tmp_path / "a.csv", recording(rig, 8.2)), tmp_path / "fit.json"
+    words = ["identify", path, "--model", str(MODEL_PATH), "--simulation", str(drive)]
+    words += ["--free", "friction.offset_pos_nm", "inertia_kg_m2=1e-5:1e-3", "--json", str(values)]
+    assert main(words) == 0
+    said = capsys.readouterr()
+    assert "every 4th stretch of 2 s" in said.out
+    assert "motor_torque_nm is motor_torque_nm" in said.err
+    found = read_values(values)
+    assert found["friction.offset_pos_nm"] == pytest.approx(0.08, rel=0.01)
+    assert found["inertia_kg_m2"] == pytest.approx(2.4e-4, rel=0.02)
+    rig = replace(MODEL, friction=friction)
+    first, kept = (write(tmp_path / f"{seed}.csv", recording(rig, 4.0, seed)) for seed in (2, 3))
+    free = ["friction.offset_pos_nm"]
+    again = eps_hil.fit_simulator(first, MODEL, drive, free, holdouts=kept)
+    one = again.content["parameters"]["friction.offset_pos_nm"]
+    assert one["value"] == pytest.approx(0.08, rel=0.005)
+    assert one["ci95"][0] < one["value"] < one["ci95"][1]
+    gain = again.content["holdout"]
+    assert gain["kept"] == "the hold-outs"
+    assert gain["torque_rms_nm"]["after"] < 0.8 * gain["torque_rms_nm"]["before"]
+
+
+@pytest.mark.slow
+def test_what_an_fmu_lacks_is_named(drive: Path, tmp_path: Path, other_rig: ModuleType) -> None:
+    rig = other_rig.Effects({other_rig.STRIB: 0.04, other_rig.STRIB_W: 10.0})
+    columns = other_rig.record(rig, "weave", 1, 1.0, 15.0)
+    path = tmp_path / "a.csv"
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+    found = eps_hil.diagnose(path, MODEL, simulation=drive)
+    assert [one.effect for one in found.findings] == ["stribeck"]
+    assert found.findings[0].parameters["level_nm"]["value"] == pytest.approx(0.04, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["identify", "R", "--simulation", "D"], "names no parameter"),
+        (["identify", "R", "--free", "x"], "goes with --simulation"),
+        (["identify", "R", "--simulation", "D", "--free", "inertia"], "did you mean 'inertia_kg"),
+        (["identify", "R", "--simulation", "D", "--free", "inertia_kg_m2=1"], "no NAME=low:high"),
+        (["identify", "R", "--simulation", "R", "--free", "a"], "only an FMU"),
+        (["diagnose", "--recording", "R", "--simulation", "none.fmu"], "no such file"),
+        (["diagnose", "--recording", "R", "--simulation", "D", "R"], "stands beside other traces"),
+        (["diagnose", "--recording", "R", "--simulation-values", "R"], "and an FMU"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(
+    words: list[str],
+    expected: str,
+    drive: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    known = {"R": write(tmp_path / "a.csv", recording(MODEL, 2.5)), "D": str(drive)}
+    words = [known.get(word, word) for word in words]
+    assert main([*words, "--model", str(MODEL_PATH)]) == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("eps-hil:")]
+    assert len(said) == 1
+    assert expected in said[0]
