@@ -14,6 +14,7 @@ def register(app: typer.Typer) -> None:
     """Add the verb and its proofs."""
     group = typer.Typer(no_args_is_help=True, help="Run a proof of the diagnosis again.")
     group.command("concealed")(concealed)
+    group.command("changes")(changes)
     group.command("loop")(loop)
     group.command("emps")(emps)
     app.add_typer(group, name="prove")
@@ -74,6 +75,37 @@ def concealed(
     typer.echo(f"page written to {folder / proof_page.PAGE}")
     if json:
         write_json(json, content["result"])
+
+
+def changes(
+    seed: Annotated[int, typer.Option("--seed", min=1, help="Which cases are drawn.")] = 1,
+    cases: Annotated[int, typer.Option("--cases", min=1, help="How many; half hold a change.")] = 8,
+    json: Annotated[Path | None, typer.Option("--json", help="The figures as JSON.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for all cases; goes on with its own.")
+    ] = None,
+    development: Annotated[
+        bool, typer.Option("--development", help="Seeds that the method may be improved on.")
+    ] = False,
+) -> None:
+    """Hide what differs between two states of one rig, and have eps-hil changes find it.
+
+    Half of the cases hold a change at 0.6 of the sensor noise, half none; in half of both the two
+    states share an effect without a name. Answers are sealed before anything is asked.
+    """
+    from eps_hil.proof.changed import prove_changes
+
+    with progress("proving") as bar:
+        content = prove_changes(
+            out or Path(f"changes_{seed}"),
+            seed,
+            cases,
+            proof=not development,
+            say=typer.echo,
+            part=bar or (lambda _part: None),
+        )
+    if json:
+        write_json(json, content)
 
 
 def loop(

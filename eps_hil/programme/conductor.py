@@ -24,11 +24,13 @@ _REST_RAD_S = 1.0
 
 
 class Reading(NamedTuple):
-    """Means over the last tick: rotor speed, rack position from its centre, load cell."""
+    """Means over the last tick: rotor speed, rack position from its centre, load cell, torques."""
 
     speed_rad_s: float
     position_m: float
     force_n: float
+    sensor_nm: float = 0.0
+    motor_nm: float = 0.0
 
 
 class Wanted(NamedTuple):

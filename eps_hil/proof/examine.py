@@ -75,13 +75,17 @@ class Diagnoser:
 
     def diagnose(self, case: Path, results: Path) -> Examined:
         """Diagnose one case folder; results/<id>.json, .yaml (the augmented model), .html."""
+        given = arguments(sorted(path.name for path in case.iterdir()), case)
+        return self.ask(["diagnose", *_ASKED_FOR, *given], case, results)
+
+    def ask(self, words: Sequence[str], case: Path, results: Path) -> Examined:
+        """Have a verb answer in a copy of the case folder; what it hands in goes to results."""
         since = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             desk = Path(folder)
             for path in case.iterdir():
                 shutil.copy(path, desk / path.name)
-            given = arguments(sorted(path.name for path in case.iterdir()), case)
-            problem = self._run(desk, ["diagnose", *_ASKED_FOR, *given])
+            problem = self._run(desk, words)
             for name, suffix in _HANDED_IN.items():
                 if not problem and (desk / name).exists():
                     shutil.move(desk / name, results / f"{case.name}{suffix}")

@@ -21,8 +21,7 @@ from eps_hil.bus.port import Port, open_port
 from eps_hil.cli.main import main
 from eps_hil.physics.model import load_model
 from eps_hil.programme.conductor import Wanted
-from eps_hil.programme.plan import Plan
-from eps_hil.programme.run import ProgrammeRun
+from eps_hil.programme.link import RigLink
 from eps_hil.recordings.read import read_recording
 
 ROOT = Path(__file__).parents[2]
@@ -174,7 +173,7 @@ def test_without_a_rig_it_says_so(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("eps_hil.programme.run._FIRST_WAIT_S", 0.2)
+    monkeypatch.setattr("eps_hil.programme.link._FIRST_WAIT_S", 0.2)
     silent = config.read_text().replace(CHANNEL, "239.74.163.92").replace("43191", "43192")
     config.write_text(silent)
     words = ["programme", str(tmp_path / "plan.yaml"), "--config", str(config)]
@@ -210,10 +209,9 @@ def test_two_programmes_do_not_share_a_rig(
     assert seen == []
 
 
-def test_no_set_point_holds_a_torque_of_the_motor(config: Path, tmp_path: Path) -> None:
-    """Whatever the plan says: a share of the preload for the motor is a torque without a guard."""
-    plan = Plan("p", (5.0,), (3000.0,), motor_share=1.0)
-    run = ProgrammeRun(load_bus_setup(config), load_model(REFERENCE), plan, tmp_path)
+def test_no_set_point_holds_a_torque_of_the_motor(config: Path) -> None:
+    """Whoever leads the rig: a share of the preload for the motor is a torque without a guard."""
+    link = RigLink(load_bus_setup(config), load_model(REFERENCE))
     sent: list[Frame] = []
 
     class PortThatKeeps:
@@ -222,9 +220,9 @@ def test_no_set_point_holds_a_torque_of_the_motor(config: Path, tmp_path: Path) 
             return True
 
     stand_in: Any = PortThatKeeps()
-    run._port = stand_in
+    link._port = stand_in
     for force_n in (0.0, 3000.0, -3000.0):
-        run._send(Wanted(5.0, force_n))
+        link.send(Wanted(5.0, force_n))
     told = [DATABASE.decode_message("RIG_Command", f.data, decode_choices=False) for f in sent]
     assert [each["RackForceSetPoint"] for each in told] == [0.0, 3000.0, -3000.0]
     assert {each["MotorShare"] for each in told} == {0.0}

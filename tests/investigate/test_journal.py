@@ -1,0 +1,55 @@
+"""Steps on disk: whole or not at all, and of one investigation."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from eps_hil.errors import InputError
+from eps_hil.investigate.experiment import Experiment, Kind
+from eps_hil.investigate.journal import Journal, Step
+from eps_hil.physics.model import load_model
+from eps_hil.programme.limits import Limits
+
+MODEL = load_model(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
+EXPERIMENT = Experiment(Kind.LOAD_SINE, 20.0, 1000.0, 0.5, 0.3)
+
+
+def test_steps_come_back_as_they_were(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "out", MODEL, Limits(), simulated=True)
+    log = journal.log_of(1, EXPERIMENT)
+    steps = [Step(1, EXPERIMENT, 12.5, log), Step(2, EXPERIMENT, 3.0, log, "beyond a limit")]
+    for step in steps:
+        journal.write_step(step)
+    again = Journal(tmp_path / "out", MODEL, Limits(), simulated=True)
+    assert again.steps() == steps
+
+
+def test_a_log_that_is_being_written_is_no_step(tmp_path: Path) -> None:
+    journal = Journal(tmp_path, MODEL, Limits(), simulated=True)
+    journal.log_of(1, EXPERIMENT).with_suffix(".part.log").write_text("half a")
+    journal.log_of(2, EXPERIMENT).write_text("whole, but its step was never written")
+    assert journal.steps() == []
+
+
+def test_another_rig_or_model_or_other_limits_are_refused(tmp_path: Path) -> None:
+    Journal(tmp_path, MODEL, Limits(), simulated=True)
+    others = (
+        (replace(MODEL, inertia_kg_m2=3e-4), Limits(), True),
+        (MODEL, Limits(load_n=1.0), True),
+        (MODEL, Limits(), False),
+    )
+    for model, limits, simulated in others:
+        with pytest.raises(InputError, match="another model file, other limits"):
+            Journal(tmp_path, model, limits, simulated)
+
+
+def test_a_damaged_step_is_said(tmp_path: Path) -> None:
+    journal = Journal(tmp_path, MODEL, Limits(), simulated=True)
+    (tmp_path / "step_01.json").write_text(json.dumps({"number": 1}))
+    with pytest.raises(InputError, match="is no step"):
+        journal.steps()
+    (tmp_path / "step_01.json").write_text("{")
+    with pytest.raises(InputError, match="cannot be read"):
+        journal.steps()
