@@ -46,7 +46,7 @@ def render(found: Budget, about: About) -> str:
         wholes=_wholes(found),
         groups=[_group(found, line) for line in found.groups],
         picture=picture,
-        css=page.asset("diagnosis.css"),
+        css=page.asset("page.css"),
     )
 
 

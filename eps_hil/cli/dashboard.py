@@ -1,12 +1,20 @@
 """``eps-hil dashboard``: the live page, and the page of a recording (CONTRACT 6)."""
 
+import enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 if TYPE_CHECKING:
+    from eps_hil.dashboard.diagnosis import Subject
     from eps_hil.service.config import ServiceConfig
+
+
+class _From(enum.StrEnum):
+    HERE = "here"
+    ANYWHERE = "anywhere"
+    NOWHERE = "nowhere"
 
 
 def register(app: typer.Typer) -> None:
@@ -24,6 +32,11 @@ def dashboard(
     marks: Path = typer.Option(
         None, help="Append marks to this file (default: beside REC; else the page keeps them)."
     ),
+    diagnose_from: _From = typer.Option(
+        "here",
+        help="Who may start a diagnosis: pages on this machine (here), any page that reaches the "
+        "port (anywhere), none (nowhere).",
+    ),
 ) -> None:
     """Signals, estimate, residual and state live in a browser. Read-only; sends nothing."""
     from eps_hil.dashboard.server import check
@@ -40,13 +53,20 @@ def dashboard(
     check_places(marks)
     kept = Marks(marks)
     if recording is not None:
-        _show_recording(recording, loaded, kept, host, port)
+        _show_recording(recording, loaded, kept, host, port, diagnose_from)
         return
-    _show_bus(loaded, marks, listening(host, port), host)
+    sock = listening(host, port)
+    _say_where(host, sock.getsockname()[1])  # who comes now waits a moment, and is answered
+    _show_bus(loaded, marks, sock, host, diagnose_from)
 
 
 def _show_recording(
-    recording: Path, config: "ServiceConfig", marks: object, host: str, port: int
+    recording: Path,
+    config: "ServiceConfig",
+    marks: object,
+    host: str,
+    port: int,
+    who: _From,
 ) -> None:
     from eps_hil.cli._inputs import check_extras, progress, say_notes
     from eps_hil.dashboard.marks import Marks
@@ -60,10 +80,40 @@ def _show_recording(
     say_notes(recording, notes)
     _say_where(host, sock.getsockname()[1])
     assert isinstance(marks, Marks)
-    serve(Hub(About(recording.name, recording.name, notes), store, marks), sock, host)
+    about = About(recording.name, recording.name, notes)
+    subject = _subject(config, who, recording=recording)
+    serve(Hub(about, store, marks, subject, anyone=who is _From.ANYWHERE), sock, host)
 
 
-def _show_bus(config: "ServiceConfig", marks: Path | None, sock: object, host: str) -> None:
+def _subject(
+    config: "ServiceConfig",
+    who: _From,
+    measured: tuple[str, ...] = (),
+    recording: Path | None = None,
+) -> "Subject | None":
+    """What can be diagnosed; None: nothing."""
+    from eps_hil.dashboard.collect import late_ns
+    from eps_hil.dashboard.diagnosis import Subject
+    from eps_hil.monitor.alarm import limits_of
+    from eps_hil.physics.model import load_model
+
+    if who is _From.NOWHERE:
+        return None
+    model = load_model(config.model)
+    return Subject(
+        config.model,
+        measured,
+        tuple(late_ns(model, name) for name in measured),
+        recording,
+        tuple(config.dbc),
+        config.signals,
+        limits_of(model).balance_n,
+    )
+
+
+def _show_bus(
+    config: "ServiceConfig", marks: Path | None, sock: object, host: str, who: _From
+) -> None:
     import multiprocessing
     import socket
 
@@ -78,13 +128,14 @@ def _show_bus(config: "ServiceConfig", marks: Path | None, sock: object, host: s
     port = open_watched(config.bus, _say)
     stop = stop_on_signals()
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    about = About(str(config.bus))
+    about, subject = About(str(config.bus)), _subject(config, who, listener.mapped)
     server = multiprocessing.get_context("spawn").Process(
-        target=serve_live, args=(sock, host, theirs, about, marks), daemon=True
+        target=serve_live,
+        args=(sock, host, theirs, about, marks, subject, who is _From.ANYWHERE),
+        daemon=True,
     )
     server.start()
     theirs.close()
-    _say_where(host, sock.getsockname()[1])
     try:
         listener.warm_up()
         if not listen(listener, port, Outlet(ours), lambda: stop() or not server.is_alive()):

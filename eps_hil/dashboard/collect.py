@@ -10,23 +10,33 @@ import numpy as np
 
 from eps_hil.dashboard.decimate import Float64, Int64, at_instants
 from eps_hil.dashboard.store import Block
-from eps_hil.dashboard.traces import ANGLE, CELL, ERROR, ESTIMATE, FRICTION, NAMES, POSITION
+from eps_hil.dashboard.traces import (
+    ANGLE,
+    CELL,
+    ERROR,
+    ESTIMATE,
+    FRICTION,
+    MEASURED,
+    POSITION,
+)
 from eps_hil.physics.model import Model
 
 _KEPT = 2000
 """Load-cell samples that estimates still to come are compared with."""
 
 
+def late_ns(model: Model, name: str) -> int:
+    """What lies between the instant that a sample of a signal speaks of and its stamp."""
+    return round(model.delays_s.of(name) * 1e9)
+
+
 class Collector:
     """An :class:`~eps_hil.monitor.view_model.Ear`. ``mapped``: the signals that can come."""
 
     def __init__(self, model: Model, mapped: frozenset[str]) -> None:
-        names = [name for name in NAMES if name not in {ESTIMATE, FRICTION, ERROR}]
-        self._late_ns = {name: round(model.delays_s.of(name) * 1e9) for name in names}
+        self._late_ns = {name: late_ns(model, name) for name in MEASURED}
         self._ratio = model.rack_to_rotor_ratio_rad_per_m
         self._from_angle = POSITION not in mapped and ANGLE in mapped
-        if self._from_angle:
-            self._late_ns[ANGLE] = round(model.delays_s.of(ANGLE) * 1e9)
         self._new: dict[str, tuple[array[int], array[float]]] = {}
         self._cell: Block = (np.empty(0, np.int64), np.empty(0))
         self._waiting: Block = self._cell
@@ -34,9 +44,9 @@ class Collector:
 
     def sample(self, name: str, t_ns: int, value: float) -> None:
         """One sample of a mapped signal; NaN is one that the frame's checks refused."""
-        late_ns = self._late_ns.get(name)
-        if late_ns is not None:
-            self._put(name, t_ns - late_ns, value)
+        late = self._late_ns.get(name)
+        if late is not None:
+            self._put(name, t_ns - late, value)
 
     def estimate(self, t_ns: int, age_ns: int | None, force_n: float, friction_nm: float) -> None:
         """A published estimate by its frame's stamp; NaN where it is not valid."""
@@ -62,7 +72,6 @@ class Collector:
         if self._from_angle and ANGLE in blocks:
             t_ns, angle = blocks[ANGLE]
             blocks[POSITION] = t_ns, angle / self._ratio
-        blocks.pop(ANGLE, None)
         if error := self._error(blocks.get(ESTIMATE), blocks.get(CELL)):
             blocks[ERROR] = error
         return blocks

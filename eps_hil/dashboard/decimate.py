@@ -50,5 +50,6 @@ def at_instants(t_ns: Int64, value: Float64, at_ns: Int64, hold_ns: int = HOLD_N
     width = t_ns[right] - t_ns[left]
     share = (at_ns - t_ns[left]) / width
     between = value[left] + share * (value[right] - value[left])
+    between = np.where(share == 1.0, value[right], between)  # the one on the left may be bad
     inside = (share >= 0.0) & (share <= 1.0) & (width <= hold_ns)
     return np.where(inside, between, np.nan)

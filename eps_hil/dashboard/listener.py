@@ -6,18 +6,23 @@ take in time is counted and left out.
 
 import json
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
+from eps_hil import compiled
+from eps_hil.board import notices
 from eps_hil.bus.database import find_message, load_database
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.bus.port import Port
 from eps_hil.bus.reconnecting_port import ReconnectingPort
 from eps_hil.dashboard.collect import Collector
 from eps_hil.dashboard.store import Block
+from eps_hil.dashboard.traces import BALANCE, MEASURED
 from eps_hil.dashboard.wire import pack
 from eps_hil.dashboard.words import Source, state_of
 from eps_hil.monitor.alarm import limits_of
@@ -27,9 +32,31 @@ from eps_hil.service.config import ServiceConfig
 
 BATCH_S, STATE_S, _WAIT_S = 0.04, 0.25, 0.02
 SAMPLES, STATE = b"S", b"J"
-_PIECE = 1500
+_WARM = """
+import os, sys
+os.nice(19)
+from eps_hil.monitor.residual import warm_up
+from eps_hil.physics.model import load_model
+warm_up(load_model(sys.argv[1]))
+"""
+_PIECE = 700
 """Samples of a trace in one message: all traces stay below a socket's buffer."""
 _PENDING, _FEW = 50, 20
+
+
+class Taker(Protocol):
+    """Where a listener's samples and figures go; ``dropped`` counts what was not taken."""
+
+    dropped: int
+
+    def samples(self, blocks: dict[str, Block]) -> None:
+        """Of all traces, since the last call."""
+
+    def state(self, content: dict[str, Any]) -> None:
+        """The newest figures."""
+
+    def flush(self) -> bool:
+        """Send what can be sent; False when nobody is at the other end."""
 
 
 class Outlet:
@@ -95,16 +122,42 @@ class Listener:
             if message is not None and message.name != config.publish.message:
                 self.sources[name] = (message.name, int(message.frame_id))
 
+        self.mapped = tuple(name for name in mapping.signals if name in MEASURED)
+        self._bus, self._model_file = str(config.bus), config.model
+        self._balanced_ns = 0
         self._warm = threading.Event()
 
     def warm_up(self) -> None:
-        """Load or compile the residual's code; the page moves meanwhile, without that figure."""
+        """Load or compile the residual's code; the page moves meanwhile, without that figure.
+
+        Compiling is another process' work, at the lowest priority: here it would keep the frames
+        waiting, and what rig and service compile at the same time is wanted first.
+        """
 
         def work() -> None:
+            if compiled.FOLDER is not None:
+                subprocess.run(
+                    [sys.executable, "-c", _WARM, str(self._model_file)], check=False,
+                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                )  # fmt: skip
             self.monitor.warm_up()
             self._warm.set()
 
         threading.Thread(target=work, daemon=True).start()
+
+    def balance(self) -> dict[str, Block]:
+        """The torque balance that the last state went by, what is new of it."""
+        found = self.monitor.balance
+        if found is None:
+            return {}
+        t_ns, left_n = found
+        if self._balanced_ns > t_ns[-1] + 1_000_000_000:
+            self._balanced_ns = 0  # the clock was set back
+        new = t_ns > self._balanced_ns
+        if not new.any():
+            return {}
+        self._balanced_ns = int(t_ns[-1])
+        return {BALANCE: (t_ns[new], left_n[new])}
 
     def state(self, port: ReconnectingPort | Port) -> dict[str, Any]:
         """What the page shows beside its plots."""
@@ -112,13 +165,14 @@ class Listener:
         figures = self.monitor.figures(time.time_ns(), port.counts, port.state, loading=loading)
         outages = getattr(port, "outages", [])
         lost = outages[-1].reason if outages and not outages[-1].until_ns else ""
-        return state_of(figures, self.sources, self.estimate, lost)
+        jobs = notices(self._bus)
+        return state_of(figures, self.sources, self.estimate, lost, jobs)
 
 
 def listen(
     listener: Listener,
     port: ReconnectingPort | Port,
-    outlet: Outlet,
+    outlet: Taker,
     stop: Callable[[], bool] = lambda: False,
 ) -> bool:
     """Until ``stop``, or nobody takes it any more (then False); closes the port."""
@@ -137,6 +191,7 @@ def listen(
                 if not _catch_up(listener.monitor, port):
                     continue  # ages of frames that wait to be read would be told as silence
                 outlet.state(listener.state(port) | {"dropped": outlet.dropped})
+                outlet.samples(listener.balance())
         return True
     finally:
         port.close()

@@ -5,12 +5,25 @@ from pathlib import Path
 
 import numpy as np
 
-from eps_hil.dashboard.collect import Collector
-from eps_hil.dashboard.decimate import at_instants
+from eps_hil.dashboard.collect import Collector, late_ns
+from eps_hil.dashboard.decimate import Float64, Int64, at_instants
 from eps_hil.dashboard.store import Block, Store
-from eps_hil.dashboard.traces import ANGLE, CELL, ERROR, ESTIMATE, FRICTION, NAMES, POSITION
+from eps_hil.dashboard.traces import (
+    ANGLE,
+    BALANCE,
+    CELL,
+    ERROR,
+    ESTIMATE,
+    FRICTION,
+    MEASURED,
+    NAMES,
+    POSITION,
+    SPEED,
+)
+from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.errors import InputError
 from eps_hil.monitor.alarm import limits_of
+from eps_hil.monitor.residual import balance_of
 from eps_hil.monitor.view_model import Monitor
 from eps_hil.physics.model import Model, load_model
 from eps_hil.recordings.can_log import read_frames
@@ -19,6 +32,8 @@ from eps_hil.series import Series
 from eps_hil.service.config import ServiceConfig
 
 _TOGETHER = 10_000
+_PIECE_NS, _LAP_NS = 60_000_000_000, 1_000_000_000
+"""A recording's balance is made of pieces that overlap, so that hours of it fit."""
 Progress = Callable[[float], None] | None
 
 
@@ -30,7 +45,9 @@ def store_of(
         return _of_log(path, config, on_progress)
     found = read_recording(path, gaps="mark", ignore_unknown=True)
     store = Store()
-    store.append(blocks_of(found.series, load_model(config.model)))
+    model = load_model(config.model)
+    store.append(blocks_of(found.series, model))
+    store.append(balance_of_recording(found.series, model))
     return _filled(path, store), found.notes
 
 
@@ -58,7 +75,8 @@ def _of_log(
     path: Path, config: ServiceConfig, on_progress: Progress
 ) -> tuple[Store, tuple[str, ...]]:
     model = load_model(config.model)
-    collector = Collector(model, _mapped(config))
+    mapped = _mapped(config)
+    collector = Collector(model, mapped)
     monitor = Monitor(config, limits_of(model), ear=collector)
     store, notes = Store(), list[str]()
     for k, frame in enumerate(read_frames(path, notes=notes, on_progress=on_progress), 1):
@@ -66,9 +84,44 @@ def _of_log(
         if k % _TOGETHER == 0:
             store.append(collector.drain())
     store.append(collector.drain())
+    whole = {
+        name: Series(track.t_ns + late_ns(model, name), track.value)
+        for name in mapped & set(MEASURED)
+        if len((track := store.tracks[name]).t_ns) > 2
+    }
+    store.append(balance_of_recording(whole, model))
     if not len(store.tracks[ESTIMATE].t_ns) and not len(store.tracks[FRICTION].t_ns):
         notes.append("no published estimate in this log")
     return _filled(path, store), tuple(notes)
+
+
+def balance_of_recording(series: Mapping[str, Series], model: Model) -> dict[str, Block]:
+    """Residual of the torque balance, piece after piece; empty where a recording has none."""
+    needed = {"motor_torque_nm", "rack_force_n"} - series.keys()
+    if needed or not {SPEED, ANGLE} & series.keys():
+        return {}
+    begin = min(int(one.t_ns[0]) for one in series.values())
+    end = max(int(one.t_ns[-1]) for one in series.values())
+    t_ns, left_n = list[Int64](), list[Float64]()
+    for first in range(begin, end, _PIECE_NS):
+        try:
+            piece = {
+                name: _between(one, first - _LAP_NS, first + _PIECE_NS + _LAP_NS)
+                for name, one in series.items()
+            }
+            piece = {name: one for name, one in piece.items() if len(one.t_ns) > 100}
+            at_ns, value = balance_of(prepare("piece", piece), piece, model)
+        except ValueError:  # too short, or a signal is not there for so long
+            continue
+        own = (at_ns >= first) & (at_ns < first + _PIECE_NS)
+        t_ns.append(at_ns[own])
+        left_n.append(value[own])
+    return {BALANCE: (np.concatenate(t_ns), np.concatenate(left_n))} if t_ns else {}
+
+
+def _between(one: Series, begin_ns: int, end_ns: int) -> Series:
+    cut = slice(*np.searchsorted(one.t_ns, (begin_ns, end_ns)).tolist())
+    return Series(one.t_ns[cut], one.value[cut])
 
 
 def _mapped(config: ServiceConfig) -> frozenset[str]:

@@ -1,7 +1,8 @@
 """The page's server: shows what the listener hands over, in a process that knows no bus.
 
-All that a page can change are the marks. Everything is served from this machine's own files; a
-request under a foreign name (DNS rebinding) or from a foreign page is refused.
+All that a page can change are the marks, and it can have a stretch diagnosed. Everything is served
+from this machine's own files; a request under a foreign name (DNS rebinding) or from a foreign page
+is refused.
 """
 
 import asyncio
@@ -19,8 +20,10 @@ from typing import Any
 
 import numpy as np
 
+from eps_hil.dashboard.diagnosis import Diagnoses, Subject
 from eps_hil.dashboard.feed import Feed, answer
 from eps_hil.dashboard.marks import Marks
+from eps_hil.dashboard.mismatch import overview
 from eps_hil.dashboard.store import Store
 from eps_hil.dashboard.traces import NAMES, layout
 from eps_hil.dashboard.wire import unpack
@@ -28,12 +31,17 @@ from eps_hil.errors import BusError, InputError
 from eps_hil.report.page import library
 
 LIBRARIES = ("starlette", "uvicorn", "websockets", "uplot")
-KEPT_S = 120.0
-"""What a live page can look back at."""
-_TICK_S = 0.04
+KEPT_S = 180.0
+"""What a live page can look back at, and what it can diagnose."""
+_TICK_S, _OVERVIEW_S = 0.04, 1.0
 _LONGEST_EXPORT_S, _EXPORT_STEP_NS = 600.0, 1_000_000
 _NICE = 10
 _MEDIA = {".js": "text/javascript", ".css": "text/css", ".html": "text/html"}
+_REPORT_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; "
+    "script-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; sandbox allow-scripts",
+}
+"""A diagnosis' page is self-contained: it may ask nothing, not even us."""
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
@@ -78,12 +86,41 @@ class About:
 
 
 class Hub:
-    """What all pages share."""
+    """What all pages share. ``subject`` None: nothing can be diagnosed.
 
-    def __init__(self, about: About, store: Store, marks: Marks) -> None:
+    ``anyone``: not only pages on this machine may start a diagnosis.
+    """
+
+    def __init__(
+        self,
+        about: About,
+        store: Store,
+        marks: Marks,
+        subject: Subject | None = None,
+        *,
+        anyone: bool = False,
+    ) -> None:
         self.about, self.store, self.marks = about, store, marks
         self.state, self.state_number = "", 0
         self.ended = False
+        self.diagnoses = None if subject is None else Diagnoses(subject, about.title)
+        self._limit_n = 0.0 if subject is None else subject.limit_n
+        self._anyone = anyone
+        self._overview: tuple[int | None, str] = (None, "")
+
+    def may_diagnose(self, peer: str) -> bool:
+        """Whether a page at this address may start and cancel a diagnosis."""
+        return self.diagnoses is not None and (self._anyone or _loopback(peer))
+
+    def overview(self) -> str:
+        """Where rig and model part, as a message; "" where there is nothing. Pages share one."""
+        newest = self.store.newest_ns
+        at, text = self._overview
+        if newest is not None and (at is None or abs(newest - at) >= _OVERVIEW_S * 1e9):
+            found = overview(self.store, self._limit_n)
+            text = "" if found is None else json.dumps({"mismatch": found})
+            self._overview = newest, text
+        return text
 
     def take(self, message: bytes) -> None:
         """One message of the listener."""
@@ -92,8 +129,8 @@ class Hub:
         else:
             self.state, self.state_number = message[1:].decode(), self.state_number + 1
 
-    def layout(self) -> dict[str, Any]:
-        """Traces, plots, and what is shown."""
+    def layout(self, peer: str = "") -> dict[str, Any]:
+        """Traces, plots, what is shown, and what a page at ``peer`` may do."""
         begin, end = self.store.oldest_ns, self.store.newest_ns
         span = None if begin is None or end is None else [begin * 1e-9, end * 1e-9]
         return layout() | {
@@ -101,6 +138,8 @@ class Hub:
             "recording": self.about.recording,
             "notes": list(self.about.notes),
             "span": span if self.about.recording is not None else None,
+            "may_diagnose": self.may_diagnose(peer),
+            "can_diagnose": self.diagnoses is not None,
             "marks_file": None if self.marks.path is None else self.marks.path.name,
         }
 
@@ -193,8 +232,16 @@ def application(hub: Hub, bound: str, listener: socket.socket | None = None) -> 
             return PlainTextResponse("no such file\n", 404)
         return Response(held[name], media_type=_MEDIA[Path(name).suffix], headers=_HEADERS)
 
-    async def about(_: Request) -> Response:
-        return JSONResponse(hub.layout(), headers=_HEADERS)
+    async def about(request: Request) -> Response:
+        return JSONResponse(hub.layout(_peer(request)), headers=_HEADERS)
+
+    async def report(request: Request) -> Response:
+        count = request.path_params["count"]
+        path = None if hub.diagnoses is None else hub.diagnoses.report(count)
+        if path is None:
+            return PlainTextResponse("no such diagnosis\n", 404)
+        text = await asyncio.to_thread(path.read_text, encoding="utf-8")
+        return Response(text, media_type="text/html", headers=_HEADERS | _REPORT_HEADERS)
 
     async def export(request: Request) -> Response:
         try:
@@ -232,6 +279,8 @@ def application(hub: Hub, bound: str, listener: socket.socket | None = None) -> 
             listener.setblocking(False)
             loop.add_reader(listener, take)
         yield
+        if hub.diagnoses is not None:
+            await hub.diagnoses.close()
 
     return Starlette(
         routes=[
@@ -240,11 +289,16 @@ def application(hub: Hub, bound: str, listener: socket.socket | None = None) -> 
             Route("/layout.json", about),
             Route("/export.csv", export),
             Route("/marks.jsonl", marks),
+            Route("/diagnosis/{count:int}.html", report),
             WebSocketRoute("/feed", lambda socket: Page(hub, socket).run()),
         ],
         middleware=[Middleware(Guard, bound=bound)],
         lifespan=lifespan,
     )
+
+
+def _peer(connection: Any) -> str:
+    return "" if connection.client is None else str(connection.client.host)
 
 
 class Page:
@@ -254,7 +308,8 @@ class Page:
         self._hub, self._socket = hub, connection
         self._feed = Feed()
         self._answers: list[tuple[float, float, int, int]] = []
-        self._state_sent = self._marks_sent = -1
+        self._state_sent = self._marks_sent = self._diagnosis_sent = -1
+        self._overview_sent = ""
 
     async def run(self) -> None:
         """Until either side goes away."""
@@ -288,8 +343,27 @@ class Page:
             if "mark" in said:
                 mark = said["mark"]
                 self._hub.marks.add(round(float(mark["t"]) * 1e9), str(mark["text"]))
+            if self._hub.may_diagnose(_peer(self._socket)) and self._hub.diagnoses is not None:
+                self._hear_of_diagnosis(said, self._hub.diagnoses)
         except (ValueError, TypeError, KeyError, OverflowError):
             return
+
+    def _hear_of_diagnosis(self, said: dict[str, Any], diagnoses: Diagnoses) -> None:
+        if "diagnose" in said:
+            wanted = said["diagnose"]
+            diagnoses.start(self._hub.store, float(wanted["from"]), float(wanted["to"]))
+        if "cancel" in said:
+            diagnoses.cancel()
+
+    async def _send_mismatch(self) -> None:
+        hub = self._hub
+        if hub.diagnoses is not None and self._diagnosis_sent != hub.diagnoses.number:
+            self._diagnosis_sent = hub.diagnoses.number
+            await self._socket.send_text(json.dumps({"diagnosis": hub.diagnoses.as_json()}))
+        if not self._feed.waits and self._overview_sent is not (text := hub.overview()):
+            self._overview_sent = text
+            if text:
+                await self._socket.send_text(text)
 
     async def _send(self) -> None:
         hub = self._hub
@@ -301,6 +375,7 @@ class Page:
                 if self._marks_sent != len(hub.marks.marks):
                     self._marks_sent = len(hub.marks.marks)
                     await self._socket.send_text(json.dumps({"marks": hub.marks.as_json()}))
+                await self._send_mismatch()
                 while self._answers:
                     found = answer(hub.store, *self._answers.pop())
                     if found is not None:
@@ -332,7 +407,14 @@ def serve(hub: Hub, sock: socket.socket, bound: str, listener: socket.socket | N
 
 
 def serve_live(
-    sock: socket.socket, bound: str, listener: socket.socket, about: About, marks: Path | None
+    sock: socket.socket,
+    bound: str,
+    listener: socket.socket,
+    about: About,
+    marks: Path | None,
+    subject: Subject | None,
+    anyone: bool,
 ) -> None:
     """What the server's process runs."""
-    serve(Hub(about, Store(KEPT_S), Marks(marks)), sock, bound, listener)
+    hub = Hub(about, Store(KEPT_S), Marks(marks), subject, anyone=anyone)
+    serve(hub, sock, bound, listener)

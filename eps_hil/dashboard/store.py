@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.dashboard.decimate import Float32, Float64, Int64, at_instants, least_and_greatest
-from eps_hil.dashboard.traces import AT_ONE_INSTANT, NAMES
+from eps_hil.dashboard.traces import AT_ONE_INSTANT, KEPT, NAMES
 
 Block = tuple[Int64, Float64]
 _FIRST = 1024
@@ -61,8 +61,8 @@ class Track:
     def _make_room(self, more: int) -> None:
         t_ns, value = self.t_ns, self.value
         size = len(self._t_ns)
-        while size < 2 * (len(t_ns) + more):
-            size *= 2
+        if size < 1.5 * (len(t_ns) + more):
+            size = 2 * (len(t_ns) + more)
         new_t, new_value = np.empty(size, np.int64), np.empty(size, np.float64)
         new_t[: len(t_ns)], new_value[: len(t_ns)] = t_ns, value
         self._t_ns, self._value, self._begin, self._end = new_t, new_value, 0, len(t_ns)
@@ -92,15 +92,16 @@ class Store:
 
     def __init__(self, length_s: float | None = None) -> None:
         length_ns = None if length_s is None else round(length_s * 1e9)
-        self.tracks = {name: Track(length_ns) for name in NAMES}
+        self.tracks = {name: Track(length_ns) for name in KEPT}
+        self._drawn = [self.tracks[name] for name in NAMES]
         self.epoch = 0
         """Goes up when a clock that was set back made the store begin anew."""
         self._cuts: dict[tuple[int, int, int], Cut] = {}
 
     def append(self, blocks: Mapping[str, Block]) -> None:
-        """Samples by trace."""
+        """Samples by trace; what is not drawn may be of long ago."""
         newest = self.newest_ns
-        starts = [int(t_ns[0]) for t_ns, _ in blocks.values() if len(t_ns)]
+        starts = [int(t_ns[0]) for name, (t_ns, _) in blocks.items() if len(t_ns) and name in NAMES]
         if newest is not None and starts and max(starts) < newest - _BACK_NS:
             for track in self.tracks.values():
                 track.clear()
@@ -111,20 +112,20 @@ class Store:
 
     @property
     def newest_ns(self) -> int | None:
-        """Of all traces; None where there is no sample."""
-        newest = [t for track in self.tracks.values() if (t := track.newest_ns) is not None]
+        """Of what is drawn; None where there is no sample."""
+        newest = [t for track in self._drawn if (t := track.newest_ns) is not None]
         return max(newest, default=None)
 
     @property
     def oldest_ns(self) -> int | None:
-        """Of all traces; None where there is no sample."""
-        first = [int(track.t_ns[0]) for track in self.tracks.values() if len(track.t_ns)]
+        """Of what is drawn; None where there is no sample."""
+        first = [int(track.t_ns[0]) for track in self._drawn if len(track.t_ns)]
         return min(first, default=None)
 
     @property
     def horizon_ns(self) -> int | None:
         """Up to where every trace that still comes is complete: estimates come later than speed."""
-        newest = [t for track in self.tracks.values() if (t := track.newest_ns) is not None]
+        newest = [t for track in self._drawn if (t := track.newest_ns) is not None]
         if not newest:
             return None
         return min(t for t in newest if t >= max(newest) - _LIVE_NS)
@@ -143,7 +144,7 @@ class Store:
     def _made(self, begin_ns: int, bucket_ns: int, n: int) -> Cut:
         strips = np.stack([
             least_and_greatest(track.t_ns, track.value, begin_ns, bucket_ns, n)
-            for track in self.tracks.values()
+            for track in self._drawn
         ])  # fmt: skip
         quarters = begin_ns + bucket_ns // 4 + bucket_ns * np.arange(2 * n, dtype=np.int64) // 2
         instants = np.stack([self.at(name, quarters) for name in AT_ONE_INSTANT])

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from eps_hil.signals import CANONICAL
+from eps_hil.signals import CANONICAL, PUBLISHED
 
 ERROR = "rack_force_error_n"
 """Published estimate less load cell, of one physical instant."""
@@ -33,6 +33,12 @@ TRACES = (
 )
 NAMES = tuple(trace.name for trace in TRACES)
 """In the order in which values travel."""
+BALANCE = "torque_balance_n"
+"""Residual of the torque balance as force at the rack; NaN where the rotor does not slide."""
+MEASURED = tuple(name for name in CANONICAL if name not in PUBLISHED)
+"""What a diagnosis reads of a bus."""
+KEPT = (*NAMES, BALANCE, *(name for name in MEASURED if name not in NAMES))
+"""All that is kept: what is drawn first, and what a map or a diagnosis needs beside it."""
 AT_ONE_INSTANT = (POSITION, CELL, ESTIMATE, SPEED, FRICTION)
 """What plots of one quantity over another need, all at the same instants."""
 STRIPS = (

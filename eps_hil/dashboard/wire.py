@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 
 from eps_hil.dashboard.store import Block, Cut
-from eps_hil.dashboard.traces import NAMES
+from eps_hil.dashboard.traces import KEPT
 
 _HEAD = struct.Struct("<4sB3xIIdd")
 _BLOCK = struct.Struct("<HI")
@@ -39,7 +39,7 @@ def pack(blocks: Mapping[str, Block]) -> bytes:
     """Samples by trace, for the other process."""
     parts = []
     for name, (t_ns, value) in blocks.items():
-        parts += [_BLOCK.pack(NAMES.index(name), len(t_ns)), t_ns.tobytes(), value.tobytes()]
+        parts += [_BLOCK.pack(KEPT.index(name), len(t_ns)), t_ns.tobytes(), value.tobytes()]
     return b"".join(parts)
 
 
@@ -56,4 +56,4 @@ def _blocks(data: bytes) -> Iterator[tuple[str, Block]]:
         t_ns = np.frombuffer(data, np.int64, n, place)
         value = np.frombuffer(data, np.float64, n, place + 8 * n)
         place += 16 * n
-        yield NAMES[which], (t_ns, value)
+        yield KEPT[which], (t_ns, value)

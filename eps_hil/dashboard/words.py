@@ -1,7 +1,7 @@
 """The monitor's figures as the page's state: what is missing or wrong in words, with the remedy."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from eps_hil.bus.port import BusState
@@ -10,15 +10,25 @@ from eps_hil.monitor.text import bits_in_words
 
 _QUIET = ("age_s", "Crc", "Counter")
 _SILENT_S = 1.0
+_STARTING = {"rig": "is the rig there?", "service": "is the service (eps-hil run) there?"}
+"""What is asked of a program that is missing: no question while it says that it starts."""
 Source = tuple[str, int]
 """Message and id."""
 
 
 def state_of(
-    figures: Figures, sources: dict[str, Source], estimate: Source | None, lost: str = ""
+    figures: Figures,
+    sources: dict[str, Source],
+    estimate: Source | None,
+    lost: str = "",
+    jobs: Iterable[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
-    """Everything the page shows beside its plots; ``lost``: why there is no bus."""
+    """Everything the page shows beside its plots; ``lost``: why there is no bus.
+
+    ``jobs``: what other programs on this bus say that they are doing (:mod:`eps_hil.board`).
+    """
     plain = figures.as_json()
+    starting = {str(job["kind"]): job for job in jobs if job.get("kind") in _STARTING}
     plain["told"] = {
         name: {
             "age_s": values["age_s"],
@@ -26,7 +36,12 @@ def state_of(
         }
         for name, values in plain["told"].items()
     }
-    plain["problems"] = problems(figures, sources, estimate, lost)
+    plain["jobs"] = [job for job in jobs if job.get("kind") not in _STARTING]
+    plain["waiting"] = [f"the {job['title']} {job.get('text', '')}" for job in starting.values()]
+    plain["problems"] = [
+        problem for problem in problems(figures, sources, estimate, lost)
+        if not any(answer in problem for kind, answer in _STARTING.items() if kind in starting)
+    ]  # fmt: skip
     return plain
 
 

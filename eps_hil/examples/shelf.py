@@ -55,14 +55,15 @@ def examples() -> tuple[Example, ...]:
 
 
 def find(name: str) -> Example:
-    """The example of that name, or of that last part of one (``weave``: ``manoeuvres/weave``).
+    """The example of that name, or of that last part of one (``weave``: ``manoeuvres/weave``), or
+    without its suffix.
 
     :class:`InputError` where there is none, or more than one.
     """
     wanted = name.removeprefix("configs/").removeprefix("dbc/").removesuffix(".yaml")
     known = examples()
     exact = [one for one in known if one.name == wanted]
-    near = exact or [one for one in known if Path(one.name).name == wanted]
+    near = exact or [one for one in known if wanted in (Path(one.name).name, Path(one.name).stem)]
     if len(near) == 1:
         return near[0]
     if near:
@@ -143,7 +144,10 @@ def _about(path: Path) -> str:
     said = re.search(r"^  description: (.+)$", text, re.M) or re.search(
         r'^CM_ "([^"]+)"', text, re.M
     )
-    if said is None:
+    comment = re.match(r"<\?xml.*\n<!-- (.+?) -->", text)
+    if comment is not None:
+        sentence = comment.group(1)
+    elif said is None:
         head = re.match(r"(?:# ?.*\n)+", text)
         sentence = re.sub(r"^# ?", "", head.group(), flags=re.M) if head else ""
     else:

@@ -22,7 +22,7 @@ def write(batch: Batch, path: Path, title: str) -> Path:
         "population.html.jinja",
         package="eps_hil.fleet",
         title=title,
-        css=page.asset("diagnosis.css"),
+        css=page.asset("page.css"),
         recordings=len(batch.rows),
         units=len({row["unit"] for row in batch.rows}),
         failed=batch.failed,

@@ -11,9 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.problem import sliding
-from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.diagnosis.data.prepare import Prepared, prepare
 from eps_hil.estimation.score import score
 from eps_hil.estimation.stream import SIGNALS, Trace
 from eps_hil.physics.model import Model
@@ -67,6 +68,8 @@ class Window:
         self._model, self._length_ns = model, round(length_s * 1e9)
         self._samples: dict[str, deque[tuple[int, float]]] = {name: deque() for name in SIGNALS}
         self._estimates: deque[tuple[int, float, float, int]] = deque()
+        self.balance: tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]] | None = None
+        """That of the last figures as :func:`balance_of` has it; None where there was none."""
 
     def take(self, name: str, t_ns: int, value: float) -> None:
         """A sample of a signal that the model speaks of; others are ignored."""
@@ -143,6 +146,7 @@ class Window:
 
     def _balance(self, series: Mapping[str, Series], now_ns: int) -> tuple[Three, str]:
         none: Three = (None, None, None)
+        self.balance = None
         if missing := [name for name in _NEEDED if name not in series]:
             return none, f"no torque balance without {', '.join(missing)}"
         end = min(int(one.t_ns[-1]) for one in series.values())
@@ -151,13 +155,27 @@ class Window:
             return none, f"no torque balance from less than {_LEAST_BALANCE_S:g} s without gaps"
         cut = {name: _since(one, begin) for name, one in series.items()}
         prepared = prepare("window", cut)
-        moving = sliding(prepared, self._model)
+        self.balance = balance_of(prepared, cut, self._model)
+        left_n = self.balance[1]
+        moving = np.isfinite(left_n)
         if int(moving.sum()) < _LEAST_SAMPLES:
             return none, "no torque balance while the rotor does not slide"
-        left = prepared.residual(self._model)[0][moving]
-        rms = float(np.sqrt(np.mean(left**2)))
+        rms_n = float(np.sqrt(np.mean(left_n[moving] ** 2)))
         ratio = self._model.rack_to_rotor_ratio_rad_per_m
-        return (rms, prepared.floor_nm(self._model), rms * ratio), ""
+        return (rms_n / ratio, prepared.floor_nm(self._model), rms_n), ""
+
+
+def balance_of(
+    prepared: Prepared, series: Mapping[str, Series], model: Model
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Physical instants by the stamps' clock, and the residual there as force at the rack (n,).
+
+    NaN where the rotor does not slide. ``prepared`` was made of ``series``.
+    """
+    start = min(int(one.t_ns[0]) for one in series.values())
+    left = prepared.residual(model)[0] * model.rack_to_rotor_ratio_rad_per_m
+    at_ns = start + np.rint(prepared.thin_time_s * 1e9).astype(np.int64)
+    return at_ns, np.where(sliding(prepared, model), left, np.nan)
 
 
 def warm_up(model: Model) -> None:

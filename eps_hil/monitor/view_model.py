@@ -5,6 +5,9 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from eps_hil.bus.codec import FrameDecoder
 from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
@@ -124,6 +127,11 @@ class Monitor:
             frame.t_ns - round(age_ms * 1e6), force, friction,
             int(values.get("EstimateReason", 0)),
         )  # fmt: skip
+
+    @property
+    def balance(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]] | None:
+        """Torque balance of the last figures' window (instants, N at the rack), if any."""
+        return self._window.balance
 
     def figures(
         self,

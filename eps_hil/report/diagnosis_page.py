@@ -54,8 +54,18 @@ def write(diagnosis: Diagnosis, path: Path, model_name: str) -> None:
 
 def render(diagnosis: Diagnosis, model_name: str) -> str:
     """The page's HTML."""
+    values, plots = values_of(diagnosis)
+    return filled(values, plots, model_name)
+
+
+def values_of(diagnosis: Diagnosis) -> tuple[dict[str, Any], list[Plot]]:
+    """What the page shows, and its plots."""
     plots: list[Plot] = []
-    values = _values(diagnosis, plots)
+    return _values(diagnosis, plots), plots
+
+
+def filled(values: Mapping[str, Any], plots: Sequence[Plot], model_name: str) -> str:
+    """The page's HTML of what :func:`values_of` gave."""
     return page.fill(
         "diagnosis.html.jinja",
         filters={"plain": plain, "titled": titled, "named": named, "changed": in_words},
@@ -65,7 +75,7 @@ def render(diagnosis: Diagnosis, model_name: str) -> str:
         uplot_js=page.library("uPlot.iife.js"),
         uplot_css=page.library("uPlot.min.css"),
         page_js=page.asset("diagnosis.js"),
-        page_css=page.asset("diagnosis.css"),
+        page_css=page.asset("page.css"),
     )
 
 

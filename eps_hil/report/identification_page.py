@@ -42,7 +42,7 @@ def render(found: Identification, model_name: str) -> str:
         coverage=_coverage(found),
         enough_s=ENOUGH_S,
         figure=identification_figure.svg(found),
-        css=page.asset("diagnosis.css"),
+        css=page.asset("page.css"),
     )
 
 

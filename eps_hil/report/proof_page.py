@@ -73,7 +73,7 @@ def render(
         failures=[one for one in told if one["failed"]],
         unanswered=sum(not j.answered for j in judged),
         pictures={name: page.picture(path) for name, path in pictures.items()},
-        page_css=page.asset("diagnosis.css"),
+        page_css=page.asset("page.css"),
     )
 
 

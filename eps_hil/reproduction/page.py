@@ -15,6 +15,7 @@ def write(made: Reproduction, path: Path) -> None:
         "eps_hil.reproduction",
         made=made,
         pictures=pictures,
+        css=page.asset("page.css"),
         outcomes=list(Outcome),
     )
     page.write(path, filled)

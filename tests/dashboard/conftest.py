@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.dashboard.diagnosis import Subject
 from eps_hil.dashboard.marks import Marks
 from eps_hil.dashboard.server import About, Hub, application, listening
 from eps_hil.dashboard.store import Block, Store
@@ -65,7 +66,7 @@ class Running:
 
 @pytest.fixture
 def running() -> Iterator[Callable[..., Running]]:
-    """``running(store=None, marks=None, recording=None, listener=None)``."""
+    """``running(store=None, marks=None, recording=None, listener=None, subject=None)``."""
     started: list[Running] = []
 
     def start(
@@ -73,8 +74,9 @@ def running() -> Iterator[Callable[..., Running]]:
         marks: Path | None = None,
         recording: str | None = None,
         listener: socket.socket | None = None,
+        subject: Subject | None = None,
     ) -> Running:
-        hub = Hub(About("test bus", recording), store or Store(60.0), Marks(marks))
+        hub = Hub(About("test bus", recording), store or Store(60.0), Marks(marks), subject)
         started.append(Running(hub, listener))
         return started[-1]
 

@@ -11,6 +11,7 @@ from eps_hil.bus.port import BusState, PortCounts
 from eps_hil.dashboard.listener import Listener, Outlet, listen
 from eps_hil.dashboard.marks import Marks, marks_path
 from eps_hil.dashboard.store import Block, Store
+from eps_hil.dashboard.traces import NAMES
 from eps_hil.dashboard.wire import unpack
 from eps_hil.dashboard.words import problems
 from eps_hil.errors import InputError
@@ -54,7 +55,7 @@ def test_a_long_stretch_travels_in_pieces(
             continue
         assert message[:1] == b"S"
         store.append(unpack(message[1:]))
-    assert [len(track.t_ns) for track in store.tracks.values()] == [4000] * 8
+    assert [len(store.tracks[name].t_ns) for name in NAMES] == [4000] * 8
     for each in pair:
         each.close()
 

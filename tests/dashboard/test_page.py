@@ -21,7 +21,7 @@ Make = Callable[..., Any]
 STRIPS, LOOPS = 6, 2
 READING = """() => document.querySelector('#readings tr:nth-child(3) td:nth-child(2)')
   ?.textContent.replace('−', '-')"""
-PAINTED = """() => [...document.querySelectorAll('canvas')].map(canvas => {
+PAINTED = """() => [...document.querySelectorAll('.plot canvas')].map(canvas => {
   const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
   let coloured = 0;
   for (let k = 0; k < data.length; k += 4)
@@ -108,6 +108,32 @@ def test_waiting_and_failing_are_said_in_words(live: Live, open_page: Make) -> N
     page.wait_for_selector("text=no connection to eps-hil dashboard")
 
 
+def test_how_far_a_calibration_and_a_programme_are(live: Live, open_page: Make) -> None:
+    page = open_page(live.server.url)
+    gates = [
+        {"name": "vehicle_speed", "met": True, "value": 0.1, "unit": "m/s", "limit": 1.0},
+        {"name": "rack_force", "met": False, "value": None, "unit": "N", "limit": 50.0},
+    ]
+    live.say(waiting=["the service loads its code"], jobs=[
+        {"kind": "calibration", "title": "torque injection", "text": "ramp +0.1 Nm  2/6", "done": 2,
+         "of": 6, "gates": gates},
+        {"kind": "programme", "title": "map.yaml", "text": "cell 3 of 40: settling", "done": 2,
+         "of": 40},
+    ])  # fmt: skip
+    page.wait_for_selector("#jobs:not([hidden])")
+    said = page.inner_text("#jobs")
+    for text in ("Calibration: torque injection", "ramp +0.1 Nm  2/6", "gate: vehicle speed",
+                 "limit 50", "not met", "Programme: map.yaml", "cell 3 of 40"):  # fmt: skip
+        assert " ".join(text.split()) in " ".join(said.split()), text
+    bars = page.eval_on_selector_all("#jobs progress", "all => all.map(o => [o.value, o.max])")
+    assert bars == [[2, 6], [2, 40]]
+    assert page.locator("#jobs .bad").all_inner_texts() == ["not met"]
+    assert page.inner_text("#waiting") == "the service loads its code"
+    live.say()
+    page.wait_for_selector("#jobs", state="hidden")
+    assert page.inner_text("#waiting") == ""
+
+
 def test_freeze_zoom_cursors_and_going_on(live: Live, open_page: Make) -> None:
     page = open_page(live.server.url)
     live.go_on(12.5)
@@ -134,7 +160,7 @@ def test_freeze_zoom_cursors_and_going_on(live: Live, open_page: Make) -> None:
         "#readings tr:nth-child(2) td:nth-child(5)", "all => all.map(one => one.innerText)"
     )
     assert float(between.removesuffix(" s")) == pytest.approx(0.3 * 0.5 * 10.0, abs=0.1)
-    assert float(page.evaluate(READING)) > 0.9, "what is frozen does not move on"
+    assert float(page.evaluate(READING)) > -0.5, "what is frozen does not move on to -1"
     page.keyboard.press("Escape")
     page.keyboard.press(" ")
     newest(page, -1.0)

@@ -103,7 +103,7 @@ def test_nonsense_from_a_page_ends_nothing(running: Start, blocks: Blocks) -> No
             page.send(text)
         page.send('{"view": {"length_s": 1, "pixels": 100}}')
         while isinstance(message := page.recv(timeout=60), str):
-            assert json.loads(message) == {"marks": []}
+            assert json.loads(message).keys() <= {"marks", "mismatch"}
     assert message[:4] == b"EPS1"
 
 

@@ -1,6 +1,7 @@
 // The page: a websocket in, plots and words out. It sends what it shows, what it has drawn, and marks.
 
 import { ANSWERS, BEGINS, Stretch, read } from "./data.js";
+import { Mismatch, legend } from "./mismatch.js";
 import { Loop, Strip, readPalette, short } from "./plots.js";
 import * as words from "./state.js";
 
@@ -18,6 +19,11 @@ document.title = `${layout.title} – eps_hil`;
 byId("title").textContent = layout.title;
 readPalette();
 
+const mismatch = new Mismatch(layout, {
+  clock: (t) => clock(t - base()), send: (content) => say(content),
+  edges: () => (a === null || b === null ? null : [Math.min(a, b) + base(), Math.max(a, b) + base()]),
+});
+legend(byId("scale"));
 const base = () => (recorded ? layout.span[0] : shown.base);
 function clock(t) {
   if (recorded && layout.span[0] < 1e8) return `${(t + base()).toFixed(span() < 5 ? 3 : 1)} s`;
@@ -37,7 +43,7 @@ const lines = () => [
 const hooks = {
   clock, lines, zoomed: (from, to) => look(from, to), whole: () => whole(),
   hover: (t) => { pointer = t; dirty = true; },
-  picked: (t, which) => { if (which === "a") a = t; else b = t; dirty = true; },
+  picked: (t, which) => { if (which === "a") a = t; else b = t; dirty = true; mismatch.draw(); },
 };
 const unit = Math.max(70, Math.min((innerHeight - 215 - (recorded ? 50 : 0)) / 6.7, 210)); // of a strip's height: all fit
 const strips = layout.strips.map((strip, k) => {
@@ -73,7 +79,7 @@ function freeze(on) {
     const [from, to] = edges();
     shown = Object.assign(new Stretch(), live);
     view = { min: from, max: to };
-  } else { shown = live; view = null; a = b = null; }
+  } else { shown = live; view = null; a = b = null; mismatch.draw(); }
   byId("freeze").setAttribute("aria-pressed", String(on));
   byId("freeze").textContent = on ? "Go on" : "Freeze";
   subscribe();
@@ -134,6 +140,8 @@ function connect() {
     if (typeof event.data !== "string") { take(event.data); return; }
     const said = JSON.parse(event.data);
     if (said.state) { state = said.state; words.show(state); }
+    if (said.mismatch) mismatch.take(said.mismatch);
+    if (said.diagnosis) mismatch.heard(said.diagnosis);
     if (said.marks) { marks = said.marks; listMarks(); dirty = true; }
     if (said.ended) words.problems(["the listener on the bus has ended; start eps-hil dashboard again"]);
   };
@@ -175,7 +183,7 @@ function save() {
   link.download = "eps_hil.csv";
   link.click();
 }
-function paint() { readPalette(); for (const each of all) each.again(); dirty = true; }
+function paint() { readPalette(); for (const each of all) each.again(); mismatch.draw(); dirty = true; }
 function theme(next, keep = true) {
   document.documentElement.dataset.theme = next;
   byId("theme").textContent = next === "dark" ? "Light" : "Dark";
@@ -220,23 +228,25 @@ const KEYS = {
   " ": () => freeze(!frozen), m: mark, e: save, t: () => theme(other()), "?": () => byId("keys").showModal(),
   0: whole, "+": () => zoom(0.5), "-": () => zoom(2), ArrowLeft: () => move(-0.25), ArrowRight: () => move(0.25),
   a: () => { a = pointer ?? (edges()[0] + edges()[1]) / 2; }, b: () => { b = pointer ?? (edges()[0] + edges()[1]) / 2; },
-  Escape: () => { a = b = null; },
+  Escape: () => { a = b = null; mismatch.clear(); }, d: () => mismatch.start(),
 };
 addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, select, dialog")) return;
   if (event.key === " " && event.target.closest("button")) return;
   const act = KEYS[event.key];
-  if (act) { event.preventDefault(); act(); dirty = true; }
+  if (act) { event.preventDefault(); act(); dirty = true; if ("ab".includes(event.key)) mismatch.draw(); }
 });
 let fitting = 0;
 addEventListener("resize", () => {
   clearTimeout(fitting);
-  fitting = setTimeout(() => { for (const each of all) each.fit(); if (frozen) ask(); else subscribe(); dirty = true; }, 100);
+  fitting = setTimeout(() => { for (const each of all) each.fit(); if (frozen) ask(); else subscribe(); mismatch.draw(); dirty = true; }, 100);
 });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (event) => {
   try { if (localStorage.getItem("eps_hil.theme")) return; } catch { /* no storage */ }
   theme(event.matches ? "dark" : "light", false);
 });
+byId("mismatch").hidden = !layout.can_diagnose;
+byId("diagnose").title = layout.may_diagnose ? "d" : "only pages on the machine itself may start one (--diagnose-from)";
 if (recorded) {
   byId("freeze").hidden = true;
   for (const id of ["figures-card", "signals-card", "told-card"]) byId(id).hidden = true;

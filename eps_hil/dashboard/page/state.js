@@ -33,8 +33,8 @@ function list(dl, pairs) {
   });
 }
 
-export function problems(lines) {
-  const holder = byId("problems");
+export function problems(lines, id = "problems") {
+  const holder = byId(id);
   while (holder.children.length > lines.length) holder.lastChild.remove();
   lines.forEach((line, k) => {
     if (!holder.children[k]) holder.append(document.createElement("li"));
@@ -51,6 +51,8 @@ export function verdict(state) {
 
 export function show(state) {
   problems(state.problems);
+  problems(state.waiting || [], "waiting");
+  jobs(state.jobs || []);
   verdict(state);
   const { bus, estimate, residual, limits } = state;
   const rms = (value, limit) => [`${short(value)} N (limit ${short(limit)} N)`, value > limit];
@@ -73,6 +75,26 @@ export function show(state) {
       { text: said, bad: one.verdict !== "fine" }];
   }));
   told(state.told);
+}
+
+// A calibration or a programme: how far, which gates are met, in which state.
+function jobs(all) {
+  const holder = byId("jobs");
+  holder.hidden = !all.length;
+  while (holder.children.length > 4 * all.length) holder.lastChild.remove();
+  all.forEach((job, k) => {
+    if (!holder.children[4 * k]) holder.append(...["h2", "p", "progress", "table"].map((tag) => document.createElement(tag)));
+    const [title, text, bar, gates] = [0, 1, 2, 3].map((i) => holder.children[4 * k + i]);
+    put(title, `${job.kind[0].toUpperCase()}${job.kind.slice(1)}: ${job.title}`);
+    put(text, job.text || "");
+    bar.hidden = !job.of;
+    bar.max = job.of || 1;
+    bar.value = job.done || 0;
+    bar.setAttribute("aria-label", `${short(job.done || 0)} of ${short(job.of || 0)}`);
+    rows(gates, (job.gates || []).map((gate) => [`gate: ${gate.name.replaceAll("_", " ")}`,
+      { text: `${short(gate.value)} ${UNITS[gate.unit] || gate.unit}`, n: true },
+      { text: `limit ${short(gate.limit)}`, n: true }, { text: gate.met ? "met" : "not met", bad: !gate.met }]));
+  });
 }
 
 function told(messages) {
