@@ -3,13 +3,14 @@
 
     python benchmarks/decode_log.py --seconds 120                   candump
     python benchmarks/decode_log.py --seconds 120 --suffix .blf
+    python benchmarks/decode_log.py --seconds 120 --suffix .mf4     beside asammdf too
 
 The log is made here: the reference rig's three messages of 1 kHz and one of 100 Hz, with counters
 and CRCs. The peer reads each frame and decodes all its signals into lists, with neither counter nor
-CRC looked at; this package checks both, finds the sample instants and marks what is bad. Both are
-timed in this process by turns, database and mapping included; the shortest of --runs counts. The
-values of the signals are compared. Exit status 1 if any differs, or if the peer's time is less
-than --goal times ours.
+CRC looked at (of MF4: asammdf's ``extract_bus_logging``, and each channel that it makes read); this
+package checks both, finds the sample instants and marks what is bad. Both are timed in this process
+by turns, database and mapping included; the shortest of --runs counts. The values of the signals
+are compared. Exit status 1 if any differs, or if the peer's time is less than --goal times ours.
 """
 
 import argparse
@@ -88,15 +89,32 @@ def by_frame(path: Path) -> dict[str, tuple[Any, Any]]:
     return {name: (np.array(times[name]), np.array(values[name])) for name in times}
 
 
+def by_column(path: Path) -> dict[str, tuple[Any, Any]]:
+    """The peer for MF4: stamps (s) and values of every signal in the database, by asammdf."""
+    from asammdf import MDF
+
+    found: dict[str, tuple[Any, Any]] = {}
+    with MDF(path) as raw, raw.extract_bus_logging({"CAN": [(str(DBC), 0)]}) as signals:
+        masters = set(signals.masters_db.items())
+        for group, content in enumerate(signals.groups):
+            for index, channel in enumerate(content.channels):
+                if (group, index) not in masters:
+                    one = signals.get(group=group, index=index)
+                    found[channel.name] = one.timestamps, one.samples
+    return found
+
+
 def main() -> int:
     """Run both, say what came out."""
     ask = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     ask.add_argument("--seconds", type=float, default=120.0)
-    ask.add_argument("--suffix", choices=(".log", ".blf"), default=".log")
+    ask.add_argument("--suffix", choices=(".log", ".blf", ".mf4"), default=".log")
     ask.add_argument("--runs", type=int, default=3)
     ask.add_argument("--goal", type=float, default=0.0, help="exit 1 below this ratio")
     chosen = ask.parse_args()
-    best = {"eps_hil": float("inf"), "python-can and cantools": float("inf")}
+    mf4 = chosen.suffix == ".mf4"
+    other, their_way = ("asammdf", by_column) if mf4 else ("python-can and cantools", by_frame)
+    best = {"eps_hil": float("inf"), other: float("inf")}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"bus{chosen.suffix}"
         many = write(path, chosen.seconds)
@@ -106,7 +124,7 @@ def main() -> int:
             begun = time.perf_counter()
             ours = read_recording(path, dbc=[DBC], signals=SIGNALS)
             half = time.perf_counter()
-            peer = by_frame(path)
+            peer = their_way(path)
             took = half - begun, time.perf_counter() - half
             best = dict(zip(best, map(min, best.values(), took), strict=True))
     differ = [

@@ -16,12 +16,17 @@ def register(app: typer.Typer) -> None:
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Recording to read.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; suffix = format.")],
+    rate: Annotated[
+        float | None,
+        typer.Option(min=0.001, help="Rows a second, of a table without holes (default: all)."),
+    ] = None,
     *,
     reading: Reading,
 ) -> None:
-    """Convert a recording: CSV, Parquet, MF4, or a CAN log; the suffixes name the formats.
+    """Convert a recording: CSV, Parquet, MF4, MCAP, or a CAN log; the suffixes name the formats.
 
-    A CAN log becomes a table with --dbc and --signals, or another CAN log (.log, .blf, .asc).
+    A CAN log becomes a table with --dbc and --signals, or another CAN log (.log, .blf, .asc; .mf4
+    holds the raw frames where no --signals are given).
     """
     from eps_hil.recordings.conversion import convert as convert_file
 
@@ -31,6 +36,7 @@ def convert(
             source,
             target,
             **reading.arguments(),
+            rate_hz=rate,
             on_progress=on_progress,
             say_written=written.append,
         )

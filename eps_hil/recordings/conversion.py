@@ -1,4 +1,7 @@
-"""One recording format to another: tables to tables, CAN logs to tables, CAN logs to CAN logs."""
+"""One recording format to another: tables to tables, CAN logs to tables, CAN logs to CAN logs.
+
+A CAN log becomes MF4 in two ways: as signals, where a mapping is given, else as its raw frames.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
@@ -12,13 +15,14 @@ from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_tagged_frames
 from eps_hil.recordings.files import refused_by_system, replacing
 from eps_hil.recordings.read import is_can_log, read_columns
-from eps_hil.recordings.table import ESTIMATES, from_series
-from eps_hil.recordings.write import TABLE_SUFFIXES, write_table
+from eps_hil.recordings.table import ESTIMATES, MARK_REMEDY
+from eps_hil.recordings.write import SERIES_SUFFIXES, write_series
 from eps_hil.series import Series
 
 LOG_SUFFIXES = (".log", ".blf", ".asc")
 """CAN logs that can be written. Not TRC: its writer drops CAN FD, remote and error frames."""
 
+_FATE = {".mf4": "marked by their invalidation bits", ".mcap": "left out"}
 _NUMBERED_FROM_1 = (".blf", ".asc", ".trc")
 _NS = 1_000_000_000
 _YEAR_1990_S = 631_152_000  # BLF has no date before; python-can then leaves the start out
@@ -33,6 +37,7 @@ def convert(
     gaps: str = "refuse",
     ignore_unknown: bool = False,
     channel: str | None = None,
+    rate_hz: float | None = None,
     on_progress: Callable[[float], None] | None = None,
     say_written: Callable[[str], None] = lambda _what: None,
 ) -> tuple[str, ...]:
@@ -42,24 +47,30 @@ def convert(
 
     Into a table the rows are the union of all time stamps, and a signal has an empty cell where it
     has no sample: read back, every signal has exactly the samples it had (but a frame that was
-    lost beside others of its instant is a hole in the table, and is told as one). Into a CAN log
-    the frames keep their order, channel and (to the microsecond) their stamps; ASC counts from its
-    first frame.
+    lost beside others of its instant is a hole in the table, and is told as one). With ``rate_hz``
+    the rows are that many a second and have no holes (:mod:`eps_hil.recordings.common_rate`).
+    MF4 and MCAP keep every signal's own samples. Into a CAN log, and from one into MF4 without
+    ``signals``, the frames keep their order, channel and (to the microsecond) their stamps; ASC
+    counts from its first frame.
     """
     source, target = Path(source), Path(target)
     suffix = target.suffix.lower()
-    if suffix not in (*TABLE_SUFFIXES, *LOG_SUFFIXES):
-        known = ", ".join((*TABLE_SUFFIXES, *LOG_SUFFIXES))
+    if suffix not in (*SERIES_SUFFIXES, *LOG_SUFFIXES):
+        known = ", ".join((*SERIES_SUFFIXES, *LOG_SUFFIXES))
         raise InputError(target, "", f"suffix '{target.suffix}' cannot be written", f"use {known}")
     with refused_by_system(target):
         same = target.exists() and source.exists() and target.samefile(source)
     if same:
         raise InputError(target, "", "is the input itself", "name another output file")
-    if suffix in LOG_SUFFIXES:
+    raw = suffix == ".mf4" and signals is None and source.exists() and is_can_log(source)
+    if raw or suffix in LOG_SUFFIXES:
         if not is_can_log(source):
             problem = "holds columns, which cannot become CAN frames"
-            raise InputError(source, "", problem, "convert it to .csv, .parquet or .mf4")
-        return _log_to_log(source, target, channel, on_progress, say_written)
+            raise InputError(source, "", problem, "convert it to .csv, .parquet, .mf4 or .mcap")
+        if rate_hz is not None:
+            problem = f"becomes CAN frames in {suffix}, which have no common rate"
+            raise InputError(source, "", problem, "leave out --rate, or give --signals")
+        return _log_to_log(source, target, channel, on_progress, say_written, dbc)
     series, notes = read_columns(
         source,
         dbc=dbc,
@@ -71,10 +82,37 @@ def convert(
     )
     if not series:
         raise InputError(source, "", "no signal has a value", "record at least one")
-    t_ns, columns = from_series(series)
-    write_table(target, columns, t_ns=t_ns)
-    say_written(f"{len(t_ns)} rows of {', '.join(columns)}")
-    return (*notes, *_told(series, suffix))
+    if rate_hz is None:
+        notes += _told(series, suffix)
+    else:
+        series, more = _at_rate(source, series, rate_hz, gaps)
+        notes += more
+    carriers = _carriers(source, signals)
+    rows = write_series(target, series, source=source.name, carriers=carriers)
+    say_written(f"{rows} rows of {', '.join(series)}")
+    return notes
+
+
+def _at_rate(
+    source: Path, series: Mapping[str, Series], rate_hz: float, gaps: str
+) -> tuple[dict[str, Series], tuple[str, ...]]:
+    from eps_hil.recordings.common_rate import HoleError, at_rate
+
+    try:
+        t_ns, columns, notes = at_rate(series, rate_hz, gaps=gaps)
+    except HoleError as error:
+        raise InputError(source, "", str(error), MARK_REMEDY) from None
+    return {name: Series(t_ns, column) for name, column in columns.items()}, notes
+
+
+def _carriers(source: Path, signals: Path | None) -> dict[str, str]:
+    """The CAN message of each signal of a log."""
+    if signals is None or not is_can_log(source):
+        return {}
+    from eps_hil.bus.mapping import load_mapping
+
+    mapped = load_mapping(signals).signals
+    return {name: one.carrier for name, one in mapped.items() if one.carrier is not None}
 
 
 def _told(series: Mapping[str, Series], suffix: str) -> tuple[str, ...]:
@@ -84,7 +122,7 @@ def _told(series: Mapping[str, Series], suffix: str) -> tuple[str, ...]:
     ]
     if not bad:
         return ()
-    fate = "left out" if suffix == ".mf4" else "empty cells: read the table with --gaps mark"
+    fate = _FATE.get(suffix, "empty cells: read the table with --gaps mark")
     return (f"bad samples of {', '.join(bad)} are {fate}",)
 
 
@@ -94,11 +132,19 @@ def _log_to_log(
     channel: str | None,
     on_progress: Callable[[float], None] | None,
     say_written: Callable[[str], None],
+    dbc: Sequence[Path] = (),
 ) -> tuple[str, ...]:
     notes: list[str] = []
     frames = 0
     tagged = read_tagged_frames(source, channel=channel, notes=notes, on_progress=on_progress)
     first = next(tagged)  # before anything is written: a broken log raises here
+    if target.suffix.lower() == ".mf4":
+        from eps_hil.recordings.mf4_bus import write_bus_mf4
+
+        with replacing(target) as temporary:
+            frames = write_bus_mf4(temporary, chain([first], tagged), dbc, source.name)
+        say_written(f"{frames} frames, as bus logging,")
+        return tuple(notes)
     with replacing(target) as temporary:
         writer = log_writer(temporary, target.suffix.lower(), first[1].t_ns / _NS)
         try:

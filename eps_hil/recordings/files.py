@@ -42,7 +42,12 @@ def refused_by_system(path: Path) -> Iterator[None]:
         raise InputError(path, "", f"cannot be read: {reason}", "check the path") from None
 
 
-_EXTRAS = {".parquet": ("parquet", "pyarrow"), ".mf4": ("mf4", "asammdf")}
+_EXTRAS = {
+    ".parquet": ("parquet", "pyarrow"),
+    ".mf4": ("mf4", "asammdf"),
+    ".mcap": ("mcap", "mcap"),
+    ".fmu": ("fmu", "fmpy"),
+}
 """Suffix -> extra of pyproject.toml, and the library that it brings."""
 
 

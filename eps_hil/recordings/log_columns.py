@@ -5,7 +5,7 @@ from pathlib import Path
 
 from eps_hil.bus.frame_columns import FrameColumns
 
-SUFFIXES = (".log", ".blf")
+SUFFIXES = (".log", ".blf", ".mf4")
 
 
 def read_columns_of(
@@ -22,11 +22,12 @@ def read_columns_of(
     from eps_hil.recordings.blf_columns import BlfColumns
     from eps_hil.recordings.candump_columns import CandumpColumns
     from eps_hil.recordings.frame_parts import Part, together, wanted
+    from eps_hil.recordings.mf4_columns import Mf4Columns
 
     keep = wanted(ids, channel)
-    blf = path.suffix.lower() == ".blf"
-    log: BlfColumns | CandumpColumns
-    log = BlfColumns(path, keep=keep) if blf else CandumpColumns(path, keep=keep)
+    readers: dict[str, type[BlfColumns | CandumpColumns | Mf4Columns]]
+    readers = {".blf": BlfColumns, ".mf4": Mf4Columns}
+    log = readers.get(path.suffix.lower(), CandumpColumns)(path, keep=keep)
     parts: list[Part] = []
     for found in log.parts(on_progress):
         if found is None:

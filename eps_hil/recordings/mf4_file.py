@@ -1,10 +1,12 @@
 """Measurement MF4 <-> signals, through asammdf (the ``mf4`` extra).
 
 Channels carry canonical names; every channel keeps its own time base, so nothing here needs the
-rule for empty cells. MF4 files of raw CAN frames ("bus logging") go through ``can_log``.
+rule for empty cells, and a bad sample is one whose invalidation bit is set. MF4 files of raw CAN
+frames ("bus logging") go through ``can_log`` and ``mf4_bus``.
 """
 
 import contextlib
+import hashlib
 import io
 import logging
 import traceback
@@ -20,23 +22,26 @@ from eps_hil.recordings.files import check_readable, needs_extra
 from eps_hil.recordings.table import (
     MARK_REMEDY,
     VALID,
-    Floats,
-    Stamps,
+    Flags,
     check_increasing,
     stamps_from_seconds,
     usable_columns,
 )
 from eps_hil.series import Series
-from eps_hil.signals import CANONICAL, TIME
+from eps_hil.signals import CANONICAL, PUBLISHED, TIME
+from eps_hil.version import VERSION
 
 _NS = 1_000_000_000
 _EPOCH_NS = 10**17  # 1973: earlier stamps count from the start of a recording
+_ABOUT = {VALID: "1 where the estimate beside it holds", "reason": "why it does not, bits"}
 
 
 def has_bus_frames(path: Path) -> bool:
     """Whether the file is CAN bus logging: raw frames that need a DBC."""
-    with _opened(path) as mdf:
-        return bool(mdf.bus_logging_map.get("CAN"))
+    from eps_hil.recordings.mf4_columns import has_frames
+
+    with _opened(path, bus_map=False) as mdf:
+        return any(has_frames(group) for group in mdf.groups)
 
 
 def read_mf4(
@@ -55,52 +60,114 @@ def read_mf4(
         columns, notes = usable_columns(path, names, "", ignore_unknown=ignore_unknown)
         start_ns = _epoch_ns(mdf.header.start_time)
         series: dict[str, Series] = {}
+        bad: dict[str, Flags] = {}
         for name, index in columns.items():
             if name == TIME:
                 continue
             group, channel, _ = places[index - 1]
             signal = mdf.get(group=group, index=channel, ignore_invalidation_bits=True)
             if len(signal.samples):
-                series[name], marked = _series(path, name, signal, start_ns, gaps)
-                notes += (f"channel {name}: {marked} bad samples marked",) if marked else ()
+                series[name], bad[name] = _series(path, name, signal, start_ns)
             else:
                 notes += (f"channel {name} has no sample: left out",)
+    for name, bad_samples in bad.items():
+        flags = bad_samples & ~_said_invalid(series, name) if name in PUBLISHED else bad_samples
+        if flags.any() and gaps == "refuse":
+            where = f"{_place(int(np.argmax(flags)))}, channel {name}"
+            raise InputError(path, where, "is NaN, infinite or marked invalid", MARK_REMEDY)
+        if flags.any():
+            notes += (f"channel {name}: {np.count_nonzero(flags)} bad samples marked",)
     order = [*CANONICAL, VALID]
     return dict(sorted(series.items(), key=lambda item: order.index(item[0]))), notes
 
 
-def write_mf4(path: Path, t_ns: Stamps, columns: Mapping[str, Floats]) -> None:
-    """Write columns over ``t_ns`` (n,); an empty cell (NaN) is a sample less.
+def write_mf4(
+    path: Path,
+    series: Mapping[str, Series],
+    *,
+    source: str = "",
+    carriers: Mapping[str, str] | None = None,
+) -> None:
+    """Write signals, each on its own stamps; a bad sample (NaN) gets its invalidation bit.
 
-    Columns with the same samples share a channel group.
+    ``source``: the file that they are from; ``carriers``: the CAN message of each, where there is
+    one. A message's signals with the same stamps are a channel group of that name.
     """
     with needs_extra(path, "mf4"):
-        from asammdf import MDF, Signal
-    start_s = int(t_ns[0]) // _NS if len(t_ns) and t_ns[0] > _EPOCH_NS else 0
-    relative_s = (t_ns - start_s * _NS) / _NS
-    groups: dict[bytes, list[Any]] = {}
-    for name, column in columns.items():
-        there = ~np.isnan(column)
-        samples = column[there].astype(np.int8) if name == VALID else column[there]
-        unit = CANONICAL[name].unit if name in CANONICAL else ""
-        signal = Signal(samples, relative_s[there], name=name, unit=unit)
-        groups.setdefault(there.tobytes(), []).append(signal)
-    with _quiet(), MDF(version="4.10") as mdf:
-        mdf.header.abs_time = start_s * _NS
-        for signals in groups.values():
-            mdf.append(signals, common_timebase=True)
+        from asammdf import MDF
+    start_ns = epoch_of(
+        min((int(one.t_ns[0]) for one in series.values() if len(one.t_ns)), default=0)
+    )
+    groups: dict[tuple[str, bytes], list[str]] = {}
+    for name, one in series.items():
+        carrier = (carriers or {}).get(name, "")
+        stamps = hashlib.sha256(one.t_ns.tobytes()).digest()
+        groups.setdefault((carrier, stamps), []).append(name)
+    with quiet(), MDF(version="4.10") as mdf:
+        mdf.header.abs_time = start_ns
+        mdf.header.comment = about_file(source)
+        for (carrier, _), names in groups.items():
+            origin = _origin(carrier, source)
+            mdf.append(
+                [_channel(name, series[name], start_ns, origin) for name in names],
+                acq_name=carrier or source or "eps_hil",
+                acq_source=origin,
+                comment=f"CAN message {carrier}" if carrier else about_file(source),
+                common_timebase=True,
+            )
         mdf.save(path, overwrite=True)
 
 
+def about_file(source: str) -> str:
+    """The comment of a file: what wrote it, from what."""
+    return f"eps_hil {VERSION}" + (f", from {source}" if source else "")
+
+
+def epoch_of(first_ns: int) -> int:
+    """The instant from which a file's floats of seconds count, in ns since 1970."""
+    return first_ns // _NS * _NS if first_ns > _EPOCH_NS else 0
+
+
+def _origin(carrier: str, source: str) -> Any:
+    from asammdf.blocks import v4_constants
+    from asammdf.blocks.source_utils import Source
+
+    if carrier:
+        kind, bus = v4_constants.SOURCE_BUS, v4_constants.BUS_TYPE_CAN
+        return Source(carrier, carrier, f"CAN message, from {source}", kind, bus)
+    kind, bus = v4_constants.SOURCE_TOOL, v4_constants.BUS_TYPE_NONE
+    return Source("eps_hil", source, about_file(source), kind, bus)
+
+
+def _channel(name: str, one: Series, start_ns: int, origin: Any) -> Any:
+    from asammdf import Signal
+
+    known = CANONICAL.get(name)
+    bad = np.isnan(one.value)
+    return Signal(
+        one.value.astype(np.int8) if name == VALID and not bad.any() else one.value,
+        (one.t_ns - start_ns) / _NS,
+        name=name,
+        unit=known.unit if known else "",
+        comment=known.description if known else _ABOUT.get(name, ""),
+        source=origin,
+        invalidation_bits=bad if bad.any() else None,
+    )
+
+
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """An open MDF; whatever asammdf raises on a broken file becomes :class:`InputError`."""
+def _opened(path: Path, bus_map: bool = True) -> Iterator[Any]:
+    """An open MDF; whatever asammdf raises on a broken file becomes :class:`InputError`.
+
+    ``bus_map``: asammdf looks through all frames for their ids.
+    """
     with needs_extra(path, "mf4"):
-        from asammdf import MDF
+        import asammdf
+    opened: Any = asammdf.MDF  # its annotations leave the option out
     check_readable(path)
-    with _quiet():
+    with quiet():
         try:
-            with MDF(path) as mdf:
+            with opened(path, process_bus_logging=bus_map) as mdf:
                 yield mdf
         except InputError:
             raise
@@ -111,7 +178,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Keep what asammdf logs and prints about odd files away from the user."""
     log = logging.getLogger("asammdf")
     before = log.level
@@ -136,23 +203,30 @@ def _epoch_ns(start: datetime) -> int:
     return ((passed.days * 86_400 + passed.seconds) * 1_000_000 + passed.microseconds) * 1000
 
 
-def _series(path: Path, name: str, signal: Any, start_ns: int, gaps: str) -> tuple[Series, int]:
-    def place(row: int) -> str:
-        return f"sample {row + 1}"
+def _place(row: int) -> str:
+    return f"sample {row + 1}"
 
+
+def _said_invalid(series: Mapping[str, Series], name: str) -> Flags:
+    """Samples at whose stamp the file itself says that the estimate does not hold."""
+    t_ns, valid = series[name].t_ns, series.get(VALID)
+    if valid is None:
+        return np.zeros(len(t_ns), dtype=bool)
+    return np.isin(t_ns, valid.t_ns[valid.value == 0.0])
+
+
+def _series(path: Path, name: str, signal: Any, start_ns: int) -> tuple[Series, Flags]:
+    """The channel's samples, NaN where one is bad, and which are."""
     column = f"channel {name}"
     if signal.samples.dtype.kind not in "iufb" or signal.samples.ndim != 1:
         raise InputError(path, column, "does not hold plain numbers", "export it as numbers")
     t_ns = start_ns + stamps_from_seconds(
-        path, signal.timestamps.astype(np.float64), place, column=column
+        path, signal.timestamps.astype(np.float64), _place, column=column
     )
-    check_increasing(path, t_ns, place, column=column)
+    check_increasing(path, t_ns, _place, column=column)
     value = signal.samples.astype(np.float64)
     bad = ~np.isfinite(value)
     if signal.invalidation_bits is not None:
         bad |= np.asarray(signal.invalidation_bits, dtype=bool)
-    if bad.any() and gaps == "refuse":
-        where = f"{place(int(np.argmax(bad)))}, {column}"
-        raise InputError(path, where, "is NaN, infinite or marked invalid", MARK_REMEDY)
     value[bad] = np.nan
-    return Series(t_ns, value), int(np.count_nonzero(bad))
+    return Series(t_ns, value), bad

@@ -17,7 +17,8 @@ from eps_hil.recordings.table import (
     stamps_from_seconds,
     usable_columns,
 )
-from eps_hil.signals import TIME
+from eps_hil.signals import CANONICAL, TIME
+from eps_hil.version import VERSION
 
 
 def read_parquet(path: Path, *, ignore_unknown: bool = False) -> Table:
@@ -50,7 +51,7 @@ def read_parquet(path: Path, *, ignore_unknown: bool = False) -> Table:
 
 
 def write_parquet(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Write equally long columns; NaN becomes null."""
+    """Write equally long columns; NaN becomes null. The schema holds each one's unit."""
     with needs_extra(path, "parquet"):
         import pyarrow
         import pyarrow.parquet
@@ -58,7 +59,19 @@ def write_parquet(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
         name: pyarrow.array(column, from_pandas=True)  # from_pandas: NaN is null
         for name, column in columns.items()
     }
-    pyarrow.parquet.write_table(pyarrow.table(arrays), path)
+    fields = [
+        pyarrow.field(name, array.type, metadata=_about(name)) for name, array in arrays.items()
+    ]
+    schema = pyarrow.schema(fields, metadata={"written_by": f"eps_hil {VERSION}"})
+    pyarrow.parquet.write_table(pyarrow.table(arrays, schema=schema), path)
+
+
+def _about(name: str) -> dict[str, str]:
+    """Unit and description, as the metadata of a column."""
+    if name in (TIME, TIME_NS):
+        return {"unit": "s" if name == TIME else "ns", "description": "sample time"}
+    known = CANONICAL.get(name)
+    return {"unit": known.unit, "description": known.description} if known else {}
 
 
 def _row(row: int) -> str:

@@ -49,7 +49,7 @@ class VendorLog:
         return min(self._position() / self._size, 1.0)
 
     def __iter__(self) -> Iterator[tuple[str, Frame]]:
-        with refused_by_system(self._path), _quiet():
+        with refused_by_system(self._path), quiet_libraries():
             try:
                 yield from self._messages()
             except InputError:
@@ -144,7 +144,8 @@ def _frame(message: Any, start_ns: int) -> Frame:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
+def quiet_libraries() -> Iterator[None]:
+    """Keep what python-can and asammdf log about odd files away from the user."""
     loggers = [logging.getLogger(name) for name in _LOGGERS]
     before = [logger.level for logger in loggers]
     for logger in loggers:

@@ -1,4 +1,7 @@
-"""Columns -> CSV, Parquet or MF4: whole or not at all, and never a NaN that looks like a number."""
+"""Columns -> CSV, Parquet or MF4; signals -> these or MCAP.
+
+Whole or not at all, and never a NaN that looks like a number.
+"""
 
 from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
@@ -10,10 +13,12 @@ import numpy.typing as npt
 
 from eps_hil.errors import InputError
 from eps_hil.recordings.files import replacing
-from eps_hil.recordings.table import EPOCH_S, TIME_NS, VALID, Stamps, seconds_to_ns
+from eps_hil.recordings.table import EPOCH_S, TIME_NS, VALID, Stamps, from_series, seconds_to_ns
+from eps_hil.series import Series
 from eps_hil.signals import TIME
 
 TABLE_SUFFIXES = (".csv", ".parquet", ".mf4")
+SERIES_SUFFIXES = (*TABLE_SUFFIXES, ".mcap")
 _ROWS = 50_000
 _WORTH_ARROW = 20_000
 """Rows from which it is worth while to load pyarrow."""
@@ -29,6 +34,39 @@ def check_writable_suffix(path: Path) -> None:
         known = ", ".join(TABLE_SUFFIXES)
         problem = f"suffix '{path.suffix}' is no table format"
         raise InputError(path, "", problem, f"name it with one of {known}")
+
+
+def write_series(
+    path: str | Path,
+    series: Mapping[str, Series],
+    *,
+    source: str = "",
+    carriers: Mapping[str, str] | None = None,
+) -> int:
+    """Write signals, each on its own stamps; the format is the suffix. The rows, or stamps.
+
+    Tables have an empty cell where a signal has no sample; MF4 and MCAP keep each one's own, and
+    say that they are from ``source`` and from which CAN message (``carriers``).
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SERIES_SUFFIXES:
+        problem = f"suffix '{path.suffix}' cannot be written"
+        raise InputError(path, "", problem, f"use {', '.join(SERIES_SUFFIXES)}")
+    if suffix in (".mf4", ".mcap"):
+        with replacing(path) as temporary:
+            if suffix == ".mf4":
+                from eps_hil.recordings.mf4_file import write_mf4
+
+                write_mf4(temporary, series, source=source, carriers=carriers)
+            else:
+                from eps_hil.recordings.mcap_file import write_mcap
+
+                write_mcap(temporary, series, source=source, carriers=carriers)
+        return len(np.unique(np.concatenate([one.t_ns for one in series.values()])))
+    t_ns, columns = from_series(series)
+    write_table(path, columns, t_ns=t_ns)
+    return len(t_ns)
 
 
 def write_table(path: str | Path, columns: Columns, *, t_ns: Stamps | None = None) -> None:
@@ -61,7 +99,17 @@ def write_table(path: str | Path, columns: Columns, *, t_ns: Stamps | None = Non
         else:
             from eps_hil.recordings.mf4_file import write_mf4
 
-            write_mf4(temporary, t_ns, {k: v for k, v in plain.items() if k != TIME})
+            write_mf4(temporary, _filled(t_ns, plain))
+
+
+def _filled(t_ns: Stamps, columns: Columns) -> dict[str, Series]:
+    """Every column's own samples: where its cell is not empty."""
+    series = {}
+    for name, column in columns.items():
+        if name != TIME:
+            there = ~np.isnan(column)
+            series[name] = Series(t_ns[there], column[there])
+    return series
 
 
 def _plain(name: str, column: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -8,6 +8,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from asammdf import MDF, Signal, Source
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +18,9 @@ from eps_hil.bus.frame import Frame
 from eps_hil.bus.record import open_log
 from eps_hil.errors import InputError
 from eps_hil.recordings import log_signals
+from eps_hil.recordings.frame_parts import wanted
 from eps_hil.recordings.log_signals import read_log
+from eps_hil.recordings.mf4_columns import Mf4Columns
 
 ROOT = Path(__file__).parents[2]
 DBC = ROOT / "dbc" / "eps_rig.dbc"
@@ -128,7 +131,7 @@ FAULTS: tuple[Fault, ...] = (
 
 
 def written(path: Path, frames: list[Frame]) -> Path:
-    if path.suffix == ".blf":
+    if path.suffix in (".blf", ".mf4"):
         with can.Logger(path) as writer:
             for frame in frames:
                 writer.on_message_received(as_message(frame))
@@ -145,7 +148,7 @@ def written(path: Path, frames: list[Frame]) -> Path:
 @given(
     seed=st.integers(0, 2**32 - 1),
     which=st.lists(st.sampled_from(FAULTS), max_size=6),
-    name=st.sampled_from(["bus.log", "bus.blf"]),
+    name=st.sampled_from(["bus.log", "bus.blf", "bus.mf4"]),
 )  # fmt: skip
 def test_faulty_traffic(
     seed: int, which: list[Fault], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -269,6 +272,63 @@ def test_a_blf_with_can_fd(
     fd = [replace(f, fd=True, data=f.data + bytes(4) if k % 3 else f.data)
           for k, f in enumerate(rig_frames)]  # fmt: skip
     both(written(tmp_path / "bus.blf", fd), monkeypatch)
+
+
+def as_signal(frames: list[Frame], channels: list[int]) -> Signal:
+    """CAN frames as asammdf has them, stamps since 1970."""
+    name = "CAN_DataFrame"
+    kinds = [(f"{name}.{part}", kind) for part, kind in (
+        ("BusChannel", "<u1"), ("ID", "<u4"), ("IDE", "<u1"), ("DLC", "<u1"),
+        ("DataLength", "<u1"), ("DataBytes", "(64,)u1"), ("EDL", "<u1"))]  # fmt: skip
+    samples = np.zeros(len(frames), np.dtype(kinds))
+    for row, (frame, channel) in enumerate(zip(frames, channels, strict=True)):
+        padded = np.frombuffer(frame.data.ljust(64, b"\xff"), np.uint8)
+        samples[row] = (
+            channel, frame.can_id, frame.extended, len(frame.data), len(frame.data), padded, 0
+        )  # fmt: skip
+    stamps_s = np.array([frame.t_ns / 1e9 for frame in frames])
+    bus = Source("CAN", "CAN", "", Source.SOURCE_BUS, Source.BUS_TYPE_CAN)
+    return Signal(samples, stamps_s, name=name, source=bus)
+
+
+def test_groups_of_an_mf4(
+    rig_frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each channel has its group, or groups share a channel; bytes behind a payload are nothing."""
+    path = tmp_path / "bus.mf4"
+    other = [replace(f, can_id=0x321) for f in rig_frames]
+    for groups in (
+        [(rig_frames, [1] * len(rig_frames)), (other, [2] * len(other))],
+        [(rig_frames[::2], [1] * len(rig_frames[::2])),
+         (rig_frames[1::2], [1] * len(rig_frames[1::2]))],
+        [(rig_frames, [1 if f.can_id == rig_frames[0].can_id else 7 for f in rig_frames])],
+    ):  # fmt: skip
+        with MDF(version="4.10") as mdf:
+            mdf.header.abs_time = 0
+            for frames, channels in groups:
+                mdf.append([as_signal(frames, channels)], common_timebase=True)
+                group: Any = mdf.groups[-1].channel_group
+                group.flags |= 1 << 1  # frames of a bus
+            mdf.save(path, overwrite=True)
+        signals, _ = both(path, monkeypatch)
+        assert len(signals["motor_speed_rad_s"][0]) == 300
+    short, _ = both(path, monkeypatch, "7")
+    assert "motor_speed_rad_s" not in short
+
+
+def test_groups_of_an_mf4_that_go_back_in_time_are_read_by_frames(
+    rig_frames: list[Frame], tmp_path: Path
+) -> None:
+    path = tmp_path / "bus.mf4"
+    moved = rig_frames[:10] + rig_frames[12:13] + rig_frames[10:12] + rig_frames[13:]
+    with MDF(version="4.10") as mdf:
+        for frames in (moved, [replace(f, can_id=0x321) for f in rig_frames]):
+            mdf.append([as_signal(frames, [1] * len(frames))], common_timebase=True)
+            group: Any = mdf.groups[-1].channel_group
+            group.flags |= 1 << 1
+        mdf.save(path, overwrite=True)
+    keep = wanted([rig_frames[0].can_id], None)
+    assert next(Mf4Columns(path, keep=keep).parts(None)) is None
 
 
 def test_a_blf_without_its_end_is_read_by_frames(rig_frames: list[Frame], tmp_path: Path) -> None:
