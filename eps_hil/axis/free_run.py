@@ -4,14 +4,16 @@ The first 20 samples may be looked at for the state to begin from; they do not c
 """
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from eps_hil.axis.emps import ARM_M, AxisRecord
-from eps_hil.diagnosis.data.prepare import STEP_S
+from eps_hil.diagnosis.data.prepare import EDGE_S, SMOOTH_HZ, STEP_S, prepare
+from eps_hil.identification.butterworth import low_pass
+from eps_hil.physics.balance import residual_nm
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.physics.simulate import simulate
@@ -21,6 +23,8 @@ Floats = npt.NDArray[np.float64]
 BEGIN = 20
 """Samples that show the first state, and are not judged."""
 FILE = "free_run.csv"
+MOVES_M_S = 0.005
+"""Speed from which friction has a direction."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,22 @@ def free_run(record: AxisRecord, model: Model) -> FreeRun:
     position = run.angle_rad * ARM_M
     error = (position - record.position_m)[BEGIN:]
     return FreeRun(position, 1e3 * float(np.sqrt(np.mean(error**2))))
+
+
+def friction_apart_n(record: AxisRecord, model: Model) -> tuple[float, float]:
+    """How much more friction (N) ``record`` has than ``model``, forward and backward.
+
+    Means over what moves, with all of the force at the input known: what lasts, a free run adds up.
+    """
+    known = replace(record, force_n=record.force_n - record.hidden_force_n)
+    motion = prepare(known.name, known.series()).motion(model)
+    short = low_pass(residual_nm(model, motion)[0] / ARM_M, SMOOTH_HZ)
+    speed = low_pass(np.gradient(record.position_m, STEP_S), SMOOTH_HZ)
+    inside = slice(round(EDGE_S / STEP_S), -round(EDGE_S / STEP_S))
+    short, speed = short[inside], speed[inside]
+    ways = (speed > MOVES_M_S, speed < -MOVES_M_S)
+    forth, back = (float(np.mean(short[way])) if way.any() else 0.0 for way in ways)
+    return forth, -back
 
 
 def write(folder: Path, record: AxisRecord, run: FreeRun) -> Path:

@@ -1,15 +1,25 @@
-"""Recordings against somebody's simulator: what they hold and its traces lack (CONTRACT 6)."""
+"""Recordings against somebody's simulator: what they hold and its traces lack, and the other way
+round (CONTRACT 6)."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
+from eps_hil.diagnosis.accept.proof_of_fit import measures
 from eps_hil.diagnosis.attribute.select import Say
+from eps_hil.diagnosis.balance.load import missing
 from eps_hil.diagnosis.data.channels import check_channels
-from eps_hil.diagnosis.data.intake import check_rates
+from eps_hil.diagnosis.data.intake import check_rates, measured, split
+from eps_hil.diagnosis.data.prepare import Prepared, prepare
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.simulator.differences import NUMBERS, Surplus, numbers, surplus, without
 from eps_hil.diagnosis.simulator.simulation import Simulated, explain, silent_on
 from eps_hil.diagnosis.simulator.traces import Signals
+from eps_hil.diagnosis.verdict.content import without_nan
+from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
+
+_SURE = 0.95
 
 
 def diagnose_against(
@@ -18,30 +28,102 @@ def diagnose_against(
     recordings: Mapping[str, Signals],
     holdouts: Mapping[str, Signals],
     say: Say | None = None,
-    without: Collection[str] = (),
+    without_effects: Collection[str] = (),
 ) -> Diagnosis:
     """The diagnosis with somebody's simulator in the place of our model.
 
     ``model`` holds what is known of the rig (inertia, ratios, delays, friction). ``content`` gets
-    the key ``simulation``: how the traces were aligned, the parameters that explain them, caveats.
-    The "baseline" of the proof is the simulator as we reduced it.
+    the key ``simulation``: how the traces were aligned, the parameters that explain them, caveats,
+    and ``differences`` in both directions. What the simulator has and the rig lacks is a finding
+    too (``direction``). The "baseline" of the proof is the simulator as we reduced it.
     """
     every = {**recordings, **holdouts}
     check_rates(every)
     check_channels(every, model)
-    simulated = explain(traces, every, model, _part(say, 0.0, 0.5))
+    simulated = explain(traces, every, model, _part(say, 0.0, 0.4))
+    if say:
+        say("looking for what the simulator has too many", 0.4)
+    fitted, kept = (
+        [prepare(name, one) for name, one in some.items()]
+        for some in split(measured(recordings), measured(holdouts))
+    )
+    extra: list[Surplus] = []
+    if not missing([*fitted, *kept]):
+        extra = surplus(fitted, kept, simulated.model, simulated.content["effects"])
+    base = without(simulated.model, extra)
     result = diagnose(
-        simulated.model,
+        base,
         recordings,
         holdouts,
         _part(say, 0.5, 1.0),
-        without,
+        without_effects,
         simulated.unexplained_nm,
     )
-    content = dict(result.content)
+    content = _with_surplus(result, simulated.model, extra)
     caveats = [*simulated.content["caveats"], *_silent(result, simulated)]
-    content["simulation"] = {**simulated.content, "caveats": caveats}
-    return replace(result, content=content)
+    content["simulation"] = {
+        **simulated.content,
+        "caveats": caveats,
+        "differences": _differences(result, base, extra, fitted),
+    }
+    return replace(result, content=without_nan(content))
+
+
+def _with_surplus(result: Diagnosis, simulator: Model, extra: Sequence[Surplus]) -> dict[str, Any]:
+    """The content with what is too many as findings, and figures of the simulator as it is."""
+    content = dict(result.content)
+    if not extra:
+        return content
+    content["findings"] = [*(_finding(one) for one in extra), *content["findings"]]
+    if content["verdict"] == "no_mismatch":
+        content["verdict"] = "explained"
+    before = measures(result.as_read or result.judged, result.model, simulator)
+    holdout = {**content["fit"]["holdout"], "baseline": before}
+    content["fit"] = {**content["fit"], "holdout": holdout}
+    return content
+
+
+def _finding(one: Surplus) -> dict[str, Any]:
+    told, effect = one.content(), catalogue()[one.entry["effect"]]
+    parameters = {
+        p.name: {"value": one.entry[p.name], "unit": p.unit, "ci95": None}
+        for p in effect.parameters
+        if p.name in one.entry
+    }
+    return {
+        "effect": effect.id,
+        "kind": effect.kind.value,
+        "direction": "simulator_only",
+        "confidence": _SURE,
+        "equation": effect.equation,
+        "summary": told["summary"],
+        "parameters": parameters,
+        "where": [],
+        "confusable_with": [],
+        "next_experiment": "",
+    }
+
+
+def _differences(
+    result: Diagnosis, base: Model, extra: Sequence[Surplus], fitted: Sequence[Prepared]
+) -> dict[str, Any]:
+    """Both directions, with sizes; ``same``: effects that both have."""
+    findings = [str(one["effect"]) for one in result.content["findings"]]
+    differ = numbers(fitted, base, result.model, findings) if findings else []
+    told = {one["name"].split(".")[0] for one in differ}
+    mine = [str(one["effect"]) for one in base.effects]
+    return {
+        "simulator_only": [one.content() for one in extra],
+        "rig_only": [
+            {"effect": one["effect"], "parameters": one.get("parameters", {})}
+            for one in result.content["findings"]
+            if one["effect"] not in (*mine, *NUMBERS, "unknown")
+            and one["kind"] == "structure"
+            and "direction" not in one
+        ],
+        "numbers": differ,
+        "same": [one for one in mine if one not in told],
+    }
 
 
 def _silent(result: Diagnosis, simulated: Simulated) -> list[str]:

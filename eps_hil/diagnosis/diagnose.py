@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from eps_hil.diagnosis.accept.as_written import (
     under_any_force,
     under_written_load,
 )
+from eps_hil.diagnosis.accept.beside_law import ENOUGH
 from eps_hil.diagnosis.accept.free_run import disagreement
 from eps_hil.diagnosis.accept.holdout_support import (
     augmented_by,
@@ -91,6 +93,8 @@ Floats = npt.NDArray[np.float64]
 EMPIRICAL = "empirical"
 MOST_LEFT = 0.5
 """Of the hold-outs' energy: what names leave of a force that is no arbitrary one."""
+LEFT_BY_LAW = 1.0 - ENOUGH
+"""The same, of a law without a name."""
 LEAST_JUDGED = 125
 """Sliding samples (of 8 ms) that hold-outs need to judge anything: 1 s."""
 
@@ -130,14 +134,17 @@ def diagnose(
     unexplained_nm: float = 0.0,
     *,
     trust_channels: bool = False,
+    began_s: Mapping[str, float] = MappingProxyType({}),
 ) -> Diagnosis:
     """Find what physics ``model`` lacks to explain the recordings.
 
     Without hold-outs the last recording (of several), or the last third (of one), is kept from
     the fit. Effects in ``without`` (ids) are not considered. ``unexplained_nm`` (rms, at the rotor)
-    is known to be the model's own fault and no finding. :class:`RecordingError` (a ``ValueError``)
-    where a recording lacks what a diagnosis needs, or a channel is not what its name says; with
-    ``trust_channels`` the latter is only said in ``limits``.
+    is known to be the model's own fault and no finding. ``began_s``: how long after its rig each
+    recording (or hold-out) began, where they are parts of one run: what warms up goes on.
+    :class:`RecordingError` (a ``ValueError``) where a recording lacks what a diagnosis needs, or a
+    channel is not what its name says; with ``trust_channels`` the latter is only said in
+    ``limits``.
     """
     recordings, holdouts = measured(recordings), measured(holdouts)
     fitted, kept = split(own_samples(recordings), own_samples(holdouts))
@@ -146,7 +153,7 @@ def diagnose(
         lambda one: prepared(one[0], one[1], unexplained_nm, {} if holdouts else recordings), series
     )
     size = size_of(every, model)
-    every = [one.changed(size=size) for one in every]
+    every = [one.changed(size=size, begins_s=began_s.get(one.name, one.begins_s)) for one in every]
     ready = list(zip(every[: len(fitted)], fitted.values(), strict=True))
     spare = list(zip(every[len(fitted) :], kept.values(), strict=True))
     same_load(every)
@@ -166,7 +173,8 @@ def _found(
 ) -> Diagnosis:
     """The diagnosis under the load that fits best, where nobody measured one."""
     every = [one for one, _ in (*ready, *spare)]
-    load = load_of(every, model) if missing(every) else None
+    learnt = [one for one, _ in ready]  # a hold-out that the load was fitted to judges nothing
+    load = load_of(learnt, model) if missing(every) else None
 
     def under(load: Load | None) -> Diagnosis:
         return _under(load, model, ready, spare, say, without)
@@ -176,19 +184,21 @@ def _found(
         return first
     base = load.in_model(model)
     if load.form == "arbitrary":  # which explains whatever there is
-        form = FREE if may_be_free(load, every, model) else load.followed()
-        form = replace(form, doubtful=True)
-        told = _refitted(under(form), form, form.in_model(model), every)
-        believed = told.content["verdict"] == "explained" or _follows(told)
+        loose = may_be_free(load, every, model)
+        form = replace(FREE if loose else load.followed(), doubtful=True)
+        told = _refitted(under(form), form, form.in_model(model), learnt)
+        believed = told.content["verdict"] == "explained" or _follows(
+            told, held=not loose and load.stiffness_n_per_m < 0.0
+        )
         return told if believed else replace(first, content=under_any_force(first.content))
     if not first.content["findings"]:
-        return _with_load(first, load, load, base)
-    better = load_of(every, first.model)  # beside the friction that was found it is another one
+        return _with_load(first, load, _as_told(load, first, learnt), base)
+    better = load_of(learnt, first.model)  # beside the friction that was found it is another one
     fitted = load
     if better.form == "spring":
         if wrong_in_friction(load, better, every, model):
             first, fitted = under(better), better
-        load = better
+        load = _as_told(better, first, learnt)
     if may_be_free(better, every, model):
         free = under(FREE)  # friction that grows with a load that is none looks like many things
         if _price(free) < _price(first):
@@ -196,22 +206,34 @@ def _found(
     return _with_load(first, fitted, load, base)
 
 
-def _follows(told: Diagnosis) -> bool:
+def _follows(told: Diagnosis, *, held: bool) -> bool:
     """Whether names explain most of the hold-outs' energy: that is no arbitrary force.
 
-    A model of what has no name would explain the force itself.
+    A law without a name has to explain nearly all of it: in manoeuvres that are somewhat alike, a
+    part of any force follows the motion somehow. And all of it does where the drive is ``held``: a
+    motor that holds a place against any force gives way as a spring of negative stiffness.
     """
-    if all(one["effect"] == "unknown" for one in told.content["findings"]):
+    named = any(one["effect"] != "unknown" for one in told.content["findings"])
+    if held and not named:
         return False
     before, after = (
         told.content["fit"]["holdout"][one]["torque_nrmse"] for one in ("baseline", "augmented")
     )
-    return bool(after**2 < MOST_LEFT * before**2)
+    return bool(after**2 < (MOST_LEFT if named else LEFT_BY_LAW) * before**2)
 
 
-def _refitted(told: Diagnosis, form: Load, base: Model, every: Sequence[Prepared]) -> Diagnosis:
+def _as_told(load: Load, told: Diagnosis, learnt: Sequence[Prepared]) -> Load:
+    """The load that is written beside what was found: with all that its damper had to hold there.
+
+    A level of friction that it could not be told from has no name, and would be in neither.
+    """
+    again = load_of(learnt, told.model, level=False)
+    return again if again.form == "spring" else load
+
+
+def _refitted(told: Diagnosis, form: Load, base: Model, learnt: Sequence[Prepared]) -> Diagnosis:
     """With the load in the model, a spring as it is beside what was found."""
-    better = load_of(every, told.model) if form.form == "spring" else form
+    better = load_of(learnt, told.model, level=False) if form.form == "spring" else form
     better = replace(better, doubtful=True) if better.form == "spring" else form
     return _with_load(told, form, better, base)
 

@@ -1,11 +1,12 @@
 """Force in, position out: an axis simulated over a whole record from its first state."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from eps_hil.axis.emps import ARM_M, AxisRecord, published_model
-from eps_hil.axis.free_run import free_run, write
+from eps_hil.axis.free_run import free_run, friction_apart_n, write
 from eps_hil.diagnosis.data.prepare import STEP_S
 from eps_hil.physics.simulate import simulate
 
@@ -24,3 +25,23 @@ def test_the_model_that_made_a_record_runs_along_it(tmp_path: Path) -> None:
     rows = np.loadtxt(write(tmp_path / "traces", record, found), delimiter=",", skiprows=1)
     np.testing.assert_allclose(rows[:, 1], found.position_m + 0.125, atol=1e-8)
     np.testing.assert_allclose(rows[:, 0], time, atol=1e-6)
+
+
+def test_friction_that_a_record_has_more_of_is_told_by_direction() -> None:
+    """Made with 2 N more forward and 1 N less backward, and pushed by a force that is known."""
+    model, time = published_model(), np.asarray(np.arange(6000) * STEP_S, dtype=np.float64)
+    own = model.friction
+    other = replace(
+        own,
+        offset_pos_nm=own.offset_pos_nm + 2.0 * ARM_M,
+        offset_neg_nm=own.offset_neg_nm - 1.0 * ARM_M,
+    )
+    force = 60.0 * np.sin(2 * np.pi * 0.5 * time)
+    nothing = np.zeros(len(time))
+    run = simulate(replace(model, friction=other), time, force * ARM_M, nothing, nothing)
+    pulses = np.where(time > 3.0, 25.0, 0.0)
+    record = AxisRecord("made", run.angle_rad * ARM_M, force + pulses, pulses)
+    forward, backward = friction_apart_n(record, model)
+    assert abs(forward - 2.0) < 0.15
+    assert abs(backward + 1.0) < 0.15
+    assert np.all(np.abs(friction_apart_n(record, replace(model, friction=other))) < 0.15)

@@ -42,6 +42,7 @@ LIKE_ANY_LOAD = ("motor_torque_gain", "motor_torque_saturation")
 _ROUNDS = 6
 _WRONG = 0.05
 """Of the noise: friction under another load that is worth another look."""
+_LIKE_A_RATIO, _RATIO = "torque_sensor_gain", "rack_ratio"
 _LIKE_FRICTION_OF_A_SPRING, _OF_LOAD = "position_dependent_friction", "load_dependent_friction"
 
 
@@ -110,18 +111,23 @@ def not_told_apart(load: Load) -> Collection[str]:
 
 
 def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[dict[str, Any]]:
-    """Findings (CONTRACT 7) with what they may be instead, where a spring stands for the load.
+    """Findings (CONTRACT 7) with what they may be instead, where nobody measured the load.
 
-    Its force follows the position, and so does friction that grows with it.
+    A spring's force follows the position, and so does friction that grows with it. And with no
+    rack force, the ratio only scales what the torsion bar brings to the rotor.
     """
     told = [dict(one) for one in findings]
-    if load is None or load.form != "spring" or load.stiffness_n_per_m == 0.0:
+    if load is None:
         return told
+    sprung = load.form == "spring" and load.stiffness_n_per_m != 0.0
     for one in told:
-        if one["effect"] == _LIKE_FRICTION_OF_A_SPRING:
-            one["confusable_with"] = [*one["confusable_with"], _OF_LOAD]
+        other = _RATIO if one["effect"] == _LIKE_A_RATIO else ""
+        if sprung and one["effect"] == _LIKE_FRICTION_OF_A_SPRING:
+            other = _OF_LOAD
+        if other and other not in one["confusable_with"]:
+            one["confusable_with"] = [*one["confusable_with"], other]
             one["confidence"] = round(0.5 * float(one["confidence"]), 3)
-            settle = f"against {_OF_LOAD}: record the rack force"
+            settle = f"against {other}: record the rack force"
             one["next_experiment"] = "; ".join(filter(None, [one["next_experiment"], settle]))
     return told
 
@@ -138,10 +144,11 @@ def load_knobs(load: Load | None) -> Mapping[str, float]:
     }
 
 
-def load_of(recordings: Sequence[Prepared], model: Model) -> Load:
+def load_of(recordings: Sequence[Prepared], model: Model, *, level: bool = True) -> Load:
     """The load of the recordings without a load cell, fitted on their sliding samples.
 
-    Beside a friction level of its own, which is no load's: a damper would take it in.
+    Beside a friction ``level`` of its own, which is no load's: a damper would take it in. Once
+    names have been looked for, what no name stands for has to be somewhere: then without.
     """
     bare = [one for one in recordings if "rack_force_n" not in one.raw]
     numbers = np.zeros(4)
@@ -151,7 +158,8 @@ def load_of(recordings: Sequence[Prepared], model: Model) -> Load:
             filled = _filled(one, model, numbers[:3])
             mask = sliding(filled, model)
             way = np.sign(one.motion(model).speed_rad_s)
-            columns = np.column_stack([one.thin(c) for c in (*_motion(one, model), way)])[mask]
+            motion = (*_motion(one, model), way if level else np.zeros(len(way)))
+            columns = np.column_stack([one.thin(c) for c in motion])[mask]
             rows.append(columns)
             loss = filled.left_over(model)[mask] * model.rack_to_rotor_ratio_rad_per_m
             left.append(loss - numbers[3] * columns[:, 3])
@@ -166,7 +174,7 @@ def load_of(recordings: Sequence[Prepared], model: Model) -> Load:
     k, c, f = (float(number) for number in numbers[:3])
     motions = [one.motion(model) for one in bare]
     travel_m, speed = (
-        max(float(np.max(np.abs(getattr(motion, name)))) for motion in motions)
+        max(float(np.max(np.abs(getattr(of, name)))) for of in motions)
         for name in ("position_m", "speed_rad_s")
     )
     form: Literal["arbitrary", "spring"] = "arbitrary" if excess > ARBITRARY_EXCESS else "spring"
@@ -177,7 +185,7 @@ def may_be_free(load: Load, recordings: Iterable[Prepared], model: Model) -> boo
     """Whether no force at all could be what was taken for this load: its spring hardly acts."""
     for one in recordings:
         if "rack_force_n" not in one.raw:
-            force = load.stiffness_n_per_m * float(np.std(one.motion(model).position_m))
+            force = abs(load.stiffness_n_per_m) * float(np.std(one.motion(model).position_m))
             if force / model.rack_to_rotor_ratio_rad_per_m > ARBITRARY_EXCESS * one.floor_nm(model):
                 return False
     return True
@@ -239,5 +247,4 @@ def _with_force(one: Prepared, force: Floats, model: Model) -> Prepared:
     reported = force if late == 0.0 else np.interp(one.time_s - late, one.time_s, force)
     raw = {**one.raw, "rack_force_n": np.asarray(reported)}
     noise = {**one.noise, "rack_force_n": 0.0}
-    filled = Prepared(one.name, one.time_s, raw, noise, one.speed_is_derived, load_is_assumed=True)
-    return replace(filled, size=one.size)
+    return one.changed(raw=raw, noise=noise, load_is_assumed=True)

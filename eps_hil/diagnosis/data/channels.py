@@ -13,6 +13,7 @@ import numpy as np
 
 from eps_hil.diagnosis.data.far_off import check_clocks
 from eps_hil.diagnosis.data.intake import RecordingError, refusing
+from eps_hil.diagnosis.data.one_machine import check_one_machine
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.errors import InputError
 from eps_hil.identification import kinematics, plausibility
@@ -36,6 +37,10 @@ COMPARED_S = 40.0
 carried them apart."""
 WINDOW_S = 5.0
 """…and in windows, most of which have to say the same: one of the two may stick for seconds."""
+FULL_TURN = 1.1 * 2.0 * np.pi
+"""What starts anew within it is told in other words (``check_turns``)."""
+ANEW, ALONE = 0.8, 10
+"""Share of an angle's range that a step is where it starts anew; and samples between two such."""
 _MOVES_RAD_S = 0.5
 _FEWEST = 8
 
@@ -43,7 +48,8 @@ _FEWEST = 8
 def check_channels(recordings: Mapping[str, Signals], model: Model) -> None:
     """``RecordingError`` (of the intake) with the first channel that is not what its name says."""
     most_s = max(LONGEST_S / max(len(recordings), 1), LEAST_S)
-    each(lambda one: _check(one[0], one[1], model, most_s), recordings.items())
+    ready = each(lambda one: _check(one[0], one[1], model, most_s), recordings.items())
+    check_one_machine([one for one in ready if one is not None])
 
 
 def channels_in_doubt(recordings: Mapping[str, Signals], model: Model, trusted: bool) -> list[str]:
@@ -57,21 +63,45 @@ def channels_in_doubt(recordings: Mapping[str, Signals], model: Model, trusted: 
     return []
 
 
-def _check(name: str, series: Signals, model: Model, most_s: float) -> None:
+def _check(name: str, series: Signals, model: Model, most_s: float) -> Prepared | None:
     used: Signals = {
         key: one for key, one in series.items() if np.isfinite(one.value).sum() >= _FEWEST
     }
     moving = {"motor_speed_rad_s", "motor_angle_rad"} & used.keys()
     if "motor_torque_nm" not in used or not moving:
-        return
+        return None
     with refusing():
+        if "motor_angle_rad" in used:
+            check_turning_on(name, used["motor_angle_rad"])
         used = _liveliest(used, most_s)
         if _shared_s(used) < SHORTEST_S:
-            return
+            return None
         ready = prepare(name, used)
         check_clocks(ready)
         _motion(ready, model)
         _torques(ready, model)
+    return ready
+
+
+def check_turning_on(name: str, angle: Series) -> None:
+    """:class:`InputError` for an angle that starts anew at the end of its range, whatever that is.
+
+    Jumps of nearly all of the range, each alone, where no other step is a tenth of it.
+    """
+    value = angle.value[np.isfinite(angle.value)]
+    step = np.diff(value)
+    span = float(np.ptp(value))
+    jumps = np.flatnonzero(np.abs(step) > ANEW * span)
+    others = np.delete(np.abs(step), jumps)
+    if len(jumps) < 2 or span < FULL_TURN or np.max(others, initial=0.0) > 0.1 * span:
+        return
+    if np.min(np.diff(jumps)) < ALONE:  # there and back: a value that was read wrong
+        return
+    problem = (
+        f"jumps by {float(np.median(np.abs(step[jumps]))):.4g} rad {len(jumps)} times: it starts "
+        "anew at the end of its range"
+    )
+    raise InputError(name, "motor_angle_rad", problem, "unwrap it")
 
 
 def _motion(one: Prepared, model: Model) -> None:

@@ -42,7 +42,7 @@ def check_clocks(one: Prepared) -> None:
         return
     found = None
     loads = [name for name in _LOADS if name in raw]
-    if len(loads) > 1:
+    if loads:
         turning = np.tanh(speed / (_TURNS * np.sqrt(np.mean(speed**2))))
         motion = [_slow(c) for c in (turning, speed, np.gradient(speed, 1e-3))]
         found = _moved(loads, [_slow(raw[name]) for name in loads], motion)

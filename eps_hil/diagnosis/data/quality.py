@@ -41,6 +41,8 @@ MARGIN_S = 0.1
 """Barred on both sides of what is wrong."""
 _FOLLOWED = 0.1
 """Of what a stamp lies beside the beat; the beat's own step follows so that neither swings."""
+_ROUNDED = 1.6
+"""Times the usual step: so far apart coarse stamps may be, and no frame is missing."""
 MATTERS = 0.01
 """Share of lost frames from which they are a finding."""
 _ENTERED, _NEAR = 3.0, 20
@@ -191,7 +193,7 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
         signal=signal,
         rate_hz=1.0 / usual if usual > 0 else 0.0,
         jitter_s=jitter,
-        lost_frames=_surely_lost(seconds, usual, jitter) if usual > 0 else 0,
+        lost_frames=_surely_lost(seconds, _beat(steps, usual), jitter) if usual > 0 else 0,
         frames=len(steps) + 1,
         gaps=_gaps(seconds, good),
         clipped=_clipped(value, at, runs, quantum),
@@ -200,6 +202,11 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
         noise=noise_of(value) if len(value) > 10 else 0.0,
         bad_samples=int(np.sum(~good)),
     )
+
+
+def _beat(steps: Floats, usual: float) -> float:
+    """Between samples, on average: stamps in whole ms say 2 and 3 for a signal of 2.4 ms."""
+    return max(usual, float(np.mean(steps[steps <= _ROUNDED * usual])))
 
 
 def _surely_lost(seconds: Floats, usual: float, jitter: float) -> int:

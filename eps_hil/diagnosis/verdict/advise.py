@@ -91,22 +91,23 @@ def separation(problem: Problem, entry: Mapping[str, Any], rival: str) -> float:
     use = problem.sliding
     base = problem.residual(problem.model)
     target = (problem.residual(problem.with_entries([entry])) - base)[use]
-    own = _own(problem, base)[use]
-    if _unexplained(target, own) < _MOSTLY * float(target @ target):
+    own = own_columns(problem, base)[use]
+    if unexplained(target, own) < _MOSTLY * float(target @ target):
         own = own[:, [list(ALL).index(HOLD)]]  # the finding is one of these numbers
     effect = catalogue()[rival]
     left = [
-        _unexplained(target, np.column_stack([own, columns[use]]))
-        for columns in _copies(problem, effect, base)
+        unexplained(target, np.column_stack([own, columns[use]]))
+        for columns in copies(problem, effect, base)
     ]
-    return min(left, default=_unexplained(target, own))
+    return min(left, default=unexplained(target, own))
 
 
 def _others(model: Model, entry: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
     return tuple(one for one in model.effects if one["effect"] != entry["effect"])
 
 
-def _own(problem: Problem, base: Floats) -> Floats:
+def own_columns(problem: Problem, base: Floats) -> Floats:
+    """Sensitivities (n, k) to the model's own numbers; ``base`` is its residual."""
     columns = []
     for name in ALL:
         moved = turned(problem.model, {name: _KNOB_STEP}, problem.size)
@@ -114,7 +115,7 @@ def _own(problem: Problem, base: Floats) -> Floats:
     return np.column_stack(columns)
 
 
-def _copies(problem: Problem, effect: Effect, base: Floats) -> list[Floats]:
+def copies(problem: Problem, effect: Effect, base: Floats) -> list[Floats]:
     """The rival's sensitivities in each of its shapes, each (n, 1 or 2)."""
     probe = effect.probe
     if probe is None:
@@ -156,7 +157,7 @@ def _shapes(problem: Problem, effect: Effect) -> Sequence[Mapping[str, Any]]:
     return []
 
 
-def _unexplained(target: Floats, columns: Floats) -> float:
+def unexplained(target: Floats, columns: Floats) -> float:
     """Sum of squares of ``target`` that the columns leave (units of the noise)."""
     size = np.sqrt(np.sum(columns**2, axis=0))
     columns = columns[:, size > 0] / size[size > 0]

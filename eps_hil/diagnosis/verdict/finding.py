@@ -8,6 +8,7 @@ import numpy as np
 from eps_hil.diagnosis.attribute.numbers import CONSTANTS
 from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Selection
+from eps_hil.diagnosis.balance.baseline import HOLD
 from eps_hil.diagnosis.balance.fit import Fit
 from eps_hil.diagnosis.balance.problem import Problem, term_of
 from eps_hil.diagnosis.data.entry import place
@@ -26,6 +27,8 @@ SUREST = 0.95
 INSTANT = 0.1
 """Of a sampling interval: deviation of what a delay means, when nobody knows at which instant of
 its interval a value was taken, how the controller held it and how its filters shaped it."""
+SLOW_SAMPLES_S = 2e-3
+"""Between samples: half of a shorter step is below what is named (``least`` of the delay)."""
 _FOLLOWS = 0.25
 """Of what is left: a curve that holds less is no description of it."""
 _INTERNAL = ("belt_ratio", "pole_pairs", "harmonic")
@@ -52,13 +55,19 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     share = (without - found.residual) ** 2
     sentence, values = effect.wording(entry)
     places = locate.where(problem, np.where(problem.sliding, share, 0.0), effect.over_time)
+    parameters = _parameters(problem, found, k, effect)
+    held = ""
+    if effect.id == HOLD:
+        held = as_held(
+            parameters["delay_s"]["ci95"], max(one.interval_s for one in problem.recordings)
+        )
     return {
         "effect": effect.id,
         "kind": str(effect.kind),
         "confidence": _confidence(gain, least, rivals),
         "equation": effect.equation,
-        "summary": sentence.format(**values),
-        "parameters": _parameters(problem, found, k, effect),
+        "summary": sentence.format(**values) + held,
+        "parameters": parameters,
         "where": [
             place(region.signal, region.low, region.high, region.share, region.occupancy)
             for region in places
@@ -66,6 +75,16 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
         "confusable_with": twins,
         "next_experiment": _experiment(effect, twins),
     }
+
+
+def as_held(delay_s: Sequence[float], interval_s: float) -> str:
+    """What is said of a delay whose interval holds half a step of slow samples; else nothing."""
+    if interval_s <= SLOW_SAMPLES_S or not delay_s[0] < 0.5 * interval_s < delay_s[1]:
+        return ""
+    return (
+        f" Half a sampling interval is {0.5 * interval_s:.2g} s: so late is a torque that is held "
+        "between samples, whatever the drive does; record faster to tell the two apart."
+    )
 
 
 def _parameters(problem: Problem, found: Fit, k: int, effect: Effect) -> dict[str, Any]:

@@ -40,6 +40,16 @@ def test_without_a_spring_it_stands(load: Load | None) -> None:
     assert doubted([one], load) == [one]
 
 
+@pytest.mark.parametrize("load", [Load("free", 0.0, 0.0, 0.0), Load("spring", 4e4, 300.0, 50.0)])
+def test_with_no_rack_force_a_sensor_s_gain_may_be_the_ratio(load: Load) -> None:
+    """Both only scale what the torsion bar brings to the rotor."""
+    (one,) = doubted([finding("torque_sensor_gain")], load)
+    assert one["confusable_with"] == ["rack_ratio"]
+    assert one["confidence"] == 0.45
+    (measured,) = doubted([finding("torque_sensor_gain")], None)
+    assert measured["confusable_with"] == []
+
+
 def test_the_written_model_pulls_as_the_load_did(reference_model: Model) -> None:
     """In the place of a force that no input holds: the same torque at the rotor, and friction."""
     load = Load("spring", 4e4, 300.0, 50.0)

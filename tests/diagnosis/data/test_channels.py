@@ -255,3 +255,20 @@ def test_strong_physics_elsewhere_makes_no_channel_too_large(
     }
     made = record({**strong[plant], other_rig.HAND: 3.0}, ("weave", "sweep"), seconds=12.0)
     check_channels(made, reference_model)
+
+
+def test_an_angle_that_starts_anew_after_any_range_is_told(
+    weave: Signals, reference_model: Model
+) -> None:
+    """Motors that report 16 bits over 25 rad."""
+    angle = weave[ANGLE]
+    wrapped = Series(angle.t_ns, (angle.value + 12.5) % 25.0 - 12.5)
+    with pytest.raises(RecordingError, match=r"motor_angle_rad: jumps by 2[45]\S* rad \d+ times"):
+        check_channels({"w": {**weave, ANGLE: wrapped}}, reference_model)
+
+
+def test_a_value_that_was_read_wrong_is_no_new_turn(weave: Signals, reference_model: Model) -> None:
+    angle = weave[ANGLE]
+    value = np.clip(angle.value, -5.0, 5.0)
+    value[[2000, 5000]] = 200.0
+    channels.check_turning_on("w", Series(angle.t_ns, value))

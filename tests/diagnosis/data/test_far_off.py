@@ -48,6 +48,24 @@ def test_the_channel_and_how_far_it_is_off_are_told(
         check_channels({"r": later(recorded, signal, seconds)}, reference_model)
 
 
+@pytest.mark.parametrize("seconds", [0.0, 1.0, -1.0])
+def test_a_lone_torque_is_held_against_the_motion(reference_model: Model, seconds: float) -> None:
+    """A joint or an axis without any load cell."""
+    rng = np.random.default_rng(5)
+    time = np.arange(30_000) * 1e-3
+    lines = [(rng.uniform(0.2, 2.5), rng.uniform(0.0, 6.28)) for _ in range(8)]
+    speed = np.sum([8.0 * np.cos(6.28 * f * time + p) for f, p in lines], axis=0)
+    torque = 2e-4 * np.gradient(speed, 1e-3) + 0.05 * np.tanh(speed / 2.0) + 4e-4 * speed
+    torque += 1e-3 * rng.standard_normal(len(time))
+    t_ns = np.round(time * 1e9).astype(np.int64)
+    one = {"motor_torque_nm": Series(t_ns, torque), "motor_speed_rad_s": Series(t_ns, speed)}
+    if not seconds:
+        check_channels({"r": one}, reference_model)
+        return
+    with pytest.raises(RecordingError, match=r"motor_torque_nm: comes some 1\.0 s"):
+        check_channels({"r": later(one, "motor_torque_nm", seconds)}, reference_model)
+
+
 def test_trusted_channels_are_only_remarked_upon(recorded: Signals, reference_model: Model) -> None:
     moved = {"r": later(recorded, "rack_force_n", 1.0)}
     (said,) = channels_in_doubt(moved, reference_model, True)

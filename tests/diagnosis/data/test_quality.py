@@ -214,3 +214,16 @@ def test_rows_lost_count_once_whatever_the_signals_rates() -> None:
     frames, share = look_at("a", series).lost
     assert frames == 20_000 - len(kept)
     assert share == pytest.approx(1 / 15, rel=0.02)
+
+
+def test_stamps_in_whole_milliseconds_lose_no_frame() -> None:
+    """A signal every 2.4 ms, as a robot's table has it: 2 and 3 ms apart, none missing."""
+    stamps = np.round(2.37e-3 * np.arange(20_000), 3)
+    one = Series(np.round(stamps * 1e9).astype(np.int64), np.sin(stamps))
+    series = {"motor_angle_rad": one, "motor_torque_nm": one}
+    (channel, _) = look_at("robot", series, 2513.0).channels
+    assert channel.lost_frames == 0
+    kept = np.delete(np.arange(20_000), np.arange(50, 20_000, 50))
+    holed = {name: Series(s.t_ns[kept], s.value[kept]) for name, s in series.items()}
+    (channel, _) = look_at("robot", holed, 2513.0).channels
+    assert channel.lost_frames == pytest.approx(399, rel=0.1)

@@ -7,7 +7,14 @@ from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.mismatch.leftover import Leftover
-from eps_hil.diagnosis.verdict.finding import SUREST, _confidence, _experiment, finding, unknown
+from eps_hil.diagnosis.verdict.finding import (
+    SUREST,
+    _confidence,
+    _experiment,
+    as_held,
+    finding,
+    unknown,
+)
 from eps_hil.physics.effects.catalogue import catalogue
 
 
@@ -77,3 +84,17 @@ def test_no_delay_is_known_better_than_when_a_slow_signal_was_taken(problem: Pro
 
     assert width(1e-3) == pytest.approx(np.hypot(3e-4, 1.96 * 1e-4))
     assert width(0.01) == pytest.approx(np.hypot(3e-4, 1.96 * 1e-3))
+
+
+@pytest.mark.parametrize(
+    ("interval_s", "delay_s", "said"),
+    [
+        (0.0206, (0.0067, 0.0149), True),
+        (0.0206, (0.0149, 0.0190), False),
+        (0.001, (0.0004, 0.0006), False),
+    ],
+)
+def test_a_delay_of_half_a_slow_sample_may_be_how_a_torque_is_held(
+    interval_s: float, delay_s: tuple[float, float], said: bool
+) -> None:
+    assert ("held between samples" in as_held(delay_s, interval_s)) is said

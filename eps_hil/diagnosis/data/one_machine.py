@@ -1,0 +1,117 @@
+"""Whether all recordings are of one machine: the inertia of each against those of the others.
+
+What a drive's recordings may differ in is physics (friction that warms up, a stop that one meets).
+Its inertia may not. It is read off a rough linear balance of every recording apart; where it is
+clearly another in one of them, these are two rigs in one call, and names would only stand for the
+difference. A recording that hardly accelerates tells nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.data.intake import RecordingError
+from eps_hil.identification.butterworth import low_pass
+from eps_hil.identification.prepare import Prepared
+
+Floats = npt.NDArray[np.float64]
+
+WAYS, EVERY = ((10.0, False), (4.0, False), (10.0, True)), 20
+"""Low-pass in Hz, and whether a spring stands beside it, of each look; and samples of 1 ms from one
+that is looked at to the next."""
+ANOTHER = 1.3
+"""Times the other recording's: more than a balance without what is to be found makes of it."""
+DEVIATIONS = 6.0
+"""Of the difference of logarithms, by how blocks of a recording differ."""
+_UNEXPLAINED = 0.02
+"""Of the variance: a balance that leaves more tells no number well enough to refuse anything."""
+_BLOCKS, _SHORTEST = 8, 400
+_TURNS = 0.1
+
+
+@dataclass(frozen=True)
+class _Number:
+    """A number of a recording, with the deviation of its logarithm."""
+
+    value: float
+    deviation: float
+
+
+def check_one_machine(recordings: Sequence[Prepared]) -> None:
+    """:class:`RecordingError` for a recording that is of another machine than one before it."""
+    told: list[tuple[str, _Number]] = []
+    for one in recordings:
+        here = _inertia(one)
+        if here is None:
+            continue
+        for other, there in told:
+            unsure = float(np.hypot(here.deviation, there.deviation))
+            if abs(np.log(here.value / there.value)) > max(np.log(ANOTHER), DEVIATIONS * unsure):
+                raise RecordingError(
+                    one.name,
+                    f"is of another machine than {other}: the inertia at the rotor is "
+                    f"{here.value:.2g} kg m², there {there.value:.2g}; diagnose the two apart",
+                )
+        told.append((one.name, here))
+
+
+def _inertia(one: Prepared) -> _Number | None:
+    """At the rotor; None where a linear balance hardly explains the torque.
+
+    What differs between two bands, or beside a spring, is no inertia but what the balance lacks,
+    or a motor that holds a place: its torque follows the motion, whatever it moves.
+    """
+    told = [_below(one, low_hz, spring=spring) for low_hz, spring in WAYS]
+    first = told[0]
+    if first is None:
+        return None
+    deviation = first.deviation
+    for other in told[1:]:
+        if other is None:
+            return None
+        deviation = float(np.hypot(deviation, np.log(first.value / other.value)))
+    return _Number(first.value, deviation)
+
+
+def _below(one: Prepared, low_hz: float, *, spring: bool) -> _Number | None:
+    raw = {name: np.where(np.isfinite(v), v, 0.0) for name, v in one.raw.items()}
+    speed = raw.get("motor_speed_rad_s")
+    if speed is None:
+        speed = np.gradient(low_pass(raw["motor_angle_rad"], 3.0 * low_hz), 1e-3)
+    if not np.any(speed) or "motor_torque_nm" not in raw:
+        return None
+    size = float(np.sqrt(np.mean(speed**2)))
+    turning = np.tanh(speed / (_TURNS * size))
+    columns = [np.gradient(speed, 1e-3), turning, speed, np.abs(speed) * speed]
+    columns += [turning * np.exp(-np.abs(speed) / size), np.ones(len(speed))]
+    columns += [raw[name] for name in ("torque_sensor_nm", "rack_force_n") if name in raw]
+    if "rack_force_n" in raw:
+        columns.append(np.abs(raw["rack_force_n"]) * turning)
+    if spring:
+        columns.append(np.cumsum(speed) * 1e-3)
+    a = np.column_stack([low_pass(c, low_hz)[::EVERY] for c in columns])
+    torque = low_pass(raw["motor_torque_nm"], low_hz)[::EVERY]
+    if len(a) < _SHORTEST or not np.ptp(torque) > 0.0:
+        return None
+    a /= (scale := np.sqrt(np.mean(a**2, axis=0)) + 1e-300)
+    parts = np.array_split(np.arange(len(a)), _BLOCKS)
+    normal = np.array([a[p].T @ a[p] for p in parts])
+    right = np.array([a[p].T @ torque[p] for p in parts])
+    ridge = 1e-9 * len(a) * np.eye(a.shape[1])
+    whole = np.linalg.solve(normal.sum(axis=0) + ridge, right.sum(axis=0))
+    if float(np.mean((torque - a @ whole) ** 2)) > _UNEXPLAINED * float(np.var(torque)):
+        return None
+    without = np.array(
+        [
+            np.linalg.solve(normal.sum(axis=0) - normal[k] + ridge, right.sum(axis=0) - right[k])
+            for k in range(_BLOCKS)
+        ]
+    )
+    values = np.array([whole[0], *without[:, 0]])
+    if not np.all(values > 0.0):
+        return None
+    logs = np.log(values[1:])
+    spread = float(np.sqrt((_BLOCKS - 1) * np.mean((logs - np.mean(logs)) ** 2)))
+    return _Number(float(values[0] / scale[0]), spread)
