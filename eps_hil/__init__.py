@@ -15,9 +15,25 @@ from typing import TYPE_CHECKING, Any
 from eps_hil.version import VERSION as __version__
 
 if TYPE_CHECKING:
-    from eps_hil.api.jobs import changes, compare, diagnose, estimate, identify, load, simulate
+    from eps_hil.api.jobs import (
+        changes,
+        compare,
+        diagnose,
+        estimate,
+        fit_simulator,
+        identify,
+        load,
+        simulate,
+    )
     from eps_hil.api.recording import Recording
-    from eps_hil.api.results import Comparison, Diagnosis, Estimate, Identification, Simulation
+    from eps_hil.api.results import (
+        Comparison,
+        Diagnosis,
+        Estimate,
+        Identification,
+        Simulation,
+        SimulatorFit,
+    )
     from eps_hil.errors import EpsHilError, InputError
     from eps_hil.physics.model import Model
 
@@ -27,6 +43,7 @@ _PLACES = {
         "compare",
         "diagnose",
         "estimate",
+        "fit_simulator",
         "identify",
         "load",
         "simulate",
@@ -38,6 +55,7 @@ _PLACES = {
         "Estimate",
         "Identification",
         "Simulation",
+        "SimulatorFit",
     ),
     "eps_hil.errors": ("EpsHilError", "InputError"),
     "eps_hil.physics.model": ("Model",),
@@ -54,11 +72,13 @@ __all__ = [
     "Model",
     "Recording",
     "Simulation",
+    "SimulatorFit",
     "__version__",
     "changes",
     "compare",
     "diagnose",
     "estimate",
+    "fit_simulator",
     "identify",
     "load",
     "simulate",

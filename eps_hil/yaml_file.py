@@ -1,5 +1,7 @@
 """YAML file -> validated value. Every error names file, line, field and what was expected."""
 
+import dataclasses
+import difflib
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,6 +13,8 @@ from eps_hil.errors import InputError
 T = TypeVar("T")
 
 _MAX_SHOWN = 3
+_NEARLY = 0.85
+"""Alike enough to be meant: effect and effects; not friction_map and friction."""
 
 
 def read(path: str | Path) -> Any:
@@ -33,9 +37,31 @@ def load(path: str | Path, kind: type[T], *, section: str = "") -> T:
     content = read(path)
     if section:
         if not isinstance(content, dict) or section not in content:
-            raise InputError(path, section, "section is missing", f"add a '{section}:' block")
+            raise InputError(path, section, "section is missing", _block_remedy(content, section))
+        _refuse_fields_beside(path, content, kind, section)
         content = content[section]
     return validate(path, content, kind, section=section)
+
+
+def _block_remedy(content: Any, section: str) -> str:
+    keys = [str(key) for key in content] if isinstance(content, dict) else []
+    near = difflib.get_close_matches(section, keys, n=1)
+    return f"rename '{near[0]}:' to '{section}:'" if near else f"add a '{section}:' block"
+
+
+def _refuse_fields_beside(
+    path: str | Path, content: dict[Any, Any], kind: Any, section: str
+) -> None:
+    """Other blocks may stand beside a section; its own fields would be ignored there."""
+    fields = (
+        [one.name for one in dataclasses.fields(kind)] if dataclasses.is_dataclass(kind) else []
+    )
+    for key in content:
+        near = difflib.get_close_matches(str(key), fields, n=1, cutoff=_NEARLY)
+        if near and key != section:
+            problem = f"stands beside '{section}:', where it has no effect"
+            remedy = f"indent it below '{section}:', as {near[0]}"
+            raise InputError(path, f"{_place(Path(path), (key,))}, {key}", problem, remedy)
 
 
 def validate(path: str | Path, content: Any, kind: type[T], *, section: str = "") -> T:

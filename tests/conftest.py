@@ -25,12 +25,15 @@ REAL_TIME = (
 NO_CLOCK = frozenset(
     f"{folder}/test_{name}.py"
     for folder, names in {
-        "bus": "bit_packing codec eps_rig_dbc fast_clock sample_clock stamp_offset",
+        "bus": "bit_packing bits codec eps_rig_dbc fast_clock mapping protection sample_clock "
+        "stamp_offset",
         "cli": "budget compare convert diagnose estimate frequency_response gap identify tune",
         "monitor": "view_model",
+        "programme": "conductor recordings",
         "real": "emps ford_gt350",
         "rig": "effects manoeuvre offline",
-        "service": "calibration second_estimator",
+        "service": "calibration command_replay core friction_levels guard_properties health "
+        "override_core rates second_estimator verdict",
     }.items()
     for name in names.split()
 )

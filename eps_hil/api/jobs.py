@@ -1,13 +1,23 @@
-"""The jobs of a program: load, estimate, simulate, identify, diagnose, changes, compare."""
+"""The jobs of a program: load, estimate, simulate, identify, diagnose, changes, compare, and
+``fit_simulator``."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from eps_hil.api.recording import Recording
-from eps_hil.api.results import Comparison, Diagnosis, Estimate, Identification, Simulation
+from eps_hil.api.results import (
+    Comparison,
+    Diagnosis,
+    Estimate,
+    Identification,
+    Simulation,
+    SimulatorFit,
+)
 from eps_hil.errors import InputError
+from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.stream import Trace
 from eps_hil.physics.model import Model, load_model
 from eps_hil.series import Series
 
@@ -46,11 +56,16 @@ def load(
 
 
 def estimate(
-    recording: Source, model: Rig, settings: EstimatorSettings | str | Path | None = None
+    recording: Source,
+    model: Rig,
+    settings: EstimatorSettings | str | Path | None = None,
+    *,
+    changes: Sequence[LevelChange] = (),
 ) -> Estimate:
     """The rack force of a recording, through the estimator that runs live.
 
-    ``settings``: an estimator settings file or value; default: the live service's.
+    ``settings``: an estimator settings file or value; default: the live service's. ``changes``:
+    friction levels that were taken over while it ran (those within the recording count).
     """
     from eps_hil import yaml_file
     from eps_hil.estimation import batch
@@ -64,12 +79,15 @@ def estimate(
     if wrong := problem(chosen, live=False):
         raise InputError("settings", "kind", wrong)
     try:
-        trace = batch.estimate(read.series, rig, chosen)
+        within = [one for one in changes if batch.spans(read.series, one.t_ns)]
+        trace = batch.estimate(read.series, rig, chosen, changes=within)
+        latency_s = batch.latency_s(rig, chosen, batch.sample_periods_s(read.series))
     except ValueError as error:
         raise _refused(read, error) from None
     if not len(trace.t_ns):
-        raise InputError(read.name, "", "is too short for one estimate", "record longer")
-    return Estimate(read, rig, trace, score(trace, read.series, rig))
+        remedy = f"record more than {latency_s:.3f} s"
+        raise InputError(read.name, "", "is too short for one estimate", remedy)
+    return Estimate(read, rig, trace, score(trace, read.series, rig), latency_s)
 
 
 def simulate(recording: Source, model: Rig, *, physical: bool = False) -> Simulation:
@@ -87,11 +105,46 @@ def simulate(recording: Source, model: Rig, *, physical: bool = False) -> Simula
     return Simulation(read, made.t_ns, made.columns, made.notes)
 
 
-def identify(recordings: Sources, model: Rig) -> Identification:
+def identify(
+    recordings: Sources, model: Rig, *, on_progress: Callable[[float], None] | None = None
+) -> Identification:
     """Delays, inertia, friction map and bristle of a rig; the model gives what is not shown."""
     from eps_hil.identification.identify import identify as run
 
-    return Identification(run(_by_name(_recordings(recordings)), _model(model)))
+    return Identification(run(_by_name(_recordings(recordings)), _model(model), on_progress))
+
+
+def fit_simulator(
+    recordings: Sources,
+    model: Rig,
+    simulation: str | Path,
+    free: Sequence[str],
+    *,
+    holdouts: Sources = (),
+    simulation_signals: str | Path | None = None,
+) -> SimulatorFit:
+    """Parameters of your own simulator, an FMU, that leave least torque unexplained.
+
+    ``free``: names of its parameters, or "name=low:high"; ``simulation_signals``: a mapping (YAML)
+    of its variables, where their names do not say enough. The model gives the sensors' delays.
+    """
+    from eps_hil.fmu.drive import opened
+    from eps_hil.fmu.fit import fit
+    from eps_hil.fmu.traces import unmet
+
+    used, kept = _recordings(recordings), _recordings(holdouts)
+    together = _by_name([*used, *kept])
+    with opened(Path(simulation), _columns(simulation_signals)) as simulator:
+        notes = (*simulator.notes(), *unmet(simulator, together))
+        first = {one.name: together[one.name] for one in used}
+        rest = {one.name: together[one.name] for one in kept}
+        return SimulatorFit(fit(simulator, first, rest, _model(model), free), notes)
+
+
+def _columns(mapping: str | Path | None) -> Any:
+    from eps_hil.recordings.foreign import load_columns
+
+    return None if mapping is None else load_columns(Path(mapping))
 
 
 def diagnose(
@@ -100,21 +153,40 @@ def diagnose(
     *,
     holdouts: Sources = (),
     without_effects: Collection[str] = (),
+    simulation: str | Path | Mapping[str, Mapping[str, Series]] | None = None,
+    simulation_signals: str | Path | None = None,
+    simulation_values: Mapping[str, float] | None = None,
+    trust_channels: bool = False,
+    on_progress: Callable[[str, float], None] | None = None,
 ) -> Diagnosis:
     """Which physics the model lacks, with confidence, intervals and the gain on hold-outs.
 
     Without ``holdouts`` a part of the recordings is kept from the fit. Recordings need names of
-    their own. :class:`InputError` where a recording lacks what a diagnosis needs.
+    their own. With ``simulation``, your own simulator as an FMU or its traces by name, it is that
+    which is judged; ``simulation_signals`` maps its variables (YAML), ``simulation_values`` sets
+    its parameters. ``trust_channels``: say, and do not refuse, that a channel looks like another.
+    :class:`InputError` where a recording lacks what a diagnosis needs.
     """
+    from eps_hil.diagnosis.against import diagnose_against
     from eps_hil.diagnosis.data.intake import RecordingError
     from eps_hil.diagnosis.diagnose import diagnose as run
 
     fitted, judged = _recordings(recordings), _recordings(holdouts)
-    together = _by_name([*fitted, *judged])
+    together, rig = _by_name([*fitted, *judged]), _model(model)
     first = {one.name: together[one.name] for one in fitted}
     rest = {one.name: together[one.name] for one in judged}
     try:
-        return Diagnosis(run(_model(model), first, rest, None, without_effects))
+        if simulation is None:
+            return Diagnosis(
+                run(rig, first, rest, on_progress, without_effects, trust_channels=trust_channels)
+            )
+        traces = simulation
+        if isinstance(traces, str | Path):
+            from eps_hil.fmu.traces import traces_of
+
+            mapping, values = _columns(simulation_signals), simulation_values
+            traces, _ = traces_of(Path(traces), together, rig, mapping, values)
+        return Diagnosis(diagnose_against(traces, rig, first, rest, on_progress, without_effects))
     except RecordingError as error:
         raise InputError(error.recording, "", str(error)) from None
     except ValueError as error:
@@ -144,17 +216,19 @@ def compare(
     model: Rig,
     settings: EstimatorSettings | None = None,
     *,
+    published: Trace | None = None,
     second: bool = False,
 ) -> Comparison:
     """The estimator with and without compensation and extensions, against the load cell.
 
-    ``second`` adds the estimators beside the paper's.
+    ``published``: what a running service made of it; ``second`` adds the estimators beside the
+    paper's.
     """
     from eps_hil.report import comparison
 
     read, rig = _recording(recording), _model(model)
     chosen = settings or EstimatorSettings()
-    found = comparison.compare(read, rig, chosen, second=second)
+    found = comparison.compare(read, rig, chosen, published, second=second)
     return Comparison(read, rig, tuple(found))
 
 

@@ -39,12 +39,10 @@ class Recording(plain.Recording):
         return show.dataframe({"time_s": t_ns * 1e-9, **columns}, library)
 
     def save(self, path: str | Path) -> Path:
-        """Write it as CSV, Parquet or MF4, by the suffix."""
-        from eps_hil.recordings.table import from_series
-        from eps_hil.recordings.write import write_table
+        """Write it as CSV, Parquet, MF4 or MCAP, by the suffix."""
+        from eps_hil.recordings.write import write_series
 
-        t_ns, columns = from_series(self.series)
-        write_table(path, columns, t_ns=t_ns)
+        write_series(path, self.series, source=self.name)
         return Path(path)
 
     def plot(self, signals: Sequence[str] = ()) -> Any:

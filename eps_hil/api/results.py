@@ -13,6 +13,8 @@ from eps_hil.api.recording import Recording
 from eps_hil.diagnosis import diagnose as diagnosing
 from eps_hil.estimation.score import Score
 from eps_hil.estimation.stream import Trace
+from eps_hil.estimation.validity import Reason
+from eps_hil.fmu import fit as simulator_fit
 from eps_hil.identification import result as identifying
 from eps_hil.physics.model import Model
 from eps_hil.report.comparison import Candidate, summary
@@ -25,12 +27,49 @@ class Estimate:
     """A recording's rack force; ``score`` is None where it holds no load cell.
 
     Rows of ``trace`` speak of physical instants (``t_ns``); use them where ``trace.valid``.
+    ``latency_s``: how long after that instant the live estimator knows it; NaN for a smoother.
     """
 
     recording: Recording
     model: Model
     trace: Trace
     score: Score | None
+    latency_s: float
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """As in the JSON of ``eps-hil estimate``."""
+        content: dict[str, Any] = {
+            "recording": self.recording.name,
+            "rows": len(self.trace.t_ns),
+            "valid_share": float(self.trace.valid.mean()),
+            "latency_s": self.latency_s,
+            "reasons": {
+                bit.name.lower(): int(np.count_nonzero(self.trace.reason & int(bit)))
+                for bit in Reason
+                if bit and bit.name and np.any(self.trace.reason & int(bit))
+            },
+        }
+        if self.score:
+            content["rack_force_error_n"] = {
+                "rms_moving": self.score.rmse_moving_n,
+                "rms_overall": self.score.rmse_overall_n,
+                "bias_moving": self.score.bias_moving_n,
+                "rms_of_rack_force": self.score.rms_force_n,
+            }
+        return content
+
+    def save(self, path: str | Path) -> Path:
+        """Write it as CSV, Parquet or MF4, by the suffix."""
+        from eps_hil.recordings.write import write_table
+
+        columns = {
+            "rack_force_estimate_n": self.trace.rack_force_n,
+            "friction_torque_nm": self.trace.friction_torque_nm,
+            "valid": self.trace.valid,
+        }
+        write_table(path, columns, t_ns=self.trace.t_ns)
+        return Path(path)
 
     def to_dataframe(self, library: str | None = None) -> Any:
         """``time_s``, ``rack_force_estimate_n``, ``friction_torque_nm``, ``valid``."""
@@ -78,6 +117,13 @@ class Simulation:
     t_ns: npt.NDArray[np.int64]
     columns: Mapping[str, Floats]
     notes: tuple[str, ...]
+
+    def save(self, path: str | Path) -> Path:
+        """Write it as CSV, Parquet or MF4, by the suffix: a recording like the input."""
+        from eps_hil.recordings.write import write_table
+
+        write_table(path, self.columns, t_ns=self.t_ns)
+        return Path(path)
 
     def to_dataframe(self, library: str | None = None) -> Any:
         """``time_s`` and the canonical columns."""
@@ -252,6 +298,40 @@ class Diagnosis:
             for one in self.findings
         ]
         return show.table(told, f"verdict: {self.verdict.replace('_', ' ')}")
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatorFit:
+    """Parameters of a simulator that recordings ask for; ``notes``: how it was understood."""
+
+    result: simulator_fit.Fitted
+    notes: tuple[str, ...]
+
+    @property
+    def content(self) -> Mapping[str, Any]:
+        """The result as JSON-ready values, as ``identify --simulation --json`` writes them."""
+        return self.result.content()
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Each parameter's value, as ``diagnose(simulation_values=…)`` takes them."""
+        return {name: float(one["value"]) for name, one in self.result.parameters.items()}
+
+    def to_dataframe(self, library: str | None = None) -> Any:
+        """One row a parameter: value, value before, unit, 95 % interval."""
+        rows = self._rows()
+        return show.dataframe({name: [row[name] for row in rows] for name in rows[0]}, library)
+
+    def _rows(self) -> list[dict[str, object]]:
+        rows: list[dict[str, object]] = []
+        for name, one in self.result.parameters.items():
+            low, high = one["ci95"] or (None, None)
+            head = {"parameter": name, "value": one["value"], "before": one["before"]}
+            rows.append({**head, "unit": one["unit"], "low": low, "high": high})
+        return rows
+
+    def _repr_html_(self) -> str:
+        return show.table(self._rows(), "parameters of the simulator")
 
 
 @dataclass(frozen=True, slots=True)

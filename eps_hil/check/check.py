@@ -19,6 +19,7 @@ from eps_hil.check.remarks import Level, Remark
 from eps_hil.errors import EpsHilError, InputError
 from eps_hil.physics.chain_parameters import load_chain
 from eps_hil.physics.model import load_model
+from eps_hil.programme.limits import load_limits
 from eps_hil.programme.plan import Plan
 from eps_hil.rig.config import load_rig_setup
 from eps_hil.rig.manoeuvre import load_manoeuvre
@@ -130,6 +131,8 @@ def _blocks(path: Path, config: ServiceConfig) -> Iterator[Remark]:
     """Blocks of single verbs, by the code that will read them."""
     if config.rig is not None:
         yield from _tried(lambda: RigSimulation(load_rig_setup(path)))[1]
+    if config.investigate is not None:
+        yield from _tried(lambda: load_limits(path))[1]
     if config.calibration is not None:
         yield from _tried(lambda: calibration_settings(config, path))[1]
     if config.override is not None:

@@ -11,6 +11,7 @@ from eps_hil.physics.chain_parameters import ChainParameters
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Effect
 from eps_hil.physics.model import Model
+from eps_hil.programme.limits import Limits
 from eps_hil.programme.plan import Plan
 from eps_hil.rig.config import RigConfig
 from eps_hil.rig.manoeuvre import Manoeuvre
@@ -26,7 +27,9 @@ def _config() -> Schema:
     rig = TypeAdapter(RigConfig).json_schema()
     schema.setdefault("$defs", {}).update(rig.pop("$defs", {}))
     schema["$defs"]["RigConfig"] = rig
-    schema["properties"]["rig"] = {"anyOf": [{"$ref": "#/$defs/RigConfig"}, {"type": "null"}]}
+    schema["$defs"]["InvestigateLimits"] = TypeAdapter(Limits).json_schema()
+    for name, kind in (("rig", "RigConfig"), ("investigate", "InvestigateLimits")):
+        schema["properties"][name] = {"anyOf": [{"$ref": f"#/$defs/{kind}"}, {"type": "null"}]}
     return schema
 
 

@@ -1,5 +1,6 @@
 """``eps-hil calibrate``: friction levels adapted on the bus (CONTRACT 6)."""
 
+import math
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from eps_hil.board import Notice
 from eps_hil.cli._inputs import reads_recordings
 from eps_hil.cli._levels import accept, reset_levels
 from eps_hil.cli._reversals import reversals
@@ -135,7 +137,11 @@ def error_injection(
     source = ErrorInjectionSource(settings, model)
     warm_up_error_injection(settings.error_injection, model)
     listener = Listener(setup, source)
-    show = _Display(lambda: source.gates, lambda: _sliding(source.state, settings))
+    notice = Notice("calibration", str(setup.bus), "error injection (listens only)")
+    show = _Display(
+        lambda: source.gates, lambda: _sliding(source.state, settings), notice,
+        lambda: (_slid_s(source.state), settings.error_sliding_s),
+    )  # fmt: skip
     typer.echo(f"bus        {setup.bus}\nsend       nothing (error injection listens)\nREADY")
     try:
         asyncio.run(listener.run(lambda: source.over, show, duration, settings.silence_s))
@@ -179,7 +185,8 @@ def _inject(
     if not dry_run:
         operator = Unattended() if alone else terminal_operator()
         typer.echo("operator   none: unattended" if alone else f"operator   {HINT}")
-    show = _Display(lambda: source.gates, lambda: _progress(source))
+    notice = Notice("calibration", str(parts.config.bus), _title(parts, dry_run=dry_run))
+    show = _Display(lambda: source.gates, lambda: _progress(source), notice, lambda: _ramps(source))
     journal = Journal(None if dry_run else journal_file)
     session = OverrideSession(
         parts, source, operator, typer.echo, over=lambda: source.over,
@@ -265,19 +272,50 @@ def _sliding(state: Any, settings: "CalibrationSettings") -> str:
     )
 
 
+def _title(parts: Any, *, dry_run: bool) -> str:
+    most = f"up to {parts.override.limits.max_torque_nm:g} Nm"
+    return "torque injection, dry run" if dry_run else f"torque injection, {most} at the rotor"
+
+
+def _ramps(source: "TorqueInjectionSource") -> tuple[float, float]:
+    command = source.command
+    return (0.0, 0.0) if command is None else (command.repetition, command.repetitions)
+
+
+def _slid_s(state: Any) -> float:
+    return 0.0 if state is None else float(min(state.time_pos_s, state.time_neg_s))
+
+
 class _Display:
-    """Gates and progress: a live line on a terminal, in a pipe a line when a gate changes."""
+    """Gates and progress: a live line on a terminal, in a pipe a line when a gate changes.
+
+    The same goes to the board, where a page finds it; ``done`` gives how much, of how much.
+    """
 
     def __init__(
-        self, gates: Callable[[], tuple["GateState", ...]], progress: Callable[[], str]
+        self,
+        gates: Callable[[], tuple["GateState", ...]],
+        progress: Callable[[], str],
+        notice: Notice,
+        done: Callable[[], tuple[float, float]],
     ) -> None:
         self._gates, self._progress = gates, progress
+        self._notice, self._done = notice, done
         self._live = sys.stderr.isatty()
         self._met: dict[str, bool] = {}
 
     def __call__(self) -> None:
         """Called ten times a second."""
         gates = self._gates()
+        done, of = self._done()
+        self._notice.put(
+            text=self._progress(), done=done, of=of,
+            gates=[
+                {"name": gate.name, "met": gate.met, "unit": gate.unit, "limit": gate.limit,
+                 "value": gate.value if math.isfinite(gate.value) else None}
+                for gate in gates
+            ],
+        )  # fmt: skip
         for gate in gates:
             if self._met.get(gate.name) != gate.met:
                 self._met[gate.name] = gate.met
@@ -295,6 +333,8 @@ class _Display:
         return f"{gate.name} {met}: {gate.value:.4g} {gate.unit} (limit {gate.limit:g})"
 
     def end(self) -> None:
-        """Leave the line."""
+        """Leave the line, and the last word on the board."""
+        done, of = self._done()
+        self._notice.end(text=f"ended: {self._progress()}", done=done, of=of)
         if self._live:
             sys.stderr.write("\n")

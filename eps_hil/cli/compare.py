@@ -48,6 +48,7 @@ def compare(
     Runs the recording through the estimator with and without friction compensation, and with and
     without dead zone and limiter. --live adds what a running service made of it.
     """
+    import eps_hil
     from eps_hil.bus.mapping import load_mapping
     from eps_hil.cli._files import check_places, write_json
     from eps_hil.estimation.settings import EstimatorSettings
@@ -67,7 +68,9 @@ def compare(
         chosen = derived_settings(chosen, load_mapping(reading.signals))
     published = comparison.read_published(live) if live else None
     read = read_recording(recording, reading)
-    candidates = comparison.compare(read, rig, chosen, published, second=second)
+    given = eps_hil.Recording(read.name, read.series, read.notes)
+    found = eps_hil.compare(given, rig, chosen, published=published, second=second)
+    candidates = list(found.candidates)
     _say(candidates)
     if json:
         write_json(

@@ -44,13 +44,22 @@ def diagnose(
         typer.Option(
             "--simulation",
             metavar="SIM...",
-            help="Traces of your own simulator for the same manoeuvres: what do they lack?",
+            help="Traces of your own simulator for the same manoeuvres, or it itself as one FMU:"
+            " what does it lack, and what does it have too many?",
         ),
     ] = None,
     simulation_signals: Annotated[
         Path | None,
         typer.Option(
-            "--simulation-signals", help="Mapping (YAML) of the traces' columns to our names."
+            "--simulation-signals",
+            help="Mapping (YAML) of the traces' columns, or the FMU's variables, to our names.",
+        ),
+    ] = None,
+    simulation_values: Annotated[
+        Path | None,
+        typer.Option(
+            "--simulation-values",
+            help="Parameters of the FMU (YAML, name: value; or the JSON of identify --simulation).",
         ),
     ] = None,
     json: Annotated[Path | None, typer.Option("--json", help="The result as JSON.")] = None,
@@ -97,9 +106,7 @@ def diagnose(
     or robot turns the wheel. Without --holdout a part of the recordings is kept from the fit.
     With --simulation the question is what the recordings hold and those traces lack.
     """
-    from eps_hil.diagnosis.against import diagnose_against
-    from eps_hil.diagnosis.data.intake import RecordingError
-    from eps_hil.diagnosis.diagnose import diagnose as run
+    import eps_hil
     from eps_hil.errors import InputError
     from eps_hil.physics.model import dump_model, load_model
     from eps_hil.recordings.files import check_writable, replacing
@@ -109,8 +116,7 @@ def diagnose(
             check_writable(path)
     if write_effect:
         _check_effect(write_effect)
-    if simulation_signals and not simulation:
-        raise InputError("--simulation-signals", "", "goes with --simulation", "give the traces")
+    _check_simulation(simulation or [], simulation_signals, simulation_values)
     if report:
         from eps_hil.report import diagnosis_page, page
 
@@ -122,16 +128,26 @@ def diagnose(
     for name in fitted.keys() & judged.keys():
         raise InputError(name, "", "is recording and hold-out", "what is fitted proves nothing")
     with stages("aligning the recordings") as say:
-        try:
-            if simulation:
-                traces = _traces(simulation, simulation_signals)
-                result = diagnose_against(traces, rig, fitted, judged, say, without)
-            else:
-                result = run(rig, fitted, judged, say, without, trust_channels=trust_channels)
-        except RecordingError as error:
-            raise InputError(error.recording, "", str(error)) from None
-        except ValueError as error:
-            raise InputError(", ".join([*fitted, *judged]), "", str(error)) from None
+        traces = None
+        if simulation and _one_fmu(simulation):
+            together = {**fitted, **judged}
+            try:
+                traces = _fmu_traces(
+                    simulation[0], simulation_signals, simulation_values, together, rig
+                )
+            except ValueError as error:
+                raise InputError(", ".join(together), "", str(error)) from None
+        elif simulation:
+            traces = _traces(simulation, simulation_signals)
+        result = eps_hil.diagnose(
+            [eps_hil.Recording(name, series) for name, series in fitted.items()],
+            rig,
+            holdouts=[eps_hil.Recording(name, series) for name, series in judged.items()],
+            without_effects=without,
+            simulation=traces,
+            trust_channels=trust_channels,
+            on_progress=say,
+        ).result
     if write_manoeuvre:
         _advise(result, write_manoeuvre)
     _say(result.content)
@@ -192,6 +208,42 @@ def _known(effects: list[str]) -> frozenset[str]:
             remedy = f"did you mean '{near[0]}'?" if near else "docs/reference-effects.md lists all"
             raise InputError("--without-effect", "", f"'{name}' is no effect", remedy)
     return frozenset(effects)
+
+
+def _check_simulation(paths: list[Path], signals: Path | None, values: Path | None) -> None:
+    from eps_hil.errors import InputError
+
+    if signals and not paths:
+        raise InputError("--simulation-signals", "", "goes with --simulation", "give the traces")
+    if not _one_fmu(paths):
+        if values:
+            raise InputError("--simulation-values", "", "goes with --simulation and an FMU")
+        return
+    from eps_hil.fmu.described import read_fmu
+
+    read_fmu(paths[0])
+
+
+def _one_fmu(paths: list[Path]) -> bool:
+    from eps_hil.errors import InputError
+
+    fmus = [path for path in paths if path.suffix.lower() == ".fmu"]
+    if fmus and len(paths) > 1:
+        raise InputError(fmus[0], "", "stands beside other traces", "give one FMU, or traces alone")
+    return bool(fmus)
+
+
+def _fmu_traces(
+    path: Path, mapping: Path | None, values: Path | None, recordings: Any, rig: Any
+) -> "dict[str, Mapping[str, Series]]":
+    from eps_hil.fmu.traces import read_values, traces_of
+    from eps_hil.recordings.foreign import load_columns
+
+    columns = load_columns(mapping) if mapping else None
+    known = read_values(values) if values else None
+    traces, notes = traces_of(path, recordings, rig, columns, known)
+    say_notes(path, notes)
+    return traces
 
 
 def _traces(paths: list[Path], mapping: Path | None) -> "dict[str, Mapping[str, Series]]":
@@ -301,8 +353,30 @@ def _say_simulation(simulation: Mapping[str, Any] | None) -> None:
     for one in simulation["traces"]:
         if one["recording"] is not None:
             typer.echo(f"  {one['file']} is {one['recording']}, {one['offset_s']:+.4f} s apart")
-    moved = {**simulation["parameters"], **{e["effect"]: e for e in simulation["effects"]}}
-    if moved:
-        typer.echo(f"  the traces are your model file with another {', '.join(moved)}")
+    numbers = [
+        f"{name} {one['value']:.4g} {one['unit']} (file: {one['model_file']:.4g})"
+        for name, one in simulation["parameters"].items()
+    ]
+    effects = [
+        f"{one['effect']} ({', '.join(_size(k, v) for k, v in one.items() if k != 'effect')})"
+        for one in simulation["effects"]
+    ]
+    if numbers or effects:
+        typer.echo(f"  the simulator is your model file with {', '.join([*numbers, *effects])}")
+    differences = simulation["differences"]
+    for one in differences["simulator_only"]:
+        for name, there in one["rig"].items():
+            typer.echo(
+                f"  too many in the simulator: {one['effect']}; {name} "
+                f"{one['parameters'][name]:.3g} {there['unit']}, on the rig {there['value']:.2g}"
+            )
+    for one in differences["numbers"]:
+        typer.echo(f"  another number: {one['summary']}")
+    if differences["same"]:
+        typer.echo(f"  both have: {', '.join(differences['same'])}")
     for caveat in simulation["caveats"]:
         typer.echo(f"  note: {caveat}")
+
+
+def _size(name: str, value: Any) -> str:
+    return f"{name} {value:.4g}" if isinstance(value, float) else name

@@ -14,16 +14,12 @@ from eps_hil.cli._inputs import (
     RecordingPaths,
     read_each,
     reads_recordings,
-    told_what_it_holds,
 )
 
 if TYPE_CHECKING:
+    from eps_hil import Estimate
     from eps_hil.estimation.levels import LevelChange
-    from eps_hil.estimation.score import Score
     from eps_hil.estimation.settings import EstimatorSettings
-    from eps_hil.estimation.stream import Trace
-    from eps_hil.physics.model import Model
-    from eps_hil.recordings.recording import Recording
 
 
 class Block(enum.StrEnum):
@@ -83,6 +79,7 @@ def estimate(
     --out holds time_s, rack_force_estimate_n, friction_torque_nm, valid; time_s is the physical
     instant that a row speaks of. Where a recording has rack_force_n, the error is shown too.
     """
+    import eps_hil
     from eps_hil.physics.model import load_model
 
     check_places(json)
@@ -95,12 +92,13 @@ def estimate(
         _check_out(out, recordings)
     results = []
     for path, recording in read_each(recordings, reading):
-        trace, result = _one(path, recording, rig, chosen, changes)
-        results.append(result)
+        read = eps_hil.Recording(str(path), recording.series, recording.notes)
+        found = eps_hil.estimate(read, rig, chosen, changes=changes)
+        _say(path.name, found)
+        results.append(found.content)
         if out:
-            target = output_for(out, path, len(recordings) > 1)
-            _write(target, trace)
-            typer.echo(f"{path.name}: {len(trace.t_ns)} rows written to {target}")
+            target = found.save(output_for(out, path, len(recordings) > 1))
+            typer.echo(f"{path.name}: {len(found.trace.t_ns)} rows written to {target}")
     if json:
         write_json(
             json,
@@ -152,91 +150,21 @@ def _check_out(out: Path, recordings: list[Path]) -> None:
         check_different(target, path)
 
 
-def _one(
-    path: Path,
-    recording: "Recording",
-    rig: "Model",
-    settings: "EstimatorSettings",
-    changes: "list[LevelChange]",
-) -> "tuple[Trace, dict[str, Any]]":
-    from eps_hil.errors import InputError
-    from eps_hil.estimation import batch
-    from eps_hil.estimation.score import score
-    from eps_hil.estimation.settings import problem
-
-    if wrong := problem(settings, live=False):
-        raise InputError("settings", "kind", wrong)
-    with told_what_it_holds(path, recording):
-        within = [c for c in changes if batch.spans(recording.series, c.t_ns)]
-        trace = batch.estimate(recording.series, rig, settings, changes=within)
-        latency = batch.latency_s(rig, settings, batch.sample_periods_s(recording.series))
-    if not len(trace.t_ns):
-        raise InputError(
-            path, "", "is too short for one estimate", f"record more than {latency:.3f} s"
-        )
-    found = score(trace, recording.series, rig)
-    _say(path, recording, trace, found, latency)
-    return trace, _result(path, trace, found, latency)
-
-
-def _say(
-    path: Path,
-    recording: "Recording",
-    trace: "Trace",
-    found: "Score | None",
-    latency_s: float,
-) -> None:
+def _say(name: str, found: "Estimate") -> None:
     typer.echo(
-        f"{path.name}: {len(trace.t_ns)} estimates, {100 * trace.valid.mean():.2f} % valid, "
-        + ("smoothed afterwards" if math.isnan(latency_s) else f"latency {1e3 * latency_s:.1f} ms")
-    )
-    if "torque_sensor_nm" not in recording.series:
-        typer.echo(
-            f"{path.name}: no torsion-bar torque: what the driver holds counts as rack force",
-            err=True,
+        f"{name}: {len(found.trace.t_ns)} estimates, {100 * found.trace.valid.mean():.2f} % valid, "
+        + (
+            "smoothed afterwards"
+            if math.isnan(found.latency_s)
+            else f"latency {1e3 * found.latency_s:.1f} ms"
         )
-    if found:
-        typer.echo(
-            f"{path.name}: error against the load cell: {found.rmse_moving_n:.1f} N rms moving, "
-            f"{found.rmse_overall_n:.1f} N rms overall, of {found.rms_force_n:.0f} N rms"
-        )
-
-
-def _result(path: Path, trace: "Trace", found: "Score | None", latency_s: float) -> dict[str, Any]:
-    import numpy as np
-
-    from eps_hil.estimation.validity import Reason
-
-    result: dict[str, Any] = {
-        "recording": str(path),
-        "rows": len(trace.t_ns),
-        "valid_share": float(trace.valid.mean()),
-        "latency_s": latency_s,
-        "reasons": {
-            bit.name.lower(): int(np.count_nonzero(trace.reason & int(bit)))
-            for bit in Reason
-            if bit and bit.name and np.any(trace.reason & int(bit))
-        },
-    }
-    if found:
-        result["rack_force_error_n"] = {
-            "rms_moving": found.rmse_moving_n,
-            "rms_overall": found.rmse_overall_n,
-            "bias_moving": found.bias_moving_n,
-            "rms_of_rack_force": found.rms_force_n,
-        }
-    return result
-
-
-def _write(target: Path, trace: "Trace") -> None:
-    from eps_hil.recordings.write import write_table
-
-    write_table(
-        target,
-        {
-            "rack_force_estimate_n": trace.rack_force_n,
-            "friction_torque_nm": trace.friction_torque_nm,
-            "valid": trace.valid,
-        },
-        t_ns=trace.t_ns,
     )
+    if "torque_sensor_nm" not in found.recording.series:
+        typer.echo(
+            f"{name}: no torsion-bar torque: what the driver holds counts as rack force", err=True
+        )
+    if error := found.score:
+        typer.echo(
+            f"{name}: error against the load cell: {error.rmse_moving_n:.1f} N rms moving, "
+            f"{error.rmse_overall_n:.1f} N rms overall, of {error.rms_force_n:.0f} N rms"
+        )

@@ -13,7 +13,9 @@ from eps_hil.cli._inputs import (
     progress,
     read_all,
     reads_recordings,
+    say_notes,
 )
+from eps_hil.errors import InputError
 
 if TYPE_CHECKING:
     from eps_hil.identification.result import Estimate, Identification
@@ -34,6 +36,32 @@ def identify(
     report: Annotated[
         Path | None, typer.Option("--report", help="The result as one HTML page, for people.")
     ] = None,
+    simulation: Annotated[
+        Path | None,
+        typer.Option(
+            "--simulation",
+            metavar="MODEL.fmu",
+            help="Fit your own simulator's parameters (--free) and not the model's.",
+        ),
+    ] = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--free",
+            metavar="NAME",
+            help="With --simulation: a parameter to fit; NAME=low:high: between these.",
+        ),
+    ] = None,
+    simulation_signals: Annotated[
+        Path | None,
+        typer.Option(
+            "--simulation-signals", help="Mapping (YAML) of the FMU's variables to our names."
+        ),
+    ] = None,
+    holdout: Annotated[
+        list[Path] | None,
+        typer.Option("--holdout", help="With --simulation: recordings kept from the fit."),
+    ] = None,
     *,
     reading: Reading,
 ) -> None:
@@ -43,11 +71,16 @@ def identify(
     Needs motor torque, and rotor speed or angle; the load cell where the load is not a free rack
     or a spring.
     """
-    from eps_hil.identification.identify import identify as run
+    import eps_hil
     from eps_hil.identification.write_model import model_file
     from eps_hil.physics.model import load_model
     from eps_hil.recordings.files import replacing
 
+    if simulation:
+        _simulator(recordings, model, simulation, free, simulation_signals, holdout, json, reading)
+        return
+    if free or simulation_signals or holdout:
+        raise InputError("--free", "", "goes with --simulation, as --holdout does", "give the FMU")
     if report:
         from eps_hil.report import identification_page, page
 
@@ -55,8 +88,9 @@ def identify(
     check_places(write_model, json, report)
     rig = load_model(model)
     read = read_all(recordings, reading)
+    given = [eps_hil.Recording(name, series) for name, series in read.items()]
     with progress("identifying") as bar:
-        found = run(read, rig, bar)
+        found = eps_hil.identify(given, rig, on_progress=bar).result
     _say(found)
     if json:
         write_json(json, found.content())
@@ -67,6 +101,48 @@ def identify(
             text = model_file(found, str(model), [str(path) for path in recordings])
             temporary.write_text(text, encoding="utf-8")
         typer.echo(f"model written to {write_model}")
+
+
+def _simulator(
+    recordings: list[Path],
+    model: Path,
+    fmu: Path,
+    free: list[str] | None,
+    mapping: Path | None,
+    holdout: list[Path] | None,
+    json: Path | None,
+    reading: Reading,
+) -> None:
+    from eps_hil.fmu.drive import opened
+    from eps_hil.fmu.fit import fit
+    from eps_hil.fmu.traces import unmet
+    from eps_hil.physics.model import load_model
+    from eps_hil.recordings.foreign import load_columns
+
+    if fmu.suffix.lower() != ".fmu":
+        raise InputError(fmu, "", "only an FMU can be run with other parameters", "export one")
+    if not free:
+        raise InputError("--free", "", "names no parameter", "give --free NAME, once for each")
+    check_places(json)
+    rig = load_model(model)
+    columns = load_columns(mapping) if mapping else None
+    with opened(fmu, columns) as simulator:
+        used, kept = read_all(recordings, reading), read_all(holdout or [], reading)
+        say_notes(fmu, [*simulator.notes(), *unmet(simulator, {**used, **kept})])
+        with progress("fitting the simulator") as bar:
+            found = fit(simulator, used, kept, rig, free, bar)
+    for name, one in found.parameters.items():
+        interval = one["ci95"]
+        told = "no interval" if interval is None else f"{interval[0]:.5g} to {interval[1]:.5g}"
+        typer.echo(f"  {name} {one['value']:.5g} {one['unit']}  {told}  (was {one['before']:.4g})")
+    typer.echo(
+        f"torque that the simulator lacks on {found.kept}: {1e3 * found.before_nm:.3g} mNm rms "
+        f"before, {1e3 * found.after_nm:.3g} after"
+    )
+    for note in found.notes:
+        typer.echo(f"note: {note}")
+    if json:
+        write_json(json, found.content())
 
 
 def _say(found: "Identification") -> None:

@@ -42,7 +42,7 @@ for _file in pkgutil.iter_modules(cli.__path__):
 
 INTERRUPTED = 130
 """Status after Ctrl-C, as a shell gives it."""
-SEVERAL = ("--recording", "--holdout", "--simulation", "--before", "--after")
+SEVERAL = ("--recording", "--holdout", "--simulation", "--before", "--after", "--free")
 """Options that several files may follow (CONTRACT 6)."""
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from eps_hil.board import Notice
+
 if TYPE_CHECKING:
     from eps_hil.physics.model import Model
     from eps_hil.programme.run import OnProgress, Summary
@@ -57,7 +59,7 @@ def programme(
     finished = prepare_folder(out, plan, resume=resume)
     if finished:
         typer.echo(f"{len(finished)} of {len(plan.cells())} cells are there already")
-    with _progress() as on_progress:
+    with _progress(str(setup.bus), file.name) as on_progress:
         summary = run.run(finished, stop=stop_on_signals(), on_progress=on_progress)
     table_file(summary, out / "cells.csv")
     found = identified(summary, model)
@@ -75,8 +77,29 @@ def programme(
 
 
 @contextlib.contextmanager
-def _progress() -> "Iterator[OnProgress | None]":
-    """Cell and phase on stderr while the programme runs; nothing where that is no terminal."""
+def _progress(bus: str, title: str) -> "Iterator[OnProgress]":
+    """Cell and phase while the programme runs, for a page and on a terminal's stderr."""
+    notice, last = Notice("programme", bus, title), [0, 0]
+
+    with _bar() as bar:
+
+        def show(number: int, total: int, phase: str) -> None:
+            last[:] = number - 1, total
+            notice.put(text=f"cell {number} of {total}: {phase}", done=number - 1, of=total)
+            if bar is not None:
+                bar(number, total, phase)
+
+        try:
+            yield show
+        except BaseException as error:
+            notice.end(text=f"ended: {error or 'interrupted'}", done=last[0], of=last[1])
+            raise
+        notice.end(text="all cells are done", done=last[1], of=last[1])
+
+
+@contextlib.contextmanager
+def _bar() -> "Iterator[OnProgress | None]":
+    """On stderr; None where that is no terminal."""
     if not sys.stderr.isatty():
         yield None
         return

@@ -72,6 +72,7 @@ def _run(
 ) -> None:
     import asyncio
 
+    from eps_hil.board import Notice
     from eps_hil.bus.eager_loop import EagerLoop
     from eps_hil.service.config import load_config
     from eps_hil.service.estimate_log import EstimateLog
@@ -86,7 +87,10 @@ def _run(
     levels = LevelUpdates(parts, _say, journal)
     _say(levels.hint())
     log = EstimateLog(log_path, _say) if log_path else None
+    notice = Notice("service", str(parts.config.bus), "service")
+    notice.put(text="loads its code (the first time it is compiled, which takes a minute)")
     parts.warm_up()
+    notice.end()
     service = Service(
         parts,
         _say,

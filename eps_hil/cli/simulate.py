@@ -1,7 +1,7 @@
 """``eps-hil simulate``: a recording's inputs through the model (CONTRACT 6)."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,12 +11,10 @@ from eps_hil.cli._inputs import (
     Reading,
     read_recording,
     reads_recordings,
-    told_what_it_holds,
 )
 
 if TYPE_CHECKING:
-    from eps_hil.physics.model import Model
-    from eps_hil.recordings.recording import Recording
+    pass
 
 
 def register(app: typer.Typer) -> None:
@@ -40,24 +38,18 @@ def simulate(
     The output is a recording like the input: canonical columns at its stamps, each as late as the
     model file says its sensor is, so that the two lie on top of each other if the model is right.
     """
+    import eps_hil
     from eps_hil.physics.model import load_model
-    from eps_hil.recordings.write import check_writable_suffix, write_table
+    from eps_hil.recordings.write import check_writable_suffix
 
     rig = load_model(model)
     check_writable_suffix(out)
     check_places(out)
     check_different(out, inputs)
     recording = read_recording(inputs, reading)
-    t_ns, columns = _run(inputs, recording, rig, physical)
-    write_table(out, columns, t_ns=t_ns)
-    typer.echo(f"{inputs.name}: {len(t_ns)} rows simulated to {out}")
-
-
-def _run(path: Path, recording: "Recording", rig: "Model", physical: bool) -> Any:
-    from eps_hil.physics.forward import InputMissingError, forward
-
-    with told_what_it_holds(path, recording, InputMissingError):
-        result = forward(rig, recording.series, physical=physical)
-    for note in result.notes:
-        typer.echo(f"{path.name}: {note}", err=True)
-    return result.t_ns, result.columns
+    read = eps_hil.Recording(str(inputs), recording.series, recording.notes)
+    made = eps_hil.simulate(read, rig, physical=physical)
+    for note in made.notes:
+        typer.echo(f"{inputs.name}: {note}", err=True)
+    made.save(out)
+    typer.echo(f"{inputs.name}: {len(made.t_ns)} rows simulated to {out}")

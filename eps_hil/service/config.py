@@ -100,7 +100,7 @@ class OverrideConfig:
 @with_config(_STRICT)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceConfig(BusSetup):
-    """The whole file. ``rig`` and ``calibration`` are checked by the verbs that use them."""
+    """The whole file; verbs check the blocks that are theirs: rig, calibration, investigate."""
 
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     publish: PublishConfig = field(default_factory=PublishConfig)
@@ -109,6 +109,7 @@ class ServiceConfig(BusSetup):
     override: OverrideConfig | None = None
     calibration: Mapping[str, Any] | None = None
     rig: Mapping[str, Any] | None = None
+    investigate: Mapping[str, Any] | None = None
 
     @property
     def sends(self) -> tuple[str, ...]:

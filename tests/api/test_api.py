@@ -13,6 +13,7 @@ import pytest
 
 import eps_hil
 from eps_hil.cli.main import main
+from eps_hil.estimation.levels import LevelChange
 from eps_hil.physics.model import Model
 from eps_hil.recordings.read import read_recording
 
@@ -78,6 +79,9 @@ def test_an_estimate_is_what_the_verb_writes(drive: eps_hil.Recording, tmp_path:
     assert np.array_equal(frame["rack_force_estimate_n"], written["rack_force_estimate_n"])
     assert made.score is not None
     assert made.score.rmse_moving_n < 0.1 * made.score.rms_force_n
+    assert made.content["rack_force_error_n"]["rms_moving"] == made.score.rmse_moving_n
+    assert made.content["rows"] == len(made.trace.t_ns)
+    assert made.save(tmp_path / "saved.csv").read_bytes() == out.read_bytes()
     assert "rms error moving" in made._repr_html_()
     assert made.plot()._repr_png_().startswith(b"\x89PNG")
 
@@ -99,6 +103,24 @@ def test_a_simulation_is_what_the_verb_writes(drive: eps_hil.Recording, tmp_path
         eps_hil.simulate(bare, model)
     with pytest.raises(eps_hil.InputError, match="it holds rack_force_n"):
         eps_hil.estimate(bare, model)
+
+
+def test_levels_that_were_taken_over_count_from_their_instant_on(
+    drive: eps_hil.Recording,
+) -> None:
+    plain = eps_hil.estimate(drive, MODEL)
+    middle = int(plain.trace.t_ns[len(plain.trace.t_ns) // 2])
+    change = LevelChange(middle, 0.2, 0.3)
+    made = eps_hil.estimate(drive, MODEL, changes=[change])
+    before = (
+        plain.trace.t_ns < middle - 100_000_000
+    )  # a row speaks of an instant before it was known
+    force, other = plain.trace.rack_force_n, made.trace.rack_force_n
+    assert np.array_equal(force[before], other[before], equal_nan=True)
+    assert not np.array_equal(force[~before], other[~before], equal_nan=True)
+    late = LevelChange(int(plain.trace.t_ns[-1]) + 10**12, 0.2, 0.3)
+    same = eps_hil.estimate(drive, MODEL, changes=[late]).trace.rack_force_n
+    assert np.array_equal(force, same, equal_nan=True)
 
 
 def test_a_comparison_judges_the_variants(drive: eps_hil.Recording) -> None:

@@ -187,7 +187,7 @@ def test_only_the_override_and_the_programme_open_a_port_for_commands() -> None:
     """Every other ``open_port`` of the package keeps the default, or names more than that."""
     allowed = {
         "service/override_session.py",  # all commands but the one that its guard judges
-        "programme/run.py",  # every command of a torque
+        "programme/link.py",  # every command of a torque
         "service/loop.py",  # all commands of its configuration
         "rig/process.py",  # all commands of its database
         "cli/replay.py",  # all, and what looks like one

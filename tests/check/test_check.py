@@ -59,6 +59,7 @@ def test_the_demo_has_no_warning_and_says_what_it_will_do(tmp_path: Path) -> Non
         (("publish", "message"), "EPS_Torques", "error", "EPS_Torques"),
         (("rig", "order"), 7, "error", "rig.order"),
         (("estimator",), {"dead_zone_n": 1}, "error", "dead_zone_n"),
+        (("investigate",), {"speed_rad_s": 500}, "error", "investigate.speed_rad_s"),
         (("override",), {"limits": {}}, "error", "max_torque_nm"),
         (("model",), "no_such.yaml", "error", "no such file"),
     ],

@@ -27,6 +27,10 @@ WITHOUT = {
         ["convert", "not_there.csv", "f.parquet"],
         ["identify", "not_there.csv", "not_there.parquet", *MODEL],
     ],
+    "fmpy": [
+        ["diagnose", "--recording", "not_there.csv", "--simulation", "a.fmu", *MODEL],
+        ["identify", "not_there.csv", "--simulation", "a.fmu", "--free", "b", *MODEL],
+    ],
     "asammdf": [["diagnose", "--recording", "a.csv", "--holdout", "not_there.mf4", *MODEL]],
 }
 

@@ -107,7 +107,7 @@ def test_the_mapping_that_is_shown_is_a_mapping(tmp_path: Path) -> None:
     assert set(yaml_file.read(tmp_path / "run.yaml")) == {"bus", "dbc", "signals", "model"}
 
 
-@pytest.mark.parametrize("name", ["rack_force", "dashboard"])
+@pytest.mark.parametrize("name", ["rack_force", "dashboard", "dashboard_diagnosis"])
 def test_the_picture_is_small(name: str) -> None:
     (picture,) = (ROOT / "docs" / "images").glob(f"{name}.*")
     assert 10_000 < picture.stat().st_size < 200_000

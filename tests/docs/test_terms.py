@@ -1,6 +1,7 @@
 """The field's terms: none of the old private ones on pages, in documentation or in messages."""
 
 import ast
+import functools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,8 +27,13 @@ PAGES = [
 ]
 
 
-def shown(path: Path) -> Iterator[str]:
+@functools.cache
+def shown(path: Path) -> tuple[str, ...]:
     """Texts of a Python file that a user may read: all its strings but docstrings."""
+    return tuple(_strings(path))
+
+
+def _strings(path: Path) -> Iterator[str]:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     doc = {
         id(node.value)

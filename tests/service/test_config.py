@@ -85,4 +85,5 @@ def test_a_mistake_is_one_line_with_its_place(write: Write, text: str, said: str
 
 def test_schema_covers_the_blocks() -> None:
     known = {"bus", "dbc", "signals", "model", "estimator", "publish", "service", "rig"}
-    assert known | {"adaptation", "override", "calibration"} == set(config_schema()["properties"])
+    known |= {"adaptation", "override", "calibration", "investigate"}
+    assert known == set(config_schema()["properties"])
