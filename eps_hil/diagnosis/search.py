@@ -116,9 +116,14 @@ def put_right(
     without: Collection[str],
     kept: Mapping[str, Mapping[str, Series]],
 ) -> tuple[ChannelFault, Searched] | None:
-    """What is found beside a signal put right, and that signal; None: hold-outs are worse so."""
+    """What is found beside a signal put right, and that signal.
+
+    None where hold-outs are worse so, or where what is found beside it leaves nothing of it.
+    """
     found = _beside(wrong, given[0], tied, say, without)
     better = refined(wrong, found[2].part, found[2])
+    if not better.matters(given[1].recordings):
+        return None
     if better is not wrong:
         found = _beside(better, given[0], tied, say, without)
     judged = holdouts(found[0], kept)

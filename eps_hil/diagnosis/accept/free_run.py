@@ -134,7 +134,7 @@ def free_run_noise(holdouts: "Sequence[Holdout]", model: Model) -> dict[str, flo
                     for k in _DRIVEN
                 }
             )
-            here, there = (simulated(each_one, model, slice(None)) for each_one in (motion, moved))
+            here, there = (_whole(each_one, model) for each_one in (motion, moved))
             pairs.append((there.speed_rad_s - here.speed_rad_s, there.angle_rad - here.angle_rad))
         found.append([_rms(np.concatenate([p[k] for p in pairs])) or np.inf for k in (0, 1)])
     rms = np.sqrt(np.mean(np.square(found), axis=0)).tolist()
@@ -169,21 +169,34 @@ def simulated(motion: Measured, model: Model, part: slice) -> Simulated:
     model = with_model_effects(model)
     law, speed = friction_law(model.friction), float(motion.speed_rad_s[part][0])
     level = static_level_nm(speed, float(motion.rack_force_n[part][0]), law)
+    return _run(motion, model, part, float(np.sign(speed) * level / law.sigma0_nm_per_rad))
+
+
+def _whole(motion: Measured, model: Model) -> Simulated:
+    """The whole recording, begun as ``eps-hil simulate`` begins: with the bristle at rest.
+
+    Recordings mostly begin at rest, where the sign of a noisy speed says nothing of the bristle;
+    where one begins sliding, its bristle is there within its own deflection.
+    """
+    return _run(motion, with_model_effects(model), slice(None), 0.0)
+
+
+def _run(motion: Measured, model: Model, part: slice, bristle_rad: float) -> Simulated:
     return simulate(
         model,
         motion.time_s[part],
         motion.motor_torque_nm[part],
         motion.torque_sensor_nm[part],
         motion.rack_force_n[part],
-        speed_rad_s=speed,
+        speed_rad_s=float(motion.speed_rad_s[part][0]),
         angle_rad=float(motion.angle_rad[part][0]),
-        bristle_rad=float(np.sign(speed) * level / law.sigma0_nm_per_rad),
+        bristle_rad=bristle_rad,
     )
 
 
 def _errors(one: "Holdout", model: Model) -> tuple[Floats, Floats]:
     motion = one.prepared.motion(with_model_effects(model))
-    run = simulated(motion, model, slice(None))
+    run = _whole(motion, model)
     bad = np.zeros(len(motion.time_s), bool)
     if one.quality is not None:
         bad = one.quality.bad_at(motion.time_s)

@@ -75,6 +75,12 @@ class ChannelFault:
     ppm: float | None = None
     half_ppm: float = 0.0
 
+    def matters(self, recordings: Sequence[Prepared]) -> bool:
+        """Whether it is more than how signals are sampled, filtered and calibrated."""
+        if self.ppm is not None:
+            return abs(self.ppm) > 2.0 * self.half_ppm and drift_matters(self.ppm, recordings)
+        return abs(self.late_s) > LEAST_S or abs(self.gain - 1.0) > LEAST_GAIN
+
     def in_model(self, model: Model) -> Model:
         """The model with that signal's true delay."""
         if self.late_s == 0.0:
@@ -216,7 +222,10 @@ class _Compared:
         problem, bare = self.problem, self.bare
         one, after = _followed(problem, bare, self.others, start)
         gain, over = bare.cost - after.cost, bare.cost - float(len(bare.residual))
-        if not _matters(one, problem) or gain < _LEAST_PART * over:
+        clear = threshold(problem, bare.residual, FINAL_SHARE)
+        if over <= 0.0 or gain < max(_LEAST_PART * over, clear):
+            return None  # where nothing is left, nothing is explained
+        if not one.matters(problem.recordings):
             return None
         unlike = threshold(problem, self.named.residual, FINAL_SHARE)
         if start.ppm is not None:
@@ -224,12 +233,6 @@ class _Compared:
         if after.cost > self.named.cost + unlike:
             return None
         return replace(one, share=min(gain / over, 1.0)), after
-
-
-def _matters(one: ChannelFault, problem: Problem) -> bool:
-    if one.ppm is not None:
-        return abs(one.ppm) > 2.0 * one.half_ppm and drift_matters(one.ppm, problem.recordings)
-    return abs(one.late_s) > LEAST_S or abs(one.gain - 1.0) > LEAST_GAIN
 
 
 def _followed(
@@ -247,7 +250,7 @@ def _followed(
         before = one
         one = best(problem, after, one)
         after = fit(_right(problem, one), others, own=after.own)
-        if _same(one, before) or not _matters(one, problem):
+        if _same(one, before) or not one.matters(problem.recordings):
             break
     return one, after
 

@@ -9,11 +9,14 @@ import pytest
 
 from eps_hil.diagnosis.attribute.channel_fault import (
     ChannelFault,
+    _Compared,
     held_out_energy,
     with_channel_fault,
 )
+from eps_hil.diagnosis.attribute.numbers import SCALES
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -173,3 +176,26 @@ def test_a_signal_is_put_right_only_where_that_helps_what_was_kept(
         held_out_energy(one, fit(one, [], 0), one.recordings[1:]) for one in (fitted, right)
     )
     assert (after < before) is helps
+
+
+@pytest.mark.slow
+def test_where_noise_hides_everything_no_signal_is_at_fault(
+    record: Callable[..., Recordings], reference_model: Model
+) -> None:
+    """A load cell that reads 2 % too much, in recordings as it is and in noise ten times that."""
+    fault = ChannelFault("rack_force_n", gain=1.0 / 1.02)
+    recordings = record({}, ("sweep", "weave"), seconds=12.0)
+    ready = [fault.put_right(prepare(name, one)) for name, one in recordings.items()]
+    loud = [one.changed(noise={k: 10.0 * v for k, v in one.noise.items()}) for one in ready]
+    start = ChannelFault("rack_force_n", gain=1.005)
+    for these, told in ((ready, True), (loud, False)):
+        problem = Problem(these, reference_model)
+        found = _Compared(problem, fit(problem, [], 0), SCALES).to(start)
+        assert (found is not None) is told
+        if found is not None:
+            assert found[0].gain == pytest.approx(1.02, abs=0.004)
+
+
+def test_a_fault_of_no_size_is_none(problem: Problem) -> None:
+    assert ChannelFault("rack_force_n", gain=1.02).matters(problem.recordings)
+    assert not ChannelFault("rack_force_n", gain=1.0).matters(problem.recordings)
