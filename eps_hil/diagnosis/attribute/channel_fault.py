@@ -223,8 +223,8 @@ class _Compared:
         one, after = _followed(problem, bare, self.others, start)
         gain, over = bare.cost - after.cost, bare.cost - float(len(bare.residual))
         clear = threshold(problem, bare.residual, FINAL_SHARE)
-        if over <= 0.0 or gain < max(_LEAST_PART * over, clear):
-            return None  # where nothing is left, nothing is explained
+        if gain < max(_LEAST_PART * over, clear):
+            return None
         if not one.matters(problem.recordings):
             return None
         unlike = threshold(problem, self.named.residual, FINAL_SHARE)
@@ -232,7 +232,7 @@ class _Compared:
             unlike = -unlike  # a drift is mostly its mean: a delay does nearly as well
         if after.cost > self.named.cost + unlike:
             return None
-        return replace(one, share=min(gain / over, 1.0)), after
+        return replace(one, share=gain / max(over, gain)), after
 
 
 def _followed(
