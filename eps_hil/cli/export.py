@@ -13,9 +13,10 @@ def register(app: typer.Typer) -> None:
 
 def export(
     model: Annotated[Path, typer.Argument(metavar="MODEL", help="Model file (YAML).")],
-    fmu: Annotated[
-        Path, typer.Option("--fmu", metavar="OUT.fmu", help="FMI 2.0 co-simulation, in C.")
-    ],
+    fmu: Annotated[Path, typer.Option("--fmu", metavar="OUT.fmu", help="Co-simulation, in C.")],
+    fmi_version: Annotated[
+        int, typer.Option("--fmi-version", metavar="2|3", help="Of the FMU.")
+    ] = 2,
 ) -> None:
     """Write the model, its effects included, as an FMU that runs without Python.
 
@@ -28,12 +29,12 @@ def export(
 
     rig = load_model(model)
     check_places(fmu)
-    made = export_fmu(rig, fmu, model)
+    made = export_fmu(rig, fmu, model, fmi_version)
     for note in made.notes:
         typer.echo(f"{model.name}: {note}", err=True)
     count = sum(one.causality == "parameter" for one in made.variables)
     effects = len(rig.effects)
     typer.echo(
-        f"{fmu}: FMI 2.0 co-simulation with {count} parameters, "
+        f"{fmu}: FMI {fmi_version}.0 co-simulation with {count} parameters, "
         f"{effects} effect{'' if effects == 1 else 's'}, for {', '.join(made.platforms)}"
     )

@@ -12,9 +12,15 @@ from pathlib import Path
 from eps_hil.errors import InputError
 
 _OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared")
-_CROSS = {"linux64": ("x86_64-linux-gnu.2.17", ".so"), "win64": ("x86_64-windows-gnu", ".dll")}
-"""Platforms that zig compiles for on any machine: its target, and how a library's name ends."""
-_SUFFIXES = {"Linux": ("linux", ".so"), "Windows": ("win", ".dll"), "Darwin": ("darwin", ".dylib")}
+_CROSS = (("Linux", "x86_64-linux-gnu.2.17"), ("Windows", "x86_64-windows-gnu"))
+"""Platforms that zig compiles for on any machine, and what it calls them."""
+_SYSTEMS = {
+    "Linux": ("linux", "linux", ".so"),
+    "Windows": ("win", "windows", ".dll"),
+    "Darwin": ("darwin", "darwin", ".dylib"),
+}
+"""What FMI 2 and FMI 3 call a system, and how a library's name ends there."""
+_MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 
 
 def check() -> None:
@@ -26,17 +32,17 @@ def check() -> None:
         )  # fmt: skip
 
 
-def binaries(name: str, guid: str, sources: Mapping[str, str]) -> dict[str, bytes]:
+def binaries(name: str, guid: str, sources: Mapping[str, str], fmi: int) -> dict[str, bytes]:
     """Compiled libraries by their path in the FMU, for as many platforms as can be made here."""
     with tempfile.TemporaryDirectory(prefix="eps_hil-fmu-") as folder:
         for file, text in sources.items():
             (Path(folder) / file).write_text(text, encoding="utf-8")
         found = {}
-        for place, suffix, command in _targets():
+        for place, suffix, command in _targets(fmi):
             out = Path(folder) / f"{name}{suffix}"
             libm = [] if suffix == ".dll" else ["-fPIC", "-lm"]
             done = subprocess.run(
-                [*command, *_OPTIONS, f'-DGUID="{guid}"', "-o", str(out), "fmi2.c", *libm],
+                [*command, *_OPTIONS, f'-DGUID="{guid}"', "-o", str(out), f"fmi{fmi}.c", *libm],
                 cwd=folder,
                 capture_output=True,
                 text=True,
@@ -49,15 +55,20 @@ def binaries(name: str, guid: str, sources: Mapping[str, str]) -> dict[str, byte
         return found
 
 
-def _targets() -> list[tuple[str, str, list[str]]]:
+def _targets(fmi: int) -> list[tuple[str, str, list[str]]]:
     if _zig():
-        zig = [sys.executable, "-m", "ziglang", "cc"]
-        return [(place, suffix, [*zig, "-target", target])
-                for place, (target, suffix) in _CROSS.items()]  # fmt: skip
+        zig = [sys.executable, "-m", "ziglang", "cc", "-target"]
+        return [(*_place(system, "x86_64", fmi), [*zig, target]) for system, target in _CROSS]
     compiler = _compiler()
     assert compiler is not None
-    system, suffix = _SUFFIXES.get(platform.system(), ("linux", ".so"))
-    return [(f"{system}{64 if sys.maxsize > 2**32 else 32}", suffix, [compiler])]
+    machine = platform.machine().lower()
+    return [(*_place(platform.system(), _MACHINES.get(machine, machine), fmi), [compiler])]
+
+
+def _place(system: str, machine: str, fmi: int) -> tuple[str, str]:
+    """A platform's folder of binaries, and how a library's name ends there."""
+    two, three, suffix = _SYSTEMS.get(system, _SYSTEMS["Linux"])
+    return f"{machine}-{three}" if fmi == 3 else f"{two}{64 if sys.maxsize > 2**32 else 32}", suffix
 
 
 def _zig() -> bool:

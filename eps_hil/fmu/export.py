@@ -7,7 +7,7 @@ from pathlib import Path
 
 from eps_hil.errors import InputError
 from eps_hil.fmu import build
-from eps_hil.fmu.description import description, guid_of
+from eps_hil.fmu.description import build_description, description, guid_of
 from eps_hil.fmu.source import sources
 from eps_hil.fmu.variables import Variable, variables_of
 from eps_hil.physics.model import Model, dump_model
@@ -24,28 +24,35 @@ class Exported:
     notes: tuple[str, ...]
 
 
-def export_fmu(model: Model, path: Path, source: object = "the model") -> Exported:
-    """Write ``model``, its effects included, as FMI 2.0 co-simulation with C sources and binaries.
+def export_fmu(model: Model, path: Path, source: object = "the model", fmi: int = 2) -> Exported:
+    """Write ``model``, its effects included, as co-simulation with C sources and binaries.
 
+    ``fmi``: the version of FMI, 2 or 3.
     ``source`` is what an error calls the model. :class:`InputError` where no C compiler is found,
     or an effect cannot be carried.
     """
     if path.suffix.lower() != ".fmu":
         raise InputError(path, "", "an FMU's name ends in .fmu", "give --fmu a name like model.fmu")
+    if fmi not in (2, 3):
+        raise InputError("--fmi-version", "", f"is {fmi}, 2 or 3 was expected")
     build.check()
+    main = f"fmi{fmi}.c"
     name = _identifier(path.stem)
     try:
         variables = variables_of(model)
-        texts = sources(model, source, variables)
+        texts = sources(model, source, variables, main)
     except ValueError as error:
         raise InputError(source, "effects", str(error)) from None
     guid = guid_of(name, texts)
     # a source FMU is compiled by others: what they need to know stands in it
-    texts["fmi2.c"] = f'#ifndef GUID\n#define GUID "{guid}"\n#endif\n' + texts["fmi2.c"]
+    texts[main] = f'#ifndef GUID\n#define GUID "{guid}"\n#endif\n' + texts[main]
+    if fmi == 3:
+        texts["buildDescription.xml"] = build_description(name)
     about = "EPS drive (rotor with load-dependent LuGre friction), made by eps-hil export"
-    compiled = build.binaries(name, guid, texts)
+    described = description(name, guid, about, variables, fmi)
+    compiled = build.binaries(name, guid, texts, fmi)
     with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as out:
-        _put(out, "modelDescription.xml", description(name, guid, about, variables).encode())
+        _put(out, "modelDescription.xml", described.encode())
         for file, text in texts.items():
             _put(out, f"sources/{file}", text.encode())
         for place, library in compiled.items():

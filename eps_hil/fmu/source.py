@@ -24,14 +24,15 @@ _SLOTS = {
 }
 
 
-def sources(model: Model, name: object, variables: Sequence[Variable]) -> dict[str, str]:
-    """C files by name; ``InputError`` (of file ``name``) names an effect that C cannot carry."""
+def sources(model: Model, name: object, variables: Sequence[Variable], main: str) -> dict[str, str]:
+    """C files by name, ``main`` (fmi2.c or fmi3.c) the one to compile.
+
+    ``InputError`` (of file ``name``) names an effect that C cannot carry.
+    """
     generated = _generated(with_model_effects(model), name, variables)
     folder = files("eps_hil.fmu") / "templates"
-    return {
-        "model.h": generated,
-        "core.h": (folder / "core.h").read_text(encoding="utf-8"),
-        "fmi2.c": (folder / "fmi2.c").read_text(encoding="utf-8"),
+    return {"model.h": generated} | {
+        file: (folder / file).read_text(encoding="utf-8") for file in ("core.h", "instance.h", main)
     }
 
 

@@ -23,11 +23,20 @@ def test_the_fmu_holds_source_binary_and_model(
     assert any(name.startswith("binaries/") for name in names)
 
 
+def test_fmi_3_on_request(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "drive.fmu"
+    assert main(["export", RIG, "--fmu", str(out), "--fmi-version", "3"]) == 0
+    assert "FMI 3.0" in capsys.readouterr().out
+    names = zipfile.ZipFile(out).namelist()
+    assert {"sources/fmi3.c", "sources/buildDescription.xml"} <= set(names)
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
         (["nothing.yaml", "--fmu", "a.fmu"], "nothing.yaml"),
         ([RIG, "--fmu", "a.txt"], "ends in .fmu"),
+        ([RIG, "--fmu", "a.fmu", "--fmi-version", "1"], "2 or 3 was expected"),
         ([RIG, "--fmu", "nowhere/a.fmu"], "does not exist"),
     ],
 )

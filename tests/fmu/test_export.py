@@ -146,10 +146,12 @@ def test_no_effect_of_the_catalogue_is_forgotten_here() -> None:
     ],
     ids=["none", "all", "joint", "empirical"],
 )
-def test_the_fmu_does_what_simulate_does(effects: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_the_fmu_does_what_simulate_does(effects: Any, fmi: int, tmp_path: Path) -> None:
     model = replace(MODEL, effects=effects)
     path = tmp_path / "out.fmu"
-    export_fmu(model, path)
+    export_fmu(model, path, fmi=fmi)
+    assert fmpy.read_model_description(str(path)).fmiVersion == f"{fmi}.0"
     given = _inputs()
     expected = _expected(model, given)
     assert np.ptp(expected["motor_angle_rad"]) > 5.0
@@ -176,6 +178,15 @@ def stribeck(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("fmu") / "drive 1.fmu"
     effect = {"effect": "stribeck", "level_nm": 0.05, "speed_rad_s": 8.0}
     export_fmu(replace(MODEL, effects=(effect,)), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def third(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """As FMI 3."""
+    path = tmp_path_factory.mktemp("fmu") / "drive 3.fmu"
+    effect = {"effect": "stribeck", "level_nm": 0.05, "speed_rad_s": 8.0}
+    export_fmu(replace(MODEL, effects=(effect,)), path, fmi=3)
     return path
 
 
@@ -214,11 +225,15 @@ def _go(slave: Any, first: int, last: int, motor_nm: float = 0.5) -> float:
     return _speed(slave)
 
 
-def test_fmpy_has_no_complaint_and_every_parameter_has_unit_and_words(stribeck: Path) -> None:
+@pytest.mark.parametrize("kind", ["stribeck", "third"])
+def test_fmpy_has_no_complaint_and_every_parameter_has_unit_and_words(
+    kind: str, request: pytest.FixtureRequest
+) -> None:
     from fmpy.validation import validate_fmu
 
-    assert validate_fmu(str(stribeck)) == []
-    about = fmpy.read_model_description(str(stribeck))
+    path = request.getfixturevalue(kind)
+    assert validate_fmu(str(path)) == []
+    about = fmpy.read_model_description(str(path))
     listed = {one.name: one for one in about.modelVariables}
     level = listed["stribeck.level_nm"]
     assert (level.unit, level.causality, float(level.start)) == ("N.m", "parameter", 0.05)
@@ -284,6 +299,47 @@ def test_a_state_is_kept_restored_and_written_down(stribeck: Path, tmp_path: Pat
     _start(other, inertia_kg_m2=1e-3)
     other.setFMUState(other.deSerializeFMUstate(written))
     assert _go(other, 20, 40) == after
+
+
+def _third(path: Path, folder: Path, **values: float) -> Any:
+    from fmpy.simulation import instantiate_fmu
+
+    about = fmpy.read_model_description(str(path))
+    if not folder.exists():
+        fmpy.extract(str(path), str(folder))
+    slave = instantiate_fmu(str(folder), about, "CoSimulation")
+    slave.vr = {one.name: one.valueReference for one in about.modelVariables}
+    slave.enterInitializationMode(startTime=0.0)
+    slave.setFloat64([slave.vr[name] for name in values], list(values.values()))
+    slave.exitInitializationMode()
+    return slave
+
+
+def test_fmi_3_keeps_states_tells_its_time_and_refuses_what_is_out_of_bounds(
+    third: Path, tmp_path: Path
+) -> None:
+    def go(slave: Any, first: int, last: int) -> list[float]:
+        for k in range(first, last):
+            slave.setFloat64([slave.vr["motor_torque_nm"]], [0.5])
+            slave.doStep(currentCommunicationPoint=k * 1e-3, communicationStepSize=1e-3)
+        return list(slave.getFloat64([slave.vr["motor_speed_rad_s"], slave.vr["time"]]))
+
+    slave = _third(third, tmp_path / "a")
+    go(slave, 0, 20)
+    kept = slave.getFMUState()
+    written = slave.serializeFMUState(kept)
+    speed, time_s = after = go(slave, 20, 40)
+    assert speed > 0.0
+    assert time_s == pytest.approx(0.04)
+    slave.setFMUState(kept)
+    assert go(slave, 20, 40) == after
+    other = _third(third, tmp_path / "a", inertia_kg_m2=1e-3)
+    other.setFMUState(other.deserializeFMUState(written))
+    assert go(other, 20, 40) == after
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        slave.setFloat64([slave.vr["motor_speed_rad_s"]], [1.0])
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        _third(third, tmp_path / "a", inertia_kg_m2=-1.0)
 
 
 def test_a_number_out_of_its_bounds_is_refused_by_the_fmu(stribeck: Path, tmp_path: Path) -> None:

@@ -191,6 +191,18 @@ def test_kept_at_the_recorded_motion_the_right_simulator_needs_no_torque(drive: 
     assert np.std(right[300:-1]) < 0.004 < 0.5 * np.std(wrong[300:-1])
 
 
+def test_fmi_3_gives_the_trace_of_fmi_2(drive: Path, tmp_path: Path) -> None:
+    export_fmu(MODEL, tmp_path / "third.fmu", fmi=3)
+    given = recording(MODEL, 3.0)
+    two, three = (
+        next(iter(traces_of(path, {"a.csv": given}, MODEL)[0].values()))
+        for path in (drive, tmp_path / "third.fmu")
+    )
+    for name in ("motor_speed_rad_s", "motor_angle_rad"):  # FMI 3 has no slopes of inputs
+        apart = np.abs(two[name].value - three[name].value).max()
+        assert apart < 1e-2 * np.ptp(two[name].value)
+
+
 @pytest.mark.slow
 def test_its_parameters_are_found_with_intervals_and_the_gain_on_what_was_kept(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
