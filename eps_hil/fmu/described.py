@@ -72,7 +72,8 @@ def read_fmu(path: Path) -> Described:
     experiment = raw.defaultExperiment
     step = getattr(experiment, "stepSize", None) or raw.coSimulation.fixedInternalStepSize
     known = {one.name: one for one in raw.unitDefinitions or []}
-    found = [_variable(one, known) for one in raw.modelVariables if one.type in _FLOATS]
+    found = [_variable(one, known) for one in raw.modelVariables
+             if one.type in _FLOATS and not one.dimensions]  # fmt: skip
     return Described(
         path,
         raw.fmiVersion,

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from eps_hil.errors import EpsHilError, InputError
 from eps_hil.fmu.described import Described, read_fmu
 from eps_hil.fmu.mapping import Link, Mapped, map_fmu
+from eps_hil.fmu.quiet import quiet
 from eps_hil.physics.model import Model
 from eps_hil.recordings.foreign import Columns
 from eps_hil.series import Series
@@ -89,6 +90,7 @@ class Simulator:
                 raise InputError(fmu.path, "", problem, "export it with a smaller step")
         self._folder = folder
         self._messages: list[str] = []
+        self._deaf = False
 
     def notes(self) -> list[str]:
         """How its variables were understood, a sentence each, for a person."""
@@ -135,7 +137,7 @@ class Simulator:
         added = np.zeros(len(inputs))
         at = [0.0]
         try:
-            with self._instance() as instance:
+            with quiet(), self._instance() as instance:
                 self._go(instance, inputs, values, out, (follow, added, at))
         except EpsHilError:
             raise
@@ -192,12 +194,16 @@ class Simulator:
         from fmpy.simulation import instantiate_fmu
 
         self._messages.clear()
+        self._deaf = False
         logger = self._log3 if self.fmu.version.startswith("3") else self._log2
         made = instantiate_fmu(
             str(self._folder), self.fmu.raw, "CoSimulation", logger=logger, require_functions=False
         )
         try:
             yield made
+        except Exception:
+            self._deaf = True  # to what it says while it is taken down
+            raise
         finally:
             with contextlib.suppress(Exception):
                 made.terminate()
@@ -211,6 +217,8 @@ class Simulator:
         self._heard(text)
 
     def _heard(self, text: bytes | str | None) -> None:
+        if self._deaf:
+            return
         said = text.decode(errors="replace") if isinstance(text, bytes) else text or ""
         self._messages = [*self._messages[-3:], " ".join(said.split())]
 

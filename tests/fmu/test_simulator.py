@@ -1,5 +1,7 @@
 """Somebody's FMU: its variables understood, driven by recordings, its parameters fitted."""
 
+import ctypes
+import subprocess
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -189,6 +191,71 @@ def test_kept_at_the_recorded_motion_the_right_simulator_needs_no_torque(drive: 
             for values in ({}, {"friction.offset_pos_nm": 0.09})
         )
     assert np.std(right[300:-1]) < 0.004 < 0.5 * np.std(wrong[300:-1])
+
+
+def _with_source(path: Path, out: Path, change: Callable[[str], str]) -> Path:
+    """The exported FMU, its C changed and compiled anew."""
+    folder = out.parent / "source"
+    with zipfile.ZipFile(path) as old:
+        old.extractall(folder)
+    main_c = folder / "sources/fmi2.c"
+    main_c.write_text(change(main_c.read_text(encoding="utf-8")), encoding="utf-8")
+    library = next(folder.glob("binaries/*/*.so"))
+    library.unlink()
+    command = ["cc", "-shared", "-fPIC", "-o", str(library), str(main_c), "-lm"]
+    subprocess.run(command, check=True)
+    with zipfile.ZipFile(out, "w") as new:
+        for one in folder.rglob("*"):
+            new.write(one, str(one.relative_to(folder)))
+    return out
+
+
+def test_what_an_fmu_prints_is_not_our_output(
+    drive: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    talks = "EXPORT Status FMI(fmi2Terminate)(void *c) { (void)c;"
+    path = _with_source(
+        drive, tmp_path / "talks.fmu", lambda text: text.replace(talks, talks + ' puts("ended");')
+    )
+    traces_of(path, {"a.csv": recording(MODEL, 1.0)}, MODEL)
+    ctypes.CDLL(None).fflush(None)
+    assert capfd.readouterr().out == ""
+    print("said", flush=True)
+    assert capfd.readouterr().out == "said\n"
+
+
+def test_the_cause_is_told_and_not_what_an_fmu_says_when_it_is_taken_down(
+    drive: Path, tmp_path: Path
+) -> None:
+    old = "EXPORT Status FMI(fmi2Terminate)(void *c) {"
+    path = _with_source(
+        drive, tmp_path / "moans.fmu",
+        lambda text: text.replace(old, old + ' complain(c, "illegal sequence");'),
+    )  # fmt: skip
+    with opened(path) as simulator:
+        given = simulator.inputs(recording(MODEL, 1.0), MODEL, np.arange(9) * 1_000_000)
+        with pytest.raises(EpsHilError, match="does not start: inertia_kg_m2 is -1"):
+            simulator.run(given, {"inertia_kg_m2": -1.0})
+
+
+def test_an_array_is_no_signal(tmp_path: Path) -> None:
+    export_fmu(MODEL, tmp_path / "a.fmu", fmi=3)
+    with (
+        zipfile.ZipFile(tmp_path / "a.fmu") as old,
+        zipfile.ZipFile(tmp_path / "b.fmu", "w") as new,
+    ):
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "modelDescription.xml":
+                text = content.decode()
+                at = text.index("/>", text.index('name="motor_angle_rad"'))
+                content = (
+                    text[:at] + '><Dimension start="3"/></Float64>' + text[at + 2 :]
+                ).encode()
+            new.writestr(name, content)
+    found = map_fmu(read_fmu(tmp_path / "b.fmu"))
+    assert "motor_angle_rad" not in found.outputs
+    assert "motor_speed_rad_s" in found.outputs
 
 
 def test_fmi_3_gives_the_trace_of_fmi_2(drive: Path, tmp_path: Path) -> None:
