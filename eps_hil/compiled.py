@@ -27,6 +27,14 @@ _PACKAGE = Path(__file__).resolve().parent
 _COMPILED = b"eps_hil.compiled import", b"# frozen into compiled code"
 """What marks a source as one that machine code depends on; the second one, constants."""
 
+_INLINED = ("eps_hil.estimation.", "eps_hil.physics.friction", "eps_hil.physics.effects.added",
+            "eps_hil.physics.effects.effect")  # fmt: skip
+"""Modules whose kernels become part of what calls them: the step of the estimator.
+
+A call passes tens of records of arrays by value, which takes longer than what it does. Not more:
+a call that is spread out is compiled again wherever it stands.
+"""
+
 
 def _bases() -> Iterator[Path]:
     """Folders to try: the one that numba is told, the user's cache, one of the user's in /tmp."""
@@ -137,7 +145,11 @@ def kernel(
     it then) and must return none: nobody would own what it returns. What it calls is a kernel
     too, or pays for its own counting.
     """
-    decorate = _decorator(inline=inline, _nrt=False)
+
+    def decorate(kernel: F) -> F:
+        hot = kernel.__module__.startswith(_INLINED)
+        return _decorator(inline=inline, forceinline=hot, _nrt=False)(kernel)
+
     return decorate if function is None else decorate(function)
 
 
