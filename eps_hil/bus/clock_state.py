@@ -34,17 +34,36 @@ class ClockState:
             np.array([0 if one is None else one.size for one in seen], np.int64),
             np.array([0 if one is None else one.recent_ns for one in seen], np.int64),
         )
+        self._ring.row[:] = np.arange(n * _MOST_SEEN).reshape(n, _MOST_SEEN)
+        self._width = np.array([plan.length for plan in plans], np.int64)
+        self._payloads = np.zeros((n * _MOST_SEEN, self.widest), np.uint8)
         self._line = np.zeros(1, instants.LINE)
         self._lows = np.zeros((SLOPE_BLOCKS, 2), np.int64)
 
+    @property
+    def widest(self) -> int:
+        """Bytes of its longest message."""
+        return int(self._width.max())
+
     def run(
-        self, rows: instants.Rows, data: npt.NDArray[np.uint8], number: Ints, width: Ints
+        self, rows: instants.Rows, data: npt.NDArray[np.uint8], number: Ints
     ) -> npt.NDArray[np.bool_]:
         """Fill ``rows.state``, ``rows.t_ns``, ``rows.lost``; where the clock was found anew, (n,).
 
-        ``data[number[k]]`` is the payload of row k, of ``width[lane]`` bytes.
+        ``data[number[k]]`` is the payload of row k, (m, widest). Rows of another call go on from
+        where these end.
         """
+        data = np.concatenate((self._payloads, data))
+        restarted = self._run(rows, data, number + len(self._payloads))
+        self._payloads = data[self._ring.row.ravel()]
+        self._ring.row[:] = np.arange(len(self._payloads)).reshape(self._ring.row.shape)
+        return restarted
+
+    def _run(
+        self, rows: instants.Rows, data: npt.NDArray[np.uint8], number: Ints
+    ) -> npt.NDArray[np.bool_]:
         restarted = np.zeros(len(rows.stamp), bool)
+        width = self._width
         if self._clock is None:
             instants.by_stamp(rows, self._lanes, self._ring, self._modulo, data, number, width)
             return restarted
@@ -58,6 +77,7 @@ class ClockState:
                 break
             restarted[k] = self._judged(rows, k)
             k += 1
+        self._store()
         return restarted
 
     def _judged(self, rows: instants.Rows, k: int) -> bool:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from eps_hil.bus.bit_packing import Packing, packing_of
 from eps_hil.bus.database import find_message, nearest
 from eps_hil.bus.frame import Frame
-from eps_hil.bus.frame_columns import FrameColumns, key_of
+from eps_hil.bus.frame_columns import key_of
 from eps_hil.bus.mapping import MessageRules, SignalMapping
 from eps_hil.bus.message_decoder import STAMP_RESOLUTION_NS, MessageDecoder, Sample
 from eps_hil.bus.protection import E2E_P01, CounterCheck, CrcRule, Seen, crc_byte
@@ -24,7 +24,7 @@ from eps_hil.bus.supply_power import SupplyPowerTorque
 from eps_hil.errors import InputError
 
 if TYPE_CHECKING:
-    from eps_hil.bus.column_decoder import DecodedColumns
+    from eps_hil.bus.column_decoder import ColumnDecoder
 
 __all__ = ["FAULTS", "STAMP_RESOLUTION_NS", "FrameDecoder", "FrameEncoder", "Sample"]
 
@@ -95,17 +95,16 @@ class FrameDecoder:
         samples = [] if plan is None else plan.decode(frame)
         return samples if self._power is None else self._power.replace(samples)
 
-    def decode_all(self, frames: FrameColumns) -> "DecodedColumns | None":
-        """What :meth:`decode` says of all frames of a log, at once; of a fresh decoder.
+    def columns(self) -> "ColumnDecoder | None":
+        """What says the same as :meth:`decode` of many frames at once, for a fresh decoder.
 
-        None where a message is one that has to be decoded frame by frame.
+        None where the mapping asks for what is found frame by frame.
         """
         if self._power is not None:
             return None
-        from eps_hil.bus.column_decoder import decode_columns  # compiles; nobody live needs it
+        from eps_hil.bus.column_decoder import ColumnDecoder  # compiles; nobody live needs it
 
-        plans = {key_of(*key): plan for key, plan in self._plans.items()}
-        return decode_columns(plans, frames)
+        return ColumnDecoder({key_of(*key): plan for key, plan in self._plans.items()})
 
     def _add(
         self, database: Any, mapping: SignalMapping, message_name: str, names: Sequence[str]

@@ -1,14 +1,16 @@
-"""All frames of a log to samples at once: the answers of :class:`FrameDecoder`, by columns.
+"""Many frames of a log to samples at once: the answers of :class:`FrameDecoder`, by columns.
 
 Frames are grouped by message; bits, counters and CRC are taken as arrays. What a signal is (place,
 width, byte order, sign, scale, range, values that are none) is asked of the database, as there.
-Messages that this does not know (multiplexed ones, numbers that a float does not hold) make it
-return None, and the log is then decoded frame by frame.
+Messages that this does not know (multiplexed ones, numbers that a float does not hold) are
+refused, and the log is then decoded frame by frame. A long log comes in pieces: what one piece
+leaves behind (clocks, counters, the last payloads) the next one begins with.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +36,18 @@ class DecodedColumns:
 
     samples: dict[str, tuple[Ints, Floats]]
     faults: dict[str, dict[str, int]]
+
+
+@dataclass(slots=True)
+class _Column:
+    """A signal so far: what it came with first (frame, place in its message), and its pieces.
+
+    ``t_ns`` is one list for all signals of a message.
+    """
+
+    first: tuple[int, int]
+    t_ns: list[Ints]
+    value: list[Floats]
 
 
 class _Message:
@@ -64,26 +78,111 @@ class _Message:
         self.restarted = np.zeros(0, np.int64)
 
 
-def decode_columns(
-    plans: Mapping[int, MessageDecoder], frames: FrameColumns
-) -> DecodedColumns | None:
-    """Samples of the messages in ``plans`` (by :func:`key_of`), each decoder fresh.
+class ColumnDecoder:
+    """Decodes the messages in ``plans`` (by :func:`key_of`), whose decoders are fresh."""
 
-    None where a message is to be decoded frame by frame.
-    """
-    messages: list[_Message] = []
-    for key, plan in plans.items():
-        rows = np.flatnonzero(frames.key == key)
-        if not len(rows):
-            continue
-        bits = {name: bits_of(plan.signal(name), plan.length) for name in plan.needed}
-        known = {name: each for name, each in bits.items() if each is not None}
-        modulo = 0 if plan.check is None else plan.check.modulo
-        if plan.multiplexed or len(known) < len(bits) or modulo > _MOST_MODULO:
-            return None
-        messages.append(_Message(plan, known, frames, rows))
-    _find_instants(messages)
-    return DecodedColumns(*_collected(messages))
+    def __init__(self, plans: Mapping[int, MessageDecoder]) -> None:
+        self._plans = plans
+        self._bits: dict[int, Mapping[str, Bits]] = {}
+        self._before = 0
+        self._columns: dict[str, _Column] = {}
+        self._stamps: dict[int, list[Ints]] = {}
+        self._faults: dict[tuple[str, str], tuple[int, int]] = {}
+        clocks: dict[int, list[int]] = {}
+        for key, plan in plans.items():
+            clock = id(plan) if plan.clock is None else id(plan.clock)
+            clocks.setdefault(clock, []).append(key)
+        self._clocks = [
+            (keys, ClockState([plans[key] for key in keys])) for keys in clocks.values()
+        ]
+
+    def add(self, frames: FrameColumns) -> bool:
+        """Decode what follows; False where a message is to be decoded frame by frame."""
+        messages: dict[int, _Message] = {}
+        for key, plan in self._plans.items():
+            rows = np.flatnonzero(frames.key == key)
+            if not len(rows):
+                continue
+            bits = self._bits.get(key) or _bits(plan)
+            if bits is None:
+                return False
+            self._bits[key] = bits
+            messages[key] = _Message(plan, bits, frames, rows)
+        for keys, state in self._clocks:
+            mine = [(lane, messages[key]) for lane, key in enumerate(keys) if key in messages]
+            if mine:
+                _find_instants(mine, state)
+        for key, message in messages.items():
+            self._collect(key, message)
+        self._before += len(frames.key)
+        return True
+
+    def result(self) -> DecodedColumns:
+        """What was found; once, since the pieces are given up one by one."""
+        faults: dict[str, dict[str, int]] = {}
+        for (fault, name), (_, count) in sorted(self._faults.items(), key=lambda one: one[1][0]):
+            faults.setdefault(fault, {})[name] = count
+        samples = {}
+        whole: dict[int, Ints] = {}
+        for name, column in sorted(self._columns.items(), key=lambda one: one[1].first):
+            stamps = id(column.t_ns)
+            if stamps not in whole:
+                whole[stamps] = _joined(column.t_ns)
+            samples[name] = whole[stamps], _joined(column.value)
+        return DecodedColumns(samples, faults)
+
+    def _collect(self, key: int, message: _Message) -> None:
+        there = message.state != instants.REPEATED
+        good = message.state == instants.GOOD
+        self._note(message, "length", message.short)
+        self._note(message, "crc", message.wrong)
+        self._note(message, "counter", ~there)
+        self._note(message, "lost_frames", message.lost > 0, int(message.lost.sum()))
+        again = np.zeros(len(there), bool)
+        again[message.restarted] = True
+        self._note(message, "clock_restarts", again)
+        if not there.any():
+            return
+        first = self._before + int(message.rows[int(np.argmax(there))])
+        stamps = self._stamps.setdefault(key, [])
+        stamps.append(message.t_ns[there])
+        missing, outside = np.zeros(len(there), np.int64), np.zeros(len(there), np.int64)
+        for place, signal in enumerate(message.plan.signals):
+            value = np.full(len(there), math.nan)
+            raw = message.bits[signal.name].raw(message.data[good])
+            value[good], none = signal.read_all(raw)
+            missing[good] += none
+            outside[good] += np.isnan(value[good]) & ~none
+            column = self._columns.setdefault(signal.canonical, _Column((first, place), stamps, []))
+            column.value.append(value[there])
+        self._note(message, "not_available", missing > 0, int(missing.sum()))
+        self._note(message, "out_of_range", outside > 0, int(outside.sum()))
+
+    def _note(
+        self, message: _Message, fault: str, where: npt.NDArray[np.bool_], many: int = 0
+    ) -> None:
+        if where.any():
+            first = self._before + int(message.rows[int(np.argmax(where))])
+            first, count = self._faults.get((fault, message.plan.name), (first, 0))
+            count += many or int(np.count_nonzero(where))
+            self._faults[fault, message.plan.name] = first, count
+
+
+def _bits(plan: MessageDecoder) -> Mapping[str, Bits] | None:
+    """Where what is needed of a message stands; None where it is decoded frame by frame."""
+    bits = {name: bits_of(plan.signal(name), plan.length) for name in plan.needed}
+    known = {name: each for name, each in bits.items() if each is not None}
+    modulo = 0 if plan.check is None else plan.check.modulo
+    if plan.multiplexed or len(known) < len(bits) or modulo > _MOST_MODULO:
+        return None
+    return known
+
+
+def _joined(pieces: list[Any]) -> Any:
+    """The pieces as one array; their list is empty then."""
+    whole = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+    pieces.clear()
+    return whole
 
 
 def expected_crc(rule: CrcRule, data: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
@@ -103,73 +202,27 @@ def expected_crc(rule: CrcRule, data: npt.NDArray[np.uint8]) -> npt.NDArray[np.u
     return crc
 
 
-def _find_instants(messages: Sequence[_Message]) -> None:
-    """States, instants and losses of all frames."""
-    clocks: dict[int, list[_Message]] = {}
-    for message in messages:
-        clock = message.plan.clock
-        clocks.setdefault(id(message) if clock is None else id(clock), []).append(message)
-    for together in clocks.values():
-        order = np.argsort(np.concatenate([each.rows for each in together]), kind="stable")
-        many = [len(each.rows) for each in together]
-        width = np.array([each.plan.length for each in together], np.int64)
-        data = np.zeros((len(order), int(width.max())), np.uint8)
-        since = 0
-        for each in together:
-            data[since : since + len(each.rows), : each.plan.length] = each.data
-            since += len(each.rows)
-        rows = instants.Rows(
-            np.concatenate([each.stamp for each in together])[order],
-            np.repeat(np.arange(len(together)), many)[order],
-            np.concatenate([each.counter for each in together])[order],
-            np.concatenate([each.state for each in together])[order].astype(np.int64),
-            np.zeros(len(order), np.int64),
-            np.zeros(len(order), np.int64),
-        )
-        restarted = ClockState([each.plan for each in together]).run(rows, data, order, width)
-        for k, each in enumerate(together):
-            mine = rows.lane == k
-            each.state, each.t_ns, each.lost = rows.state[mine], rows.t_ns[mine], rows.lost[mine]
-            each.restarted = np.flatnonzero(restarted[mine])
-
-
-def _collected(
-    messages: Sequence[_Message],
-) -> tuple[dict[str, tuple[Ints, Floats]], dict[str, dict[str, int]]]:
-    samples: list[tuple[int, int, str, tuple[Ints, Floats]]] = []
-    faults: list[tuple[int, str, str, int]] = []
-
-    def note(message: _Message, fault: str, where: npt.NDArray[np.bool_], many: int = 0) -> None:
-        if where.any():
-            first = int(message.rows[int(np.argmax(where))])
-            faults.append((first, fault, message.plan.name, many or int(np.count_nonzero(where))))
-
-    for message in messages:
-        there = message.state != instants.REPEATED
-        good = message.state == instants.GOOD
-        note(message, "length", message.short)
-        note(message, "crc", message.wrong)
-        note(message, "counter", ~there)
-        note(message, "lost_frames", message.lost > 0, int(message.lost.sum()))
-        again = np.zeros(len(there), bool)
-        again[message.restarted] = True
-        note(message, "clock_restarts", again)
-        if not there.any():
-            continue
-        first = int(message.rows[int(np.argmax(there))])
-        missing, outside = np.zeros(len(there), np.int64), np.zeros(len(there), np.int64)
-        for place, signal in enumerate(message.plan.signals):
-            value = np.full(len(there), math.nan)
-            raw = message.bits[signal.name].raw(message.data[good])
-            value[good], none = signal.read_all(raw)
-            missing[good] += none
-            outside[good] += np.isnan(value[good]) & ~none
-            column = (message.t_ns[there], value[there])
-            samples.append((first, place, signal.canonical, column))
-        note(message, "not_available", missing > 0, int(missing.sum()))
-        note(message, "out_of_range", outside > 0, int(outside.sum()))
-    found: dict[str, dict[str, int]] = {}
-    for _, fault, name, count in sorted(faults, key=lambda one: one[0]):
-        found.setdefault(fault, {})[name] = count
-    samples.sort(key=lambda one: one[:2])
-    return {name: column for _, _, name, column in samples}, found
+def _find_instants(mine: Sequence[tuple[int, _Message]], clock: ClockState) -> None:
+    """States, instants and losses of the frames of one clock; each message with its lane."""
+    together = [message for _, message in mine]
+    order = np.argsort(np.concatenate([each.rows for each in together]), kind="stable")
+    many = [len(each.rows) for each in together]
+    data = np.zeros((len(order), clock.widest), np.uint8)
+    since = 0
+    for each in together:
+        data[since : since + len(each.rows), : each.plan.length] = each.data
+        since += len(each.rows)
+    rows = instants.Rows(
+        np.concatenate([each.stamp for each in together])[order],
+        np.repeat([lane for lane, _ in mine], many)[order],
+        np.concatenate([each.counter for each in together])[order],
+        np.concatenate([each.state for each in together])[order].astype(np.int64),
+        np.zeros(len(order), np.int64),
+        np.zeros(len(order), np.int64),
+    )
+    restarted = clock.run(rows, data, order)
+    for lane, each in mine:
+        its = rows.lane == lane
+        each.state, each.t_ns = rows.state[its], rows.t_ns[its]
+        each.lost = rows.lost[its]
+        each.restarted = np.flatnonzero(restarted[its])

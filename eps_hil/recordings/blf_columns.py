@@ -105,6 +105,7 @@ class BlfColumns:
         self._path, self._keep = path, keep
         self._frames = 0
         self.notes: list[str] = []
+        self.in_order = True
 
     def parts(self, on_progress: Callable[[float], None] | None) -> Iterator[list[Part] | None]:
         """What each container holds; None (and nothing after it) where one is not plain."""

@@ -99,6 +99,7 @@ class CandumpColumns:
         self._shapes: dict[int, list[_Shape]] = {}
         self._lines = 0
         self.notes: list[str] = []
+        self.in_order = True
 
     def parts(self, on_progress: Callable[[float], None] | None) -> Iterator[list[Part] | None]:
         """What each chunk holds; None (and nothing after it) where a line is not plain."""

@@ -39,24 +39,52 @@ def wanted(ids: Collection[int], channel: str | None) -> Keep:
     return keep
 
 
-def together(parts: list[Part], notes: list[str]) -> FrameColumns | None:
-    """All frames by stamp, and a note if they were not; None where the log is to be refused.
+class InOrder:
+    """Parts in as they stand in a log; frames out by stamp, once nothing earlier can come."""
 
-    So it is where it has none of them, time goes back, or one id is on two channels.
-    """
-    if not parts or _mixed(parts):
-        return None
-    order = np.argsort(np.concatenate([part.place for part in parts]), kind="stable")
-    t_ns = np.concatenate([part.t_ns for part in parts])[order]
-    newest = np.maximum.accumulate(t_ns)
-    if (newest - t_ns).max() > LOOK_AHEAD_NS:
-        return None
-    moved = int(np.count_nonzero(t_ns < newest))
-    if moved:
-        by_time = np.argsort(t_ns, kind="stable")
-        order, t_ns = order[by_time], t_ns[by_time]
-        notes.append(f"{moved} frames were out of order: sorted by stamp")
+    def __init__(self) -> None:
+        self._heard: dict[int, bytes] = {}
+        self._newest = np.iinfo(np.int64).min
+        self._waiting: FrameColumns | None = None
+        self.moved = 0
+
+    def add(self, parts: list[Part]) -> FrameColumns | None:
+        """Frames that can be told; None where the log is to be refused.
+
+        So it is where time goes back, or one id is on two channels.
+        """
+        if self._mixed(parts):
+            return None
+        order = np.argsort(np.concatenate([part.place for part in parts]), kind="stable")
+        came = _together(parts, order)
+        newest = np.maximum.accumulate(np.maximum(came.t_ns, self._newest))
+        if (came.t_ns < newest - LOOK_AHEAD_NS).any():
+            return None
+        self.moved += int(np.count_nonzero(came.t_ns < newest))
+        self._newest = int(newest[-1])
+        frames = came if self._waiting is None else _joined(self._waiting, came)
+        if (np.diff(frames.t_ns) < 0).any():
+            frames = _rows(frames, np.argsort(frames.t_ns, kind="stable"))
+        until = int(np.searchsorted(frames.t_ns, self._newest - LOOK_AHEAD_NS))
+        self._waiting = _rows(frames, slice(until, None), copied=True)
+        return _rows(frames, slice(until))
+
+    def rest(self) -> FrameColumns | None:
+        """Those that waited for earlier ones; None if there was no frame at all."""
+        return self._waiting
+
+    def _mixed(self, parts: list[Part]) -> bool:
+        """Whether one id is on two channels."""
+        for part in parts:
+            for key in np.unique(part.key).tolist():
+                if self._heard.setdefault(key, part.channel) != part.channel:
+                    return True
+        return False
+
+
+def _together(parts: list[Part], order: Ints) -> FrameColumns:
     widest = max(part.data.shape[1] for part in parts)
+    t_ns = np.concatenate([part.t_ns for part in parts])
     data = np.zeros((len(t_ns), widest), np.uint8)
     since = 0
     for part in parts:
@@ -64,14 +92,24 @@ def together(parts: list[Part], notes: list[str]) -> FrameColumns | None:
         since += len(part.key)
     key = np.concatenate([part.key for part in parts])
     length = np.concatenate([part.length for part in parts])
-    return FrameColumns(t_ns, key[order], length[order], data[order])
+    return _rows(FrameColumns(t_ns, key, length, data), order)
 
 
-def _mixed(parts: list[Part]) -> bool:
-    """Whether one id is on two channels."""
-    heard: dict[int, bytes] = {}
-    for part in parts:
-        for key in np.unique(part.key).tolist():
-            if heard.setdefault(key, part.channel) != part.channel:
-                return True
-    return False
+def _joined(one: FrameColumns, other: FrameColumns) -> FrameColumns:
+    widest = max(one.data.shape[1], other.data.shape[1])
+    wide = (np.pad(d, ((0, 0), (0, widest - d.shape[1]))) for d in (one.data, other.data))
+    return FrameColumns(
+        np.concatenate((one.t_ns, other.t_ns)),
+        np.concatenate((one.key, other.key)),
+        np.concatenate((one.length, other.length)),
+        np.concatenate(tuple(wide)),
+    )
+
+
+def _rows(frames: FrameColumns, rows: Ints | slice, *, copied: bool = False) -> FrameColumns:
+    """Some frames; ``copied``: so that the others can be forgotten."""
+    t_ns, key, length = frames.t_ns[rows], frames.key[rows], frames.length[rows]
+    if copied:
+        t_ns, key, length = t_ns.copy(), key.copy(), length.copy()
+    data = frames.data[rows]
+    return FrameColumns(t_ns, key, length, data.copy() if copied else data)

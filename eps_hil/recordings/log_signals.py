@@ -3,6 +3,7 @@
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -10,13 +11,15 @@ import numpy.typing as npt
 from eps_hil.bus.codec import FrameDecoder
 from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
-from eps_hil.bus.frame_columns import FrameColumns
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_frames
 from eps_hil.recordings.files import check_readable
-from eps_hil.recordings.log_columns import SUFFIXES, read_columns_of
+from eps_hil.recordings.log_columns import SUFFIXES, pieces_of
 from eps_hil.series import Series
+
+if TYPE_CHECKING:
+    from eps_hil.bus.column_decoder import DecodedColumns
 
 _MAX_SHOWN = 8
 _FAULTS = {
@@ -62,11 +65,7 @@ def read_log(
     database = load_database(dbc, strict=mapping.strict)
     ids = decoder().receive_ids
     notes: list[str] = []
-    found = None
-    columns = _columns(path, ids, channel, on_progress)
-    if columns is not None:
-        found = decoder().decode_all(columns[0])
-        notes += columns[1]
+    found = _columns(path, decoder(), channel, notes, on_progress)
     if found is None:
         notes.clear()
         log = read_frames(path, ids=ids, channel=channel, notes=notes, on_progress=on_progress)
@@ -80,17 +79,26 @@ def read_log(
         raise InputError(path, "", problem, "check the mapping, the DBC and the bus")
     notes += _told(faults)
     notes += _absent(mapping.signals, found_samples)
-    series = {name: _series(name, *found_samples[name], notes) for name in found_samples}
+    series = {name: _series(name, *found_samples.pop(name), notes) for name in [*found_samples]}
     return series, tuple(notes)
 
 
 def _columns(
-    path: Path, ids: Sequence[int], channel: str | None, on_progress: Callable[[float], None] | None
-) -> tuple[FrameColumns, list[str]] | None:
-    """The frames of the log at once, and notes; None where they are to be read one by one."""
-    if path.suffix.lower() not in SUFFIXES:
+    path: Path,
+    decoder: FrameDecoder,
+    channel: str | None,
+    notes: list[str],
+    on_progress: Callable[[float], None] | None,
+) -> "DecodedColumns | None":
+    """The log many frames at once, and notes; None where they are to be read one by one."""
+    columns = decoder.columns() if path.suffix.lower() in SUFFIXES else None
+    if columns is None:
         return None
-    return read_columns_of(path, ids=ids, channel=channel, on_progress=on_progress)
+    ids = decoder.receive_ids
+    for piece in pieces_of(path, ids=ids, notes=notes, channel=channel, on_progress=on_progress):
+        if piece is None or not columns.add(piece):
+            return None
+    return columns.result()
 
 
 def _one_by_one(
@@ -163,4 +171,6 @@ def _series(
         notes.append(f"{name}: {count} samples do not advance in time: left out")
     if (bad := int(np.count_nonzero(np.isnan(value[kept])))) > 0:
         notes.append(f"{name}: {bad} of {len(t_ns)} samples are marked bad")
-    return Series(t_ns[kept].copy(), value[kept].copy())
+    if kept.all():
+        return Series(t_ns, value)
+    return Series(t_ns[kept], value[kept])

@@ -34,6 +34,7 @@ class Mf4Columns:
     def __init__(self, path: Path, *, keep: Keep) -> None:
         self._path, self._keep = path, keep
         self.notes: list[str] = []
+        self.in_order = True
 
     def parts(self, on_progress: Callable[[float], None] | None) -> Iterator[list[Part] | None]:
         """What each chunk holds; None (and nothing after it) where one is not plain."""
@@ -54,7 +55,7 @@ class Mf4Columns:
         groups = [index for index, group in enumerate(mdf.groups) if has_frames(group)]
         records = {index: mdf.groups[index].channel_group.cycles_nr for index in groups}
         done, whole = 0, max(sum(records.values()), 1)
-        alone = len(groups) == 1
+        self.in_order = alone = len(groups) == 1
         for index in groups:
             newest_s = -np.inf
             for since in range(0, records[index], _CHUNK):

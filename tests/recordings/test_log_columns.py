@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +10,17 @@ import can
 import numpy as np
 import pytest
 from asammdf import MDF, Signal, Source
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from eps_hil.bus.codec import FrameEncoder
+from eps_hil.bus.codec import FrameDecoder, FrameEncoder
 from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
+from eps_hil.bus.frame_columns import FrameColumns
+from eps_hil.bus.mapping import load_mapping
 from eps_hil.bus.record import open_log
 from eps_hil.errors import InputError
-from eps_hil.recordings import log_signals
+from eps_hil.recordings import candump_columns, log_columns, log_signals, mf4_columns
 from eps_hil.recordings.frame_parts import wanted
 from eps_hil.recordings.log_signals import read_log
 from eps_hil.recordings.mf4_columns import Mf4Columns
@@ -32,21 +35,26 @@ Fault = Callable[[list[Frame], np.random.Generator], list[Frame]]
 
 
 def both(path: Path, monkeypatch: pytest.MonkeyPatch, channel: str | None = None) -> Read:
-    """What the log says, once it says the same both ways."""
+    """What the log says, once it says the same at once, in small pieces, and frame by frame."""
     answers = []
-    for at_once in (True, False):
+    for how in ("at once", "in pieces", "by frames"):
         with monkeypatch.context() as patch:
-            if not at_once:
+            if how == "by frames":
                 patch.setattr(log_signals, "_columns", lambda *_: None)
             else:
                 patch.setattr(log_signals, "read_frames", _not_asked)
+            if how == "in pieces":
+                patch.setattr(log_columns, "PIECE", 61)
+                patch.setattr(candump_columns, "_CHUNK", 1 << 12)
+                patch.setattr(mf4_columns, "_CHUNK", 77)
             series, notes = read_log(path, dbc=[DBC], signals=SIGNALS, channel=channel)
             signals = {
                 name: (one.t_ns.tolist(), one.value.tobytes()) for name, one in series.items()
             }
             answers.append((signals, notes))
-    assert list(answers[0][0]) == list(answers[1][0])
-    assert answers[0] == answers[1]
+    for other in answers[1:]:
+        assert list(answers[0][0]) == list(other[0])
+        assert answers[0] == other
     return answers[0]
 
 
@@ -163,6 +171,7 @@ def test_faulty_traffic(
 def test_every_fault_is_told_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(5)
     frames = traffic(1_500, rng)  # beyond the blocks from which the drift is taken
+    # and beyond what waits for earlier stamps: so more than one piece is decoded
     for fault in FAULTS:
         frames = fault(frames, rng)
     _, notes = both(written(tmp_path / "bus.log", frames), monkeypatch)
@@ -170,6 +179,58 @@ def test_every_fault_is_told_the_same(tmp_path: Path, monkeypatch: pytest.Monkey
     for words in ("wrong CRC", "shorter", "repeat their counter", "are missing", "found anew",
                   "out of order"):  # fmt: skip
         assert words in told
+
+
+@settings(deadline=None, max_examples=15)
+@example(seed=1, which=[repeated, second_sender, lost], length=1)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    which=st.lists(st.sampled_from(FAULTS), max_size=6),
+    length=st.sampled_from([1, 2, 7, 61, 997]),
+)
+def test_where_a_log_is_cut_is_not_seen(seed: int, which: list[Fault], length: int) -> None:
+    rng = np.random.default_rng(seed)
+    frames = traffic(400, rng)
+    for fault in which:
+        frames = fault(frames, rng)
+    frames.sort(key=lambda frame: frame.t_ns)
+    widest = max(len(frame.data) for frame in frames)
+    whole = FrameColumns(
+        np.array([frame.t_ns for frame in frames]),
+        np.array([frame.can_id for frame in frames]),
+        np.array([len(frame.data) for frame in frames]),
+        np.array([[*frame.data.ljust(widest, b"\0")] for frame in frames], np.uint8),
+    )
+    ends = [*range(0, len(frames), length), len(frames)]
+    answers = []
+    for edges in ([0, len(frames)], ends):
+        decoder = FrameDecoder(load_database([DBC]), load_mapping(SIGNALS)).columns()
+        assert decoder is not None
+        for first, last in pairwise(edges):
+            part = slice(first, last)
+            assert decoder.add(
+                FrameColumns(
+                    whole.t_ns[part], whole.key[part], whole.length[part], whole.data[part]
+                )
+            )
+        found = decoder.result()
+        samples = {n: (t.tolist(), v.tobytes()) for n, (t, v) in found.samples.items()}
+        answers.append((list(samples), samples, found.faults, list(found.faults)))
+    assert answers[0] == answers[1]
+
+
+def test_a_long_log_is_held_a_piece_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path / "bus.log", traffic(3_000, np.random.default_rng(2)))
+    monkeypatch.setattr(log_columns, "PIECE", 500)
+    monkeypatch.setattr(candump_columns, "_CHUNK", 1 << 12)
+    sizes: list[int] = []
+    for piece in log_columns.pieces_of(path, ids=[0x100, 0x101, 0x110], notes=[]):
+        assert piece is not None
+        sizes.append(len(piece.key))
+    assert sum(sizes) > 8_000
+    assert max(sizes) < 2_000
 
 
 def as_message(frame: Frame, **more: Any) -> can.Message:
