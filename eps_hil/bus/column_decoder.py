@@ -10,7 +10,6 @@ leaves behind (clocks, counters, the last payloads) the next one begins with.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +18,7 @@ from eps_hil.bus import instants
 from eps_hil.bus.bits import Bits, bits_of
 from eps_hil.bus.clock_state import ClockState
 from eps_hil.bus.frame_columns import FrameColumns
+from eps_hil.bus.growing import Growing
 from eps_hil.bus.message_decoder import STAMP_RESOLUTION_NS, MessageDecoder
 from eps_hil.bus.protection import CrcRule
 
@@ -40,14 +40,14 @@ class DecodedColumns:
 
 @dataclass(slots=True)
 class _Column:
-    """A signal so far: what it came with first (frame, place in its message), and its pieces.
+    """A signal so far: what it came with first (frame, place in its message), and its samples.
 
-    ``t_ns`` is one list for all signals of a message.
+    ``t_ns`` is the same one for all signals of a message.
     """
 
     first: tuple[int, int]
-    t_ns: list[Ints]
-    value: list[Floats]
+    t_ns: Growing
+    value: Growing
 
 
 class _Message:
@@ -86,7 +86,7 @@ class ColumnDecoder:
         self._bits: dict[int, Mapping[str, Bits]] = {}
         self._before = 0
         self._columns: dict[str, _Column] = {}
-        self._stamps: dict[int, list[Ints]] = {}
+        self._stamps: dict[int, Growing] = {}
         self._faults: dict[tuple[str, str], tuple[int, int]] = {}
         clocks: dict[int, list[int]] = {}
         for key, plan in plans.items():
@@ -118,17 +118,14 @@ class ColumnDecoder:
         return True
 
     def result(self) -> DecodedColumns:
-        """What was found; once, since the pieces are given up one by one."""
+        """What was found; signals of one message share their stamps. Nothing is added then."""
         faults: dict[str, dict[str, int]] = {}
         for (fault, name), (_, count) in sorted(self._faults.items(), key=lambda one: one[1][0]):
             faults.setdefault(fault, {})[name] = count
-        samples = {}
-        whole: dict[int, Ints] = {}
-        for name, column in sorted(self._columns.items(), key=lambda one: one[1].first):
-            stamps = id(column.t_ns)
-            if stamps not in whole:
-                whole[stamps] = _joined(column.t_ns)
-            samples[name] = whole[stamps], _joined(column.value)
+        samples = {
+            name: (column.t_ns.whole(), column.value.whole())
+            for name, column in sorted(self._columns.items(), key=lambda one: one[1].first)
+        }
         return DecodedColumns(samples, faults)
 
     def _collect(self, key: int, message: _Message) -> None:
@@ -144,8 +141,8 @@ class ColumnDecoder:
         if not there.any():
             return
         first = self._before + int(message.rows[int(np.argmax(there))])
-        stamps = self._stamps.setdefault(key, [])
-        stamps.append(message.t_ns[there])
+        stamps = self._stamps.setdefault(key, Growing(np.int64))
+        stamps.add(message.t_ns[there])
         missing, outside = np.zeros(len(there), np.int64), np.zeros(len(there), np.int64)
         for place, signal in enumerate(message.plan.signals):
             value = np.full(len(there), math.nan)
@@ -153,8 +150,10 @@ class ColumnDecoder:
             value[good], none = signal.read_all(raw)
             missing[good] += none
             outside[good] += np.isnan(value[good]) & ~none
-            column = self._columns.setdefault(signal.canonical, _Column((first, place), stamps, []))
-            column.value.append(value[there])
+            column = self._columns.setdefault(
+                signal.canonical, _Column((first, place), stamps, Growing(np.float64))
+            )
+            column.value.add(value[there])
         self._note(message, "not_available", missing > 0, int(missing.sum()))
         self._note(message, "out_of_range", outside > 0, int(outside.sum()))
 
@@ -176,13 +175,6 @@ def _bits(plan: MessageDecoder) -> Mapping[str, Bits] | None:
     if plan.multiplexed or len(known) < len(bits) or modulo > _MOST_MODULO:
         return None
     return known
-
-
-def _joined(pieces: list[Any]) -> Any:
-    """The pieces as one array; their list is empty then."""
-    whole = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-    pieces.clear()
-    return whole
 
 
 def expected_crc(rule: CrcRule, data: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

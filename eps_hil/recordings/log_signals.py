@@ -164,12 +164,13 @@ def _absent(mapped: Mapping[str, object], samples: Mapping[str, Samples]) -> lis
 def _series(
     name: str, t_ns: npt.NDArray[np.int64], value: npt.NDArray[np.float64], notes: list[str]
 ) -> Series:
-    newest = np.maximum.accumulate(t_ns)
-    kept = np.concatenate(([True], t_ns[1:] > newest[:-1]))  # a clock that restarted may step back
+    kept = np.ones(len(t_ns), bool)
+    if (t_ns[1:] <= t_ns[:-1]).any():  # a clock that restarted may step back
+        kept[1:] = t_ns[1:] > np.maximum.accumulate(t_ns)[:-1]
     if not kept.all():
         count = int(np.count_nonzero(~kept))
         notes.append(f"{name}: {count} samples do not advance in time: left out")
-    if (bad := int(np.count_nonzero(np.isnan(value[kept])))) > 0:
+    if (bad := int(np.count_nonzero(np.isnan(value) & kept))) > 0:
         notes.append(f"{name}: {bad} of {len(t_ns)} samples are marked bad")
     if kept.all():
         return Series(t_ns, value)
