@@ -8,7 +8,9 @@ import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait as wait_for
+from threading import Thread
 
 from eps_hil.errors import InputError
 from eps_hil.fleet.job import Job, Row, run
@@ -31,7 +33,9 @@ def here(job: Job, todo: Todo, processes: int | None = None) -> Iterator[Row]:
         alone = not waiting
         if alone:
             waiting = [suspects.pop()]
-        pool = ProcessPoolExecutor(1 if alone else many, mp_context=get_context("spawn"))
+        pool = ProcessPoolExecutor(
+            1 if alone else many, get_context("spawn"), initializer=_end_with_parent
+        )
         running: dict[Future[Row], tuple[Task, str]] = {}
         try:
             while waiting or running:
@@ -51,6 +55,18 @@ def here(job: Job, todo: Todo, processes: int | None = None) -> Iterator[Row]:
                 suspects += running.values()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would wait for its next task for ever."""
+    parent = parent_process()
+    if parent is not None:
+        Thread(target=_outlive_not, args=(parent.sentinel,), daemon=True).start()
+
+
+def _outlive_not(parent: int) -> None:
+    wait_for([parent])
+    os._exit(1)
 
 
 def on_dask(job: Job, todo: Todo, address: str) -> Iterator[Row]:

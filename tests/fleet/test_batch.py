@@ -114,6 +114,46 @@ def test_the_verb_goes_on_where_it_was(
     assert "6 recordings, 6 of them known before" in capsys.readouterr().out
 
 
+def _of_parent(parent: int) -> list[int]:
+    """Processes that a process has started (Linux)."""
+    found = []
+    for one in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            number, rest = one.read_text().split(" (", 1)
+        except OSError:
+            continue
+        state, its_parent = rest.rsplit(") ", 1)[1].split()[:2]
+        if int(its_parent) == parent and state != "Z":
+            found.append(int(number))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks into /proc")
+def test_workers_end_with_a_batch_that_is_killed(tmp_path: Path) -> None:
+    for seed in range(400):
+        recording(tmp_path / "many" / f"{seed}.csv", seed, 0.2)
+    rows = tmp_path / "out" / "rows"
+    batch = subprocess.Popen(
+        [sys.executable, "-m", "eps_hil.cli", "batch", "estimate", str(tmp_path / "many"),
+         "--model", str(MODEL), "--out", str(tmp_path / "out"), "--processes", "2"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    until = time.monotonic() + 120.0
+    while len(list(rows.glob("*"))) < 20 and time.monotonic() < until and batch.poll() is None:
+        time.sleep(0.05)
+    workers_of_it = _of_parent(batch.pid)
+    batch.kill()
+    batch.wait()
+    assert len(workers_of_it) >= 2
+    until = time.monotonic() + 20.0
+    while time.monotonic() < until and any(Path(f"/proc/{k}").exists() for k in workers_of_it):
+        time.sleep(0.1)
+    left = [k for k in workers_of_it if Path(f"/proc/{k}").exists()]
+    for one in left:
+        os.kill(one, signal.SIGKILL)
+    assert not left
+
+
 def test_nothing_that_could_be_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "a.csv").write_text("time_s\n0\n")
