@@ -40,8 +40,9 @@ def here(job: Job, todo: Todo, processes: int | None = None) -> Iterator[Row]:
         try:
             while waiting or running:
                 while waiting and len(running) < (many if warm and not alone else 1):
-                    task = waiting.pop()
-                    running[pool.submit(run, job, *task)] = task
+                    # a pool that broke meanwhile refuses the task, which then goes on waiting
+                    running[pool.submit(run, job, *waiting[-1])] = waiting[-1]
+                    waiting.pop()
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
                 for one in done:
                     row = one.result()

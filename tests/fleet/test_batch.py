@@ -6,6 +6,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -179,6 +181,26 @@ def test_a_recording_that_kills_its_process(
     batch = run_batch(job(tmp_path), tasks, processes=2)
     assert [row["state"] for row in batch.rows] == ["done", "done", "failed", "done", "done"]
     assert "its process died" in batch.failed[0]["error"]
+
+
+def test_no_recording_is_lost_where_the_pool_breaks_before_it_is_given_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refused: list[Task] = []
+
+    class Breaks(ProcessPoolExecutor):
+        def submit(self, function: Any, /, *words: Any, **more: Any) -> Any:
+            if words[1].unit == "three" and not refused:
+                refused.append(words[1])
+                raise BrokenProcessPool
+            return super().submit(function, *words, **more)
+
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", Breaks)
+    monkeypatch.setattr(workers, "run", deadly)
+    tasks = [Task(tmp_path / f"{k}.csv", unit) for k, unit in enumerate(["one", "two", "three"])]
+    batch = run_batch(job(tmp_path), tasks, processes=2)
+    assert refused
+    assert [row["state"] for row in batch.rows] == ["done"] * 3
 
 
 def test_outliers_of_a_population() -> None:
