@@ -18,16 +18,15 @@ DBC = ROOT / "dbc" / "eps_rig.dbc"
 DOCUMENT = ROOT / "docs" / "reference-bus.md"
 _CHECKS = ("Crc", "Counter")
 """Signals that stand with their message."""
+_I_APA, _I_PI, _J = 2513.0, 125.7, 2.0e-4
 NEWTON_PER = {  # at the rack of the reference rig, per unit of the signal's quantum
-    "MotorSpeed": (2.0e-4 * 2513.0 / 1e-3, "as a step within 1 ms, times J i_APA"),
-    "MotorTorque": (2513.0, "times i_APA"),
-    "AppliedMotorTorque": (2513.0, "times i_APA"),
-    "RequestedMotorTorque": (2513.0, "times i_APA"),
-    "CommandedTorque": (2513.0, "times i_APA"),
-    "FrictionTorque": (2513.0, "times i_APA"),
-    "TorsionBarTorque": (125.7, "times i_pi"),
-    "RackForce": (1.0, ""),
-    "RackForceEstimate": (1.0, ""),
+    "MotorSpeed": _J * _I_APA / 1e-3,  # as a step within 1 ms
+    "MotorTorque": _I_APA,
+    "AppliedMotorTorque": _I_APA,
+    "RequestedMotorTorque": _I_APA,
+    "CommandedTorque": _I_APA,
+    "FrictionTorque": _I_APA,
+    "TorsionBarTorque": _I_PI,
 }
 
 
@@ -45,7 +44,8 @@ def _messages(database: Any) -> list[str]:
         checks = {s.name: _bits(s) for s in m.signals}
         lines.append(
             f"| 0x{m.frame_id:03X} | `{m.name}` | {m.cycle_time} ms"
-            f" | {m.senders[0]} | {checks['Counter']}, {checks.get('Crc', 'none')} | {m.comment} |"
+            f" | {m.senders[0]} | {checks['Counter']}, {checks.get('Crc', 'none')}"
+            f" | {re.split(r' [(]|, sent |[.] ', m.comment)[0].rstrip('.')} |"
         )
     return lines
 
@@ -61,22 +61,23 @@ def _range(signal: Any) -> str:
 
 def _signals(database: Any) -> list[str]:
     lines = [
-        "| message | signal | unit | bits | quantum | range | quantum at the rack | no value |",
-        "|---|---|---|---|---|---|---|---|",
+        "| message | signal | bits | quantum, at the rack | range | no value |",
+        "|---|" + "---|" * 5,
     ]
     for m in sorted(database.messages, key=lambda each: each.frame_id):
+        name = f"`{m.name}`"
         for s in m.signals:
             if s.name in _CHECKS:
                 continue
-            newton = ""
-            if s.name in NEWTON_PER:
-                factor, how = NEWTON_PER[s.name]
-                newton = f"{s.scale * factor:.3g} N{' (' + how + ')' if how else ''}"
-            none = ", ".join(f"raw {r}" for r, t in (s.choices or {}).items() if str(t) == "SNA")
-            lines.append(
-                f"| `{m.name}` | `{s.name}` | {s.unit or ''} | {_bits(s)} | {s.scale:.10g} |"
-                f" {_range(s)} | {newton} | {none} |"
+            newton = f", {s.scale * NEWTON_PER[s.name]:.3g} N" if s.name in NEWTON_PER else ""
+            none = ", ".join(
+                str(raw) for raw, text in (s.choices or {}).items() if str(text) == "SNA"
             )
+            lines.append(
+                f"| {name} | `{s.name}` | {_bits(s)} | {s.scale:.10g}{newton} |"
+                f" {_range(s)}{' ' + s.unit if s.unit else ''} | {none} |"
+            )
+            name = ""
     return lines
 
 

@@ -1,5 +1,6 @@
 """Write docs/reference-effects.md from the catalogue; ``--check`` fails where the two differ."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -10,12 +11,12 @@ PAGE = Path(__file__).parents[1] / "docs" / "reference-effects.md"
 
 HEAD = """# Effects that a model file may add
 
-Written by `scripts/effects_reference.py` from `eps_hil/physics/effects/`, one file an effect.
-A model file takes them as `effects: [{effect: stribeck, level_nm: 0.045, speed_rad_s: 12.0}]`;
-`eps-hil simulate`, `eps-hil estimate` and the live service then use them. Torques and angles are
-at the rotor, ω is its speed, φ its angle, x the rack position, F the rack force, ψ the pinion
-angle. Brackets hold what a parameter may be. With an effect on the joint between rotor and rack
-`simulate` runs two masses; the estimator's band lies far below.
+Written by `scripts/effects_reference.py` from `eps_hil/physics/effects/`, one file an effect. A
+model file takes them as `effects: [{effect: stribeck, level_nm: 0.045, speed_rad_s: 12.0}]`;
+`simulate`, `estimate`, the service and the simulated rig use them. Torques and angles are at the
+rotor, ω is its speed, φ its angle, x the rack position, F the rack force, ψ the pinion angle.
+Brackets hold what a parameter may be. *Looks like*: what it may be confused with; `diagnose` says
+how to tell them apart.
 """
 
 WHERE = {
@@ -30,34 +31,43 @@ WHERE = {
 }
 
 
+def _allowed(text: str) -> str:
+    """What a parameter may be, in signs: ``0 Nm or more`` is ``≥ 0 Nm``."""
+    text = re.sub(r"^a number of ", "", text)
+    text = re.sub(r"^more than ", "> ", text)
+    return re.sub(r"^(.+) or more$", r"≥ \1", text)
+
+
 def page() -> str:
     """The whole page as text."""
     parts = [HEAD]
     for effect in catalogue().values():
-        used = "" if effect.simulated else " It can be named, but not be simulated."
-        if effect.on_bus:
-            used = (
-                " Only the model of a simulated rig may hold it, perhaps with the `signal` that it"
-                " is about ([the rig](reference-rig.md#effects))."
-            )
         where = "where its entry says" if effect.slots else WHERE[effect.slot]
-        parts.append(
-            f"## {effect.name}: `{effect.id}`\n\n"
-            f"{effect.equation} — {effect.kind}, acts {where}.{used}\n"
-        )
+        facts = [f"`{effect.equation}` ({effect.kind}, {where})."]
+        if effect.on_bus:
+            facts.append(
+                "Only in the model of a simulated rig, perhaps with the `signal` that it is about"
+                " ([the rig](reference-rig.md#effects))."
+            )
+        elif not effect.simulated:
+            facts.append("It can be named, but not be simulated.")
+        if effect.twins:
+            facts.append(f"Looks like {', '.join(f'`{twin}`' for twin in effect.twins)}.")
         rows = []
+        ranges = effect.read is None or effect.on_bus
+        names = [p.name for p in effect.parameters]
         for p in effect.parameters:
-            default = " (optional)" if p.default is not None else ""
-            plain = effect.read is None or effect.on_bus
-            span = f" ({p.allowed})" if plain else ""
-            rows.append(f"- `{p.name}`{span}: {p.meaning}{default}")
+            if p.name.endswith("_2") and f"{p.name[:-1]}1" in names:
+                continue
+            second = f"{p.name[:-1]}2"
+            name = f"`{p.name}`" + (f", `{second}`" if second in names else "")
+            meaning = p.meaning.replace(" input 1", " that input") if second in names else p.meaning
+            span = f" ({_allowed(p.allowed)})" if ranges else ""
+            rows.append(
+                f"- {name}{span}: {meaning}{' (optional)' if p.default is not None else ''}"
+            )
+        parts.append(f"## {effect.name}: `{effect.id}`\n\n{' '.join(facts)}\n")
         parts.append("\n".join(rows) + "\n")
-        tests: dict[str, list[str]] = {}
-        for twin, experiment in effect.twins.items():
-            tests.setdefault(experiment, []).append(f"`{twin}`")
-        told = "; ".join(f"{', '.join(twins)} by {how}" for how, twins in tests.items())
-        if told:
-            parts.append(f"Told from {told}.\n")
     return "\n".join(parts)
 
 

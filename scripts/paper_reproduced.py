@@ -8,7 +8,6 @@ scripts/paper_reproduced.py reproduction
 import json
 import re
 import sys
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +25,6 @@ SHOWN = (
     "parameters of eq. 3, from the constant-speed passes",
     "parameters of the bristle, from sweep and weave",
     "rms error against the real rack force",
-    "all standstills",
-    "friction offsets found in the same test",
 )
 """Tables of the page; the run's own page and JSON hold all."""
 
@@ -48,30 +45,25 @@ def main() -> None:
 
 
 def _verdicts(content: dict[str, Any]) -> list[str]:
+    """A row a statement; what was measured is said where it does not agree."""
     counts = ", ".join(f"{count} {word}" for word, count in content["outcomes"].items())
-    lines = [f"Seed {content['seed']}: {counts}.", ""]
-    statements = [
-        (key, one) for key, figure in content["figures"].items() for one in figure["statements"]
-    ]
-    times = Counter(one["remark"] for _, one in statements if one["remark"])
-    notes = [remark for remark, count in times.items() if count > 1]
     rows = [
-        (key, one["claim"], f"**{one['outcome']}**", _number(one, notes)) for key, one in statements
+        (key, one["claim"], one["outcome"].replace("agrees", "yes"), _number(one))
+        for key, figure in content["figures"].items()
+        for one in figure["statements"]
     ]
-    lines += _table(("where", "the paper says", "here", "by"), rows)
-    return lines + [
-        line for k, remark in enumerate(notes, 1) for line in (f"Note {k}: {remark}.", "")
-    ]
+    head = ("where", "the paper says", "agrees", "by")
+    return [f"Seed {content['seed']}: {counts}.", "", *_table(head, rows)]
 
 
-def _number(one: dict[str, Any], notes: list[str]) -> str:
+def _number(one: dict[str, Any]) -> str:
     unit = f" {one['unit']}" if one["unit"] else ""
     value = "–" if one["value"] is None else f"{one['value']:.3g}{unit}"
     limit = f"{one['limit_is']} {one['agrees_limit']:.3g}{unit}"
-    remark = one["remark"]
-    if remark in notes:
-        remark = f"note {notes.index(remark) + 1}"
-    return f"{one['measure']}: {value} ({limit})" + (f"; {remark}" if remark else "")
+    if one["outcome"] == "agrees":
+        return f"{value} ({limit})"
+    remark = f"; {one['remark']}" if one["remark"] else ""
+    return f"{one['measure']}: {value} ({limit}){remark}"
 
 
 def _figure(key: str, figure: dict[str, Any]) -> list[str]:
