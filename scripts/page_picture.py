@@ -1,4 +1,4 @@
-"""Takes a picture of a live page, as the one in the README was taken.
+"""Takes a picture of a live page, as the ones in docs/howto-dashboard.md were taken.
 
     scripts/demo udp                                     # says the page's address
     python scripts/page_picture.py http://127.0.0.1:34499/ docs/images/dashboard.png

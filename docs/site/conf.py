@@ -19,14 +19,14 @@ html_show_sphinx = False
 
 
 def _contents(_app: Sphinx, name: str, source: list[str]) -> None:
-    """The index's tables of links are the site's contents: each heading in bold is a part."""
+    """The index's lists of links are the site's contents: each heading in bold is a part."""
     if name != "index":
         return
     parts = re.split(r"^\*\*(.+?)\*\*$", source[0], flags=re.M)
     start = re.findall(r"\]\(([\w-]+)\.md\)", parts[0])
     for caption, text in [("Start", "\n".join(start)), *zip(parts[1::2], parts[2::2], strict=True)]:
         pages = (
-            start if caption == "Start" else re.findall(r"^\| \[.*?\]\(([\w-]+)\.md\)", text, re.M)
+            start if caption == "Start" else re.findall(r"^- \[.*?\]\(([\w-]+)\.md\)", text, re.M)
         )
         listed = "\n".join(pages)
         source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{listed}\n```\n"
