@@ -60,25 +60,19 @@ def _range(signal: Any) -> str:
 
 
 def _signals(database: Any) -> list[str]:
-    lines = [
-        "| message | signal | bits | quantum, at the rack | range | no value |",
-        "|---|" + "---|" * 5,
-    ]
+    """A listing, one block a message."""
+    lines = ["```"]
     for m in sorted(database.messages, key=lambda each: each.frame_id):
-        name = f"`{m.name}`"
+        lines.append(m.name)
         for s in m.signals:
             if s.name in _CHECKS:
                 continue
-            newton = f", {s.scale * NEWTON_PER[s.name]:.3g} N" if s.name in NEWTON_PER else ""
-            none = ", ".join(
-                str(raw) for raw, text in (s.choices or {}).items() if str(text) == "SNA"
-            )
-            lines.append(
-                f"| {name} | `{s.name}` | {_bits(s)} | {s.scale:.10g}{newton} |"
-                f" {_range(s)}{' ' + s.unit if s.unit else ''} | {none} |"
-            )
-            name = ""
-    return lines
+            newton = f"{s.scale * NEWTON_PER[s.name]:.3g} N" if s.name in NEWTON_PER else ""
+            none = [str(raw) for raw, text in (s.choices or {}).items() if str(text) == "SNA"]
+            cells = f"  {s.name:24} {_bits(s):8} {s.scale:<8.10g} {newton:12} "
+            cells += f"{_range(s) + ' ' + (s.unit or ''):24} {' '.join(none)}"
+            lines.append(cells.rstrip())
+    return [*lines, "```"]
 
 
 def _labels(database: Any) -> list[str]:

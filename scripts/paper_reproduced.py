@@ -23,7 +23,6 @@ MARKERS = tuple(
 
 SHOWN = (
     "parameters of eq. 3, from the constant-speed passes",
-    "parameters of the bristle, from sweep and weave",
     "rms error against the real rack force",
 )
 """Tables of the page; the run's own page and JSON hold all."""
@@ -45,25 +44,30 @@ def main() -> None:
 
 
 def _verdicts(content: dict[str, Any]) -> list[str]:
-    """A row a statement; what was measured is said where it does not agree."""
+    """What agrees with its number; what does not, with what was measured."""
     counts = ", ".join(f"{count} {word}" for word, count in content["outcomes"].items())
-    rows = [
-        (key, one["claim"], one["outcome"].replace("agrees", "yes"), _number(one))
-        for key, figure in content["figures"].items()
-        for one in figure["statements"]
+    all_of = [(k, one) for k, figure in content["figures"].items() for one in figure["statements"]]
+    agree = [(k, o["claim"], _number(o)) for k, o in all_of if o["outcome"] == "agrees"]
+    rest = [
+        (
+            k,
+            o["claim"],
+            o["outcome"],
+            f"{o['measure']}: {_number(o)}; {o['remark'] or ''}".rstrip("; "),
+        )
+        for k, o in all_of
+        if o["outcome"] != "agrees"
     ]
-    head = ("where", "the paper says", "agrees", "by")
-    return [f"Seed {content['seed']}: {counts}.", "", *_table(head, rows)]
+    lines = [f"Seed {content['seed']}: {counts}.", ""]
+    lines += _table(("where", "the paper says, and it agrees", "number"), agree)
+    return lines + _table(("where", "the paper says", "here", "by"), rest)
 
 
 def _number(one: dict[str, Any]) -> str:
     unit = f" {one['unit']}" if one["unit"] else ""
-    value = "–" if one["value"] is None else f"{one['value']:.3g}{unit}"
-    limit = f"{one['limit_is']} {one['agrees_limit']:.3g}{unit}"
-    if one["outcome"] == "agrees":
-        return f"{value} ({limit})"
-    remark = f"; {one['remark']}" if one["remark"] else ""
-    return f"{one['measure']}: {value} ({limit}){remark}"
+    value = "–" if one["value"] is None else f"{one['value']:.3g}"
+    sign = {"at least": "≥", "at most": "≤"}[one["limit_is"]]
+    return f"{value} ({sign} {one['agrees_limit']:.3g}{unit})"
 
 
 def _figure(key: str, figure: dict[str, Any]) -> list[str]:
