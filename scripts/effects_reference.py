@@ -43,12 +43,9 @@ def page() -> str:
     parts = [HEAD]
     for effect in catalogue().values():
         where = "where its entry says" if effect.slots else WHERE[effect.slot]
-        facts = [f"`{effect.equation}` ({effect.kind}, {where})."]
+        facts = [f"`{effect.equation}` ({where})."]
         if effect.on_bus:
-            facts.append(
-                "Only in the model of a simulated rig, perhaps with the `signal` that it is about"
-                " ([the rig](reference-rig.md#effects))."
-            )
+            facts.append("Only in [a simulated rig's](reference-rig.md#effects) model.")
         elif not effect.simulated:
             facts.append("It can be named, but not be simulated.")
         if effect.twins:
@@ -63,9 +60,7 @@ def page() -> str:
             name = f"`{p.name}`" + (f", `{second}`" if second in names else "")
             meaning = p.meaning.replace(" input 1", " that input") if second in names else p.meaning
             span = f" ({_allowed(p.allowed)})" if ranges else ""
-            rows.append(
-                f"- {name}{span}: {meaning}{' (optional)' if p.default is not None else ''}"
-            )
+            rows.append(f"- {name}{span}: {meaning}{'; optional' if p.default is not None else ''}")
         parts.append(f"## {effect.name}: `{effect.id}`\n\n{' '.join(facts)}\n")
         parts.append("\n".join(rows) + "\n")
     return "\n".join(parts)
