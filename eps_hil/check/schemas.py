@@ -33,7 +33,7 @@ def _config() -> Schema:
     return schema
 
 
-def _block(name: str, kind: Any) -> Callable[[], Schema]:
+def block(name: str, kind: Any) -> Callable[[], Schema]:
     """A file with one top-level block; other blocks may stand beside it."""
 
     def made() -> Schema:
@@ -46,7 +46,7 @@ def _block(name: str, kind: Any) -> Callable[[], Schema]:
 
 
 def _model() -> Schema:
-    schema = _block("model", Model)()
+    schema = block("model", Model)()
     entry = {"anyOf": [_effect(one) for one in catalogue().values()]}
     schema["properties"]["model"]["properties"]["effects"] = {"type": "array", "items": entry}
     return schema
@@ -69,17 +69,22 @@ def _effect(effect: Effect) -> Schema:
 SCHEMAS: Mapping[str, Callable[[], Schema]] = {
     "config": _config,
     "model": _model,
-    "chain": _block("chain", ChainParameters),
+    "chain": block("chain", ChainParameters),
     "signals": lambda: TypeAdapter(SignalMapping).json_schema(),
-    "manoeuvre": _block("manoeuvre", Manoeuvre),
-    "programme": _block("programme", Plan),
+    "manoeuvre": block("manoeuvre", Manoeuvre),
+    "programme": block("programme", Plan),
 }
 """By kind of file."""
 
 
 def schema(kind: str) -> Schema:
     """The schema of one kind of file."""
-    whole = {"$schema": DIALECT, "title": f"eps_hil {kind} file", **SCHEMAS[kind]()}
+    return titled(kind, SCHEMAS[kind]())
+
+
+def titled(kind: str, content: Schema) -> Schema:
+    """A kind's schema as it is printed."""
+    whole = {"$schema": DIALECT, "title": f"eps_hil {kind} file", **content}
     return dict(_portable(whole))
 
 

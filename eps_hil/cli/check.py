@@ -19,19 +19,12 @@ def check(
         typer.Argument(metavar="FILE...", help="Configuration, mapping, model, … or CAN database."),
     ] = None,
     json: Annotated[Path | None, typer.Option("--json", help="The remarks as JSON.")] = None,
-    schema: Annotated[
-        str | None,
-        typer.Option("--schema", metavar="KIND", help="Print the JSON schema of a kind of file."),
-    ] = None,
 ) -> None:
     """Say what is missing, contradictory or dangerous in files, before the first frame.
 
     A configuration is checked with the model, mapping and database that it names, by the code that
     will run them, units and counters of the database included. Opens no bus. Status 2: an error.
     """
-    if schema is not None:
-        _show_schema(schema)
-        return
     if not files:
         raise typer.BadParameter("a file is needed", param_hint="'FILE'")
     from eps_hil.check.check import check as checked
@@ -59,13 +52,3 @@ def check(
         write_json(json, {"schema": "eps-hil/check/1", "files": content})
     if not all(each.good for each in found):
         raise typer.Exit(2)
-
-
-def _show_schema(kind: str) -> None:
-    import json
-
-    from eps_hil.check.schemas import SCHEMAS, schema
-
-    if kind not in SCHEMAS:
-        raise typer.BadParameter(f"'{kind}': one of {', '.join(SCHEMAS)}", param_hint="'--schema'")
-    typer.echo(json.dumps(schema(kind), indent=1, ensure_ascii=False))

@@ -8,6 +8,7 @@ import traceback
 import typer
 
 from eps_hil import __version__, cli, provenance
+from eps_hil.cli import _schema
 from eps_hil.errors import EpsHilError
 
 app = typer.Typer(
@@ -38,6 +39,7 @@ def _options(
 for _file in pkgutil.iter_modules(cli.__path__):
     if _file.name != "main" and not _file.name.startswith("_"):
         importlib.import_module(f"eps_hil.cli.{_file.name}").register(app)
+_schema.everywhere(app)
 
 
 INTERRUPTED = 130
@@ -64,7 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run one command; return its exit status (0 done, 2 wrong input, 3 safety, 1 else)."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
-    words = spread([word for word in words if word != "--debug"])
+    words = spread(_schema.with_kind(app, [word for word in words if word != "--debug"]))
     provenance.begin(words)
     try:
         status = app(args=words, prog_name="eps-hil", standalone_mode=False)
@@ -89,7 +91,8 @@ def _explain(error: BaseException, debug: bool) -> int:
             typer.echo(str(error), err=True)
             return 2
         case _ if hasattr(error, "format_message"):  # wrong words, in click's own exception
-            message, status = f"{error.format_message().rstrip('.')}; see eps-hil --help", 2
+            verb = getattr(getattr(error, "ctx", None), "command_path", "eps-hil")
+            message, status = f"{error.format_message().rstrip('.')}; see {verb} --help", 2
         case SystemExit():
             raise error
         case OSError(strerror=str(said)):  # a full disk, a folder that is gone

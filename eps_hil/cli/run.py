@@ -35,22 +35,12 @@ def run(
     journal: Annotated[
         Path, typer.Option("--journal", help="Changes of friction levels are appended here.")
     ] = Path("friction-journal.jsonl"),
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON schema of the configuration and end.")
-    ] = False,
 ) -> None:
     """Estimate the rack force live on a CAN bus and publish it there.
 
     Says at start what it listens to and what it will send; ends on Ctrl-C or SIGTERM with a
     last frame of status "off" and a summary. SIGUSR1: friction levels anew from the model file.
     """
-    if schema:
-        import json
-
-        from eps_hil.service.config import config_schema
-
-        typer.echo(json.dumps(config_schema(), indent=2))
-        return
     if not config:
         raise typer.BadParameter("a configuration file is needed", param_hint="'--config'")
     if len(config) > 1:
