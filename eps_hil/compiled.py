@@ -16,6 +16,7 @@ import os
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, TypeVar, overload
@@ -23,6 +24,8 @@ from typing import Any, Literal, TypeVar, overload
 import numba
 
 _KEPT_FOLDERS = 4
+_LONGEST_WAIT_S, _LOOK_S = 300.0, 0.02
+"""For code that another process compiles: then it is compiled here too."""
 _PACKAGE = Path(__file__).resolve().parent
 _COMPILED = b"eps_hil.compiled import", b"# frozen into compiled code"
 """What marks a source as one that machine code depends on; the second one, constants."""
@@ -159,7 +162,9 @@ def _decorator(**options: Any) -> Callable[[F], F]:
             try:
                 compiled: F = numba.njit(cache=FOLDER is not None, nogil=True, **options)(function)
             except RuntimeError:  # numba finds no folder that it may write to after all
-                compiled = numba.njit(nogil=True, **options)(function)
+                return numba.njit(nogil=True, **options)(function)  # type: ignore[no-any-return]
+        if FOLDER is not None:
+            _compile_once(compiled, FOLDER / "locks")
         return compiled
 
     return decorated
@@ -214,6 +219,67 @@ class Locator:
     def get_disambiguator(self) -> str:
         """As numba does it: the line where the function begins."""
         return str(self._line)
+
+
+class _Kept:
+    """A function's code on disk: of several processes that want it at once, one compiles.
+
+    The others wait for it; a process that dies lets go. A folder that knows no locks has none.
+    """
+
+    def __init__(self, cache: Any, place: Path) -> None:
+        self._cache, self._place = cache, place
+        self._lock: Any = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cache, name)
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """The code from disk; None: compile it, and :meth:`let_go` when it is there."""
+        found = self._cache.load_overload(signature, context)
+        if found is not None or self._lock is not None:
+            return found
+        with contextlib.suppress(OSError, ImportError):
+            self._lock = _locked(self._place)
+        return self._cache.load_overload(signature, context)
+
+    def let_go(self) -> None:
+        """Let others in."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+
+def _locked(place: Path) -> Any:
+    """An open file that no other process has locked, or, after a long wait, any."""
+    import fcntl
+
+    place.parent.mkdir(parents=True, exist_ok=True)
+    lock = place.open("wb")
+    for _ in range(round(_LONGEST_WAIT_S / _LOOK_S)):
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            break
+        except BlockingIOError:
+            time.sleep(_LOOK_S)
+    return lock
+
+
+def _compile_once(function: Any, folder: Path) -> None:
+    """Let processes that start together, on an empty cache, share the work."""
+    compile_for = getattr(function, "compile", None)
+    if compile_for is None:  # compilation is switched off
+        return
+    name = f"{function.__module__}.{function.__qualname__}"
+    kept = _Kept(function._cache, folder / name.replace("<locals>", "in"))
+
+    def compiled(signature: Any) -> Any:
+        try:
+            return compile_for(signature)
+        finally:
+            kept.let_go()
+
+    function._cache, function.compile = kept, compiled
 
 
 @contextlib.contextmanager

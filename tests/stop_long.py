@@ -24,18 +24,18 @@ class StoppedError(BaseException):
 def _on_alarm(_signal: int, frame: FrameType | None) -> None:
     if frame is not None and _OURS in frame.f_code.co_filename:
         raise StoppedError
-    signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+    signal.setitimer(signal.ITIMER_PROF, _AGAIN_S)
 
 
 def _stopped(seconds: float) -> Iterator[Any]:
-    signal.signal(signal.SIGALRM, _on_alarm)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.signal(signal.SIGPROF, _on_alarm)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         return (yield)
     except StoppedError:
         pytest.skip("stopped: what it ran until then counts")
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -137,6 +137,59 @@ def test_numba_that_finds_no_folder_compiles_anew(read_only_install: Path, tmp_p
     assert not list(Path(str(said["folder"])).rglob("*.nbi"))
 
 
+COUNTED = """
+import sys, time
+import eps_hil.compiled
+from numba.core import event
+from eps_hil.kernel import dressed
+
+class Slow(event.Listener):  # as long as a kernel takes
+    def on_start(self, started):
+        print("compiles", flush=True)
+        time.sleep(2.0)
+    def on_end(self, ended):
+        if "fails" in sys.argv: raise ValueError
+
+event.register("numba:compile", Slow())
+try:
+    assert dressed(2.0) == 4.0
+except ValueError:
+    time.sleep(60.0)
+print("done")
+"""
+
+
+def started(site: Path, home: Path, *words: str) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        [sys.executable, "-c", COUNTED, *words], stdout=subprocess.PIPE, text=True, cwd=home,
+        env={"PATH": os.environ["PATH"], "HOME": str(home), "PYTHONPATH": str(site)},
+    )  # fmt: skip
+
+
+def test_of_processes_that_start_together_one_compiles(
+    read_only_install: Path, tmp_path: Path
+) -> None:
+    together = [started(read_only_install, tmp_path) for _ in range(3)]
+    said = [one.communicate(timeout=120)[0] for one in together]
+    assert sorted(said) == ["compiles\ndone\n", "done\n", "done\n"]
+
+
+def test_who_is_killed_or_fails_while_it_compiles_keeps_nobody_waiting(
+    read_only_install: Path, tmp_path: Path
+) -> None:
+    killed = started(read_only_install, tmp_path)
+    failed = started(read_only_install, tmp_path, "fails")
+    with killed, failed:
+        assert killed.stdout is not None
+        assert killed.stdout.readline() == "compiles\n"
+        killed.kill()
+        assert failed.stdout is not None
+        assert failed.stdout.readline() == "compiles\n"
+        with started(read_only_install, tmp_path) as last:
+            assert last.communicate(timeout=60)[0] == "compiles\ndone\n"
+        failed.kill()
+
+
 def owns(kind: Any) -> bool:
     """Whether a value of this type holds an array."""
     inside = (*get_args(kind), *getattr(kind, "__annotations__", {}).values())
