@@ -171,6 +171,7 @@ def diagnose(
     from eps_hil.diagnosis.data.intake import RecordingError
     from eps_hil.diagnosis.diagnose import diagnose as run
 
+    without_effects = known_effects(without_effects, "without_effects")
     fitted, judged = _recordings(recordings), _recordings(holdouts)
     together, rig = _by_name([*fitted, *judged]), _model(model)
     first = {one.name: together[one.name] for one in fitted}
@@ -191,6 +192,20 @@ def diagnose(
         raise InputError(error.recording, "", str(error)) from None
     except ValueError as error:
         raise InputError(", ".join(together), "", str(error)) from None
+
+
+def known_effects(names: Collection[str], option: str) -> frozenset[str]:
+    """The ids, all of the catalogue; :class:`InputError` names one that is not."""
+    from difflib import get_close_matches
+
+    from eps_hil.physics.effects.catalogue import catalogue
+
+    for name in names:
+        if name not in catalogue():
+            near = get_close_matches(name, catalogue(), n=1)
+            remedy = f"did you mean '{near[0]}'?" if near else "docs/reference-effects.md lists all"
+            raise InputError(option, "", f"'{name}' is no effect", remedy)
+    return frozenset(names)
 
 
 def changes(before: Sources, after: Sources, model: Rig) -> Diagnosis:

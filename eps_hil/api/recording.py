@@ -65,6 +65,11 @@ class Recording(plain.Recording):
         axes[-1, 0].set_xlabel("time in s")
         return show.shown(figure)
 
+    def __repr__(self) -> str:
+        end_ns = max(int(one.t_ns[-1]) for one in self.series.values())
+        seconds = (end_ns - self.start_ns) * 1e-9
+        return f"<Recording {self.name}: {len(self.series)} signals, {seconds:.1f} s>"
+
     def _repr_html_(self) -> str:
         rows = [
             {

@@ -97,6 +97,11 @@ class Estimate:
         axis.legend(frameon=False)
         return show.shown(figure)
 
+    def __repr__(self) -> str:
+        valid = f"{len(self.trace.t_ns)} rows, {100.0 * float(self.trace.valid.mean()):.1f} % valid"
+        error = f", rms error moving {self.score.rmse_moving_n:.1f} N" if self.score else ""
+        return f"<Estimate of {self.recording.name}: {valid}{error}>"
+
     def _repr_html_(self) -> str:
         row: dict[str, object] = {
             "rows": len(self.trace.t_ns),
@@ -147,6 +152,11 @@ class Simulation:
         axis.legend(frameon=False)
         return show.shown(figure)
 
+    def __repr__(self) -> str:
+        return (
+            f"<Simulation of {self.recording.name}: {len(self.t_ns)} rows of {len(self.columns)}>"
+        )
+
     def _repr_html_(self) -> str:
         rows = [{"column": name, "rows": len(one)} for name, one in self.columns.items()]
         return show.table(rows, f"{self.recording.name}, simulated")
@@ -194,6 +204,10 @@ class Identification:
             }
             for name, one in {**self.result.parameters, **self.result.offsets}.items()
         ]
+
+    def __repr__(self) -> str:
+        fitted = sum(row["status"] == "identified" for row in self._rows())
+        return f"<Identification from {', '.join(self.result.recordings)}: {fitted} identified>"
 
     def _repr_html_(self) -> str:
         return show.table(self._rows(), ", ".join(self.result.recordings))
@@ -287,6 +301,10 @@ class Diagnosis:
                 found.append({**head, "parameter": name, **rest, **limits})
         return found
 
+    def __repr__(self) -> str:
+        told = [f"{one.effect} {100 * one.confidence:.0f} %" for one in self.findings]
+        return f"<Diagnosis: {', '.join([self.verdict.replace('_', ' '), *told])}>"
+
     def _repr_html_(self) -> str:
         told = [
             {
@@ -330,6 +348,10 @@ class SimulatorFit:
             rows.append({**head, "unit": one["unit"], "low": low, "high": high})
         return rows
 
+    def __repr__(self) -> str:
+        told = [f"{name} = {value:.4g}" for name, value in self.values.items()]
+        return f"<SimulatorFit: {', '.join(told)}>"
+
     def _repr_html_(self) -> str:
         return show.table(self._rows(), "parameters of the simulator")
 
@@ -358,5 +380,20 @@ class Comparison:
             comparison_figure.save(figure, path)
         return show.shown(figure)
 
+    def __repr__(self) -> str:
+        told = [f"{one.name} {one.score.rmse_moving_n:.1f}" for one in self.candidates]
+        return f"<Comparison on {self.recording.name}, rms error moving in N: {', '.join(told)}>"
+
     def _repr_html_(self) -> str:
-        return show.table(summary(self.candidates), f"rms error in N, {self.recording.name}")
+        rows = [
+            {
+                "estimate": one["estimate"],
+                "what": one["what"],
+                "moving": one["rmse_moving_n"],
+                "at rest": one["rmse_resting_n"],
+                "overall": one["rmse_overall_n"],
+                "valid in %": 100.0 * one["valid_share"],
+            }
+            for one in summary(self.candidates)
+        ]
+        return show.table(rows, f"rms error in N, {self.recording.name}")

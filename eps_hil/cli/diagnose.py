@@ -107,6 +107,7 @@ def diagnose(
     With --simulation the question is what the recordings hold and those traces lack.
     """
     import eps_hil
+    from eps_hil.api.jobs import known_effects
     from eps_hil.errors import InputError
     from eps_hil.physics.model import dump_model, load_model
     from eps_hil.recordings.files import check_writable, replacing
@@ -122,7 +123,7 @@ def diagnose(
 
         page.check("--report", "uplot")
     rig = load_model(model)
-    without = _known(without_effect or [])
+    without = known_effects(without_effect or [], "--without-effect")
     fitted = read_all(recording, reading)
     judged = read_all(holdout or [], reading)
     for name in fitted.keys() & judged.keys():
@@ -194,20 +195,6 @@ def _write_effect(result: "Diagnosis", path: Path) -> None:
     more = "" if len(entries) == 1 else f", the first of {len(entries)} terms that were found"
     typer.echo(f"effect {path.stem} written to {path}{more}: review it, then put it into "
                "eps_hil/physics/effects")  # fmt: skip
-
-
-def _known(effects: list[str]) -> frozenset[str]:
-    from difflib import get_close_matches
-
-    from eps_hil.errors import InputError
-    from eps_hil.physics.effects.catalogue import catalogue
-
-    for name in effects:
-        if name not in catalogue():
-            near = get_close_matches(name, catalogue(), n=1)
-            remedy = f"did you mean '{near[0]}'?" if near else "docs/reference-effects.md lists all"
-            raise InputError("--without-effect", "", f"'{name}' is no effect", remedy)
-    return frozenset(effects)
 
 
 def _check_simulation(paths: list[Path], signals: Path | None, values: Path | None) -> None:

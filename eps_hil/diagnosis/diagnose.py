@@ -85,6 +85,7 @@ from eps_hil.diagnosis.search import (
 )
 from eps_hil.diagnosis.search import holdouts as kept_holdouts
 from eps_hil.diagnosis.verdict.content import content_of, without_nan
+from eps_hil.diagnosis.verdict.finding import more_masses
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -383,6 +384,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         *worse_force(content["fit"]["holdout"]),
         *disagreement(content["fit"]["holdout"], as_read or judged, model, ready_to_write),
         *left_open(content["findings"], problem.size),
+        *more_masses(content["findings"], ready_to_write),
         *small_ratio(content),
     ]
     return Diagnosis(

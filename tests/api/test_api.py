@@ -59,6 +59,7 @@ def test_a_recording_is_a_table_a_figure_and_a_file(
     assert next(iter(frame.columns)) == "time_s"
     assert len(frame) == len(drive.series["motor_torque_nm"].t_ns)
     assert "motor_speed_rad_s" in drive._repr_html_()
+    assert repr(drive) == f"<Recording {drive.name}: {len(drive.series)} signals, 6.0 s>"
     figure = drive.plot()
     assert figure._repr_png_().startswith(b"\x89PNG")
     assert len(figure.axes) == 4
@@ -83,6 +84,8 @@ def test_an_estimate_is_what_the_verb_writes(drive: eps_hil.Recording, tmp_path:
     assert made.content["rows"] == len(made.trace.t_ns)
     assert made.save(tmp_path / "saved.csv").read_bytes() == out.read_bytes()
     assert "rms error moving" in made._repr_html_()
+    assert repr(made).startswith("<Estimate of sweep.csv: ")
+    assert len(repr(made)) < 100
     assert made.plot()._repr_png_().startswith(b"\x89PNG")
 
 
@@ -98,6 +101,7 @@ def test_a_simulation_is_what_the_verb_writes(drive: eps_hil.Recording, tmp_path
     assert np.allclose(speed, written["motor_speed_rad_s"], rtol=0, atol=1e-12)
     assert made.plot()._repr_png_().startswith(b"\x89PNG")
     assert "simulated" in made._repr_html_()
+    assert repr(made) == "<Simulation of sweep.csv: 6000 rows of 7>"
     bare = eps_hil.Recording("bare", {"rack_force_n": drive.series["rack_force_n"]})
     with pytest.raises(eps_hil.InputError, match=r"bare: .*needs motor_torque_nm"):
         eps_hil.simulate(bare, model)
@@ -128,6 +132,7 @@ def test_a_comparison_judges_the_variants(drive: eps_hil.Recording) -> None:
     frame = found.to_dataframe("pandas").set_index("estimate")
     assert frame.loc["2Q-fa", "rmse_moving_n"] < frame.loc["w/o FC", "rmse_moving_n"]
     assert "2Q-fa" in found._repr_html_()
+    assert repr(found).startswith("<Comparison on sweep.csv, rms error moving in N: 2Q-fa ")
     assert found.plot()._repr_png_().startswith(b"\x89PNG")
 
 
@@ -165,11 +170,15 @@ def test_identify_and_diagnose_give_typed_results(other_rig: ModuleType, tmp_pat
         drives.append(eps_hil.load(path, ignore_unknown=True))
     with pytest.raises(eps_hil.InputError, match=r"sweep.csv: is given twice"):
         eps_hil.diagnose([drives[0], drives[0]], MODEL)
+    with pytest.raises(eps_hil.InputError, match="'stribek' is no effect"):
+        eps_hil.diagnose(drives, MODEL, without_effects=["stribek"])
     found = eps_hil.diagnose(drives, MODEL)
     assert found.verdict == found.content["verdict"]
     assert "stribeck" in [one.effect for one in found.findings]
     assert {"effect", "parameter", "low", "high"} <= set(found.to_dataframe("pandas").columns)
     assert "stribeck" in found._repr_html_()
+    assert repr(found).startswith("<Diagnosis: ")
+    assert "stribeck" in repr(found)
     assert found.plot()._repr_png_().startswith(b"\x89PNG")
     assert "stribeck" in [entry["effect"] for entry in found.model.effects]
     assert found.report(tmp_path / "page.html").stat().st_size > 10_000
@@ -177,5 +186,6 @@ def test_identify_and_diagnose_give_typed_results(other_rig: ModuleType, tmp_pat
     assert "inertia_kg_m2" in list(told.to_dataframe("pandas")["parameter"])
     assert isinstance(told.model, Model)
     assert "inertia_kg_m2" in told._repr_html_()
+    assert repr(told).startswith("<Identification from sweep.csv, weave.csv: ")
     assert told.plot()._repr_png_().startswith(b"\x89PNG")
     assert told.report(tmp_path / "identified.html").stat().st_size > 10_000

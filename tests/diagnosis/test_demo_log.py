@@ -7,7 +7,7 @@ import pytest
 
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.physics.chain_parameters import load_chain
-from eps_hil.physics.model import Model
+from eps_hil.physics.model import Model, load_model
 from eps_hil.rig.manoeuvre import load_manoeuvre
 from eps_hil.rig.offline import simulate_recording
 from eps_hil.series import Series
@@ -16,11 +16,19 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 pytestmark = pytest.mark.slow
 
 
+_CHAIN = load_chain(CONFIGS / "reference_chain.yaml")
+_MODEL = load_model(CONFIGS / "reference_rig.yaml")
+JOINTS_NM_PER_RAD = 1.0 / (
+    _MODEL.belt_ratio**2 / _CHAIN.belt_stiffness_nm_per_rad
+    + _MODEL.rack_to_rotor_ratio_rad_per_m**2 / _CHAIN.ball_gear_stiffness_n_per_m
+)
+"""Belt and ball gear of the demo's rig, one behind the other, at the rotor: 9.05."""
+
+
 @pytest.fixture(scope="module")
 def demo(reference_model: Model) -> dict[str, Series]:
     """Five masses, the demo's manoeuvre, what the rig's sensors report."""
-    chain = load_chain(CONFIGS / "reference_chain.yaml")
-    made = simulate_recording(reference_model, chain, load_manoeuvre("demo"))
+    made = simulate_recording(reference_model, _CHAIN, load_manoeuvre("demo"))
     columns = {name: values[:24_000] for name, values in made.columns.items()}
     t_ns = np.round(columns.pop("time_s") * 1e9).astype(np.int64)
     return {name: Series(t_ns, values) for name, values in columns.items()}
@@ -40,3 +48,9 @@ def test_what_the_service_published_changes_nothing(
     named = [finding["effect"] for finding in beside["findings"]]
     assert "dropped_frames" not in named
     assert named[0] == "belt_compliance"  # which the plant of five masses has, and the model not
+    stiffness = beside["findings"][0]["parameters"]["stiffness_nm_per_rad"]
+    low, high = stiffness["ci95"]
+    assert low < JOINTS_NM_PER_RAD < high
+    # its road wheels on the tie rods are one mass more than two with a joint
+    assert named[1:] in ([], ["unknown"])
+    assert any("road wheels" in one for one in beside["limits"]) == ("unknown" in named)

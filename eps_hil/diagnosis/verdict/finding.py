@@ -1,6 +1,6 @@
 """A finding as the JSON has it (CONTRACT 7): name, numbers, place, how sure, what else it is."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,9 @@ from eps_hil.diagnosis.data.entry import place
 from eps_hil.diagnosis.data.entry import unknown as unknown_entry
 from eps_hil.diagnosis.mismatch import locate
 from eps_hil.diagnosis.mismatch.leftover import Leftover
-from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.effects.catalogue import catalogue, joint_of
 from eps_hil.physics.effects.effect import Effect
+from eps_hil.physics.model import Model
 
 RIVAL = 0.97
 """Reaching this share of a finding's gain makes another effect its confusable twin…"""
@@ -153,3 +154,14 @@ def unknown(left: Leftover) -> dict[str, Any]:
         [place(signal, left.low, left.high, left.share)],
         left.curve,
     )
+
+
+def more_masses(findings: Sequence[Mapping[str, Any]], written: Model) -> list[str]:
+    """Where something is unknown beside an elastic joint: that it may be a further mass."""
+    if joint_of(written) is None or all(one["effect"] != "unknown" for one in findings):
+        return []
+    return [
+        "The model is two masses with a joint. A rig of more, with road wheels that swing on their "
+        "tie rods, leaves what no effect of the catalogue is; a multisine and eps-hil "
+        "frequency-response --masses 2 --masses 5 show whether that is so."
+    ]

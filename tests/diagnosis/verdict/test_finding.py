@@ -1,5 +1,7 @@
 """A finding in the JSON's words."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,9 +15,11 @@ from eps_hil.diagnosis.verdict.finding import (
     _experiment,
     as_held,
     finding,
+    more_masses,
     unknown,
 )
 from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.model import Model
 
 
 def test_a_name_is_as_sure_as_it_is_far_above_the_gate_and_above_the_next() -> None:
@@ -98,3 +102,12 @@ def test_a_delay_of_half_a_slow_sample_may_be_how_a_torque_is_held(
     interval_s: float, delay_s: tuple[float, float], said: bool
 ) -> None:
     assert ("held between samples" in as_held(delay_s, interval_s)) is said
+
+
+def test_an_unknown_beside_an_elastic_joint_may_be_a_further_mass(reference_model: Model) -> None:
+    belt = {"effect": "belt_compliance", "stiffness_nm_per_rad": 9.0, "damping_nm_s_per_rad": 1e-3}
+    joined = replace(reference_model, effects=[belt])
+    named, left = {"effect": "belt_compliance"}, {"effect": "unknown"}
+    assert "--masses 2 --masses 5" in more_masses([named, left], joined)[0]
+    assert not more_masses([named], joined)
+    assert not more_masses([left], reference_model)
