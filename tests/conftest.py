@@ -1,6 +1,7 @@
 """What many tests share: the reference rig, and recordings of a rig of other code."""
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -41,13 +42,26 @@ NO_CLOCK = frozenset(
 """Files of those folders that only compute, the long ones: they run beside others."""
 
 
+def watches_a_clock(path: Path) -> bool:
+    """Whether the tests of this file do."""
+    place = path.relative_to(ROOT / "tests")
+    return place.parts[0] in REAL_TIME and place.as_posix() not in NO_CLOCK
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Where ``-m`` asks for one kind of test, files of the other are not even imported."""
+    asked = re.search(r"\b(not )?real_time\b", config.option.markexpr)
+    if asked is None or "or" in config.option.markexpr.split() or collection_path.suffix != ".py":
+        return None
+    return True if watches_a_clock(collection_path) == bool(asked[1]) else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark them; under pytest-xdist the others go to the workers file by file."""
     for item in items:
-        path = item.path.relative_to(ROOT / "tests")
-        if path.parts[0] in REAL_TIME and path.as_posix() not in NO_CLOCK:
+        if watches_a_clock(item.path):
             item.add_marker(pytest.mark.real_time)
-        item.add_marker(pytest.mark.xdist_group(str(path)))
+        item.add_marker(pytest.mark.xdist_group(str(item.path.relative_to(ROOT / "tests"))))
 
 
 def _module(name: str, folder: str) -> ModuleType:
