@@ -162,7 +162,7 @@ def _decorator(**options: Any) -> Callable[[F], F]:
             try:
                 compiled: F = numba.njit(cache=FOLDER is not None, nogil=True, **options)(function)
             except RuntimeError:  # numba finds no folder that it may write to after all
-                return numba.njit(nogil=True, **options)(function)  # type: ignore[no-any-return]
+                return numba.njit(nogil=True, **options)(function)
         if FOLDER is not None:
             _compile_once(compiled, FOLDER / "locks")
         return compiled

@@ -106,7 +106,7 @@ def test_a_delay_of_half_a_slow_sample_may_be_how_a_torque_is_held(
 
 def test_an_unknown_beside_an_elastic_joint_may_be_a_further_mass(reference_model: Model) -> None:
     belt = {"effect": "belt_compliance", "stiffness_nm_per_rad": 9.0, "damping_nm_s_per_rad": 1e-3}
-    joined = replace(reference_model, effects=[belt])
+    joined = replace(reference_model, effects=(belt,))
     named, left = {"effect": "belt_compliance"}, {"effect": "unknown"}
     assert "--masses 2 --masses 5" in more_masses([named, left], joined)[0]
     assert not more_masses([named], joined)
