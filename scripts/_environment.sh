@@ -2,7 +2,8 @@
 # The checkout's own Python environment, made once. Sourced by the other scripts:
 #
 #     source "$(dirname "${BASH_SOURCE[0]}")/_environment.sh"
-#     prepare_environment all        # an extra of pyproject.toml: all (to use it) or dev (to work on it)
+#     prepare_environment all        # an extra of pyproject.toml: all (to use it), dev (to work on it),
+#                                    # dashboard (the quickest that moves; the rest can come later)
 #
 # Afterwards $ROOT is the checkout, the working directory is $ROOT, and `python` and `eps-hil` on PATH
 # are the environment's. It lives in $ROOT/.venv; an environment that happens to be active is left
@@ -82,18 +83,21 @@ print(hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest())
 PYTHON
 }
 
-_is_installed() { # extra, digest; dev holds all that `all` has
-    local extra
-    for extra in "$1" dev; do
+_is_installed() { # extra, digest; `all` holds all that dashboard has, and dev all that `all` has
+    local extra holders=("$1" dev)
+    [[ $1 != dashboard ]] || holders+=(all)
+    for extra in "${holders[@]}"; do
         [[ "$(cat "$VENV/.eps_hil-$extra" 2>/dev/null)" == "$2" ]] && return 0
     done
     return 1
 }
 
 _install() { # extra, digest
-    local log="$VENV/.eps_hil-install.log" since=$SECONDS
+    local log="$VENV/.eps_hil-install.log" since=$SECONDS quick=()
     say "installing eps_hil[$1] and what it needs into .venv (needs the network, once; about a minute)"
-    if ! PIP_USER=0 "$VENV/bin/python" -m pip install --disable-pip-version-check \
+    # Python compiles what it imports when it imports it; pip would compile all, tests of scipy included
+    [[ -n ${PYTHONDONTWRITEBYTECODE:-} ]] || quick=(--no-compile)
+    if ! PIP_USER=0 "$VENV/bin/python" -m pip install --disable-pip-version-check "${quick[@]}" \
         --progress-bar off --editable "${ROOT}[$1]" >"$log" 2>&1; then
         tail -n 15 "$log" >&2
         fail "pip could not install eps_hil[$1] (whole log: $log); is the network there?"

@@ -118,7 +118,7 @@ def _show_bus(
     import socket
 
     from eps_hil.cli._bus_options import stop_on_signals
-    from eps_hil.dashboard.listener import Listener, Outlet, listen
+    from eps_hil.dashboard.listener import Listener, Outlet, listen, stand_back
     from eps_hil.dashboard.server import About, serve_live
     from eps_hil.errors import BusError
     from eps_hil.monitor.process import open_watched
@@ -136,6 +136,7 @@ def _show_bus(
     )
     server.start()
     theirs.close()
+    stand_back()
     try:
         listener.warm_up()
         if not listen(listener, port, Outlet(ours), lambda: stop() or not server.is_alive()):
