@@ -27,7 +27,7 @@ def stream(
     import time
 
     from eps_hil.cli._bus_options import stop_on_signals
-    from eps_hil.dashboard.listener import Listener, listen
+    from eps_hil.dashboard.listener import Listener, listen, stand_back
     from eps_hil.dashboard.udp_json import JsonStream, address_of
     from eps_hil.monitor.process import open_watched
     from eps_hil.service.config import load_config
@@ -39,6 +39,7 @@ def stream(
     stop = stop_on_signals()
     end_s = math.inf if seconds is None else time.monotonic() + seconds
     _say(f"stream: {loaded.bus} to udp {udp}, JSON, {rate:g} instants a second; Ctrl-C ends it")
+    stand_back()
     try:
         listener.warm_up()
         listen(listener, port, outlet, lambda: stop() or time.monotonic() >= end_s)

@@ -12,6 +12,7 @@ import ipaddress
 import json
 import os
 import socket
+import time
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from importlib.resources import files
@@ -21,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from eps_hil.dashboard.diagnosis import Diagnoses, Subject
+from eps_hil.dashboard.events import Events
 from eps_hil.dashboard.feed import Feed, answer
 from eps_hil.dashboard.marks import Marks
 from eps_hil.dashboard.mismatch import overview
@@ -102,6 +104,7 @@ class Hub:
     ) -> None:
         self.about, self.store, self.marks = about, store, marks
         self.state, self.state_number = "", 0
+        self._events = Events()
         self.ended = False
         self.diagnoses = None if subject is None else Diagnoses(subject, about.title)
         self._limit_n = 0.0 if subject is None else subject.limit_n
@@ -127,7 +130,10 @@ class Hub:
         if message[:1] == b"S":
             self.store.append(unpack(message[1:]))
         else:
-            self.state, self.state_number = message[1:].decode(), self.state_number + 1
+            told = json.loads(message[1:])
+            self._events.see(told.get("t_ns", time.time_ns()) * 1e-9, told.get("problems", []))
+            self.state = json.dumps(told | {"events": self._events.content()}, ensure_ascii=False)
+            self.state_number += 1
 
     def layout(self, peer: str = "") -> dict[str, Any]:
         """Traces, plots, what is shown, and what a page at ``peer`` may do."""

@@ -1,12 +1,17 @@
 """The listener never waits for the server, and says in words what is missing."""
 
 import json
+import os
 import socket
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import BusState, PortCounts
 from eps_hil.dashboard.listener import Listener, Outlet, listen
 from eps_hil.dashboard.marks import Marks, marks_path
@@ -100,6 +105,39 @@ def test_a_silent_bus_is_said_in_words(
     assert state["estimate"]["status"] == "silent"
     for each in pair:
         each.close()
+
+
+class BusyPort(SilentPort):
+    """A bus on which a frame waits at every look."""
+
+    def __init__(self) -> None:
+        self.waits: list[float] = []
+
+    def recv(self, timeout_s: float) -> list[object]:
+        self.waits.append(timeout_s)
+        return [Frame(time.time_ns(), 0x7FF, b"")]
+
+
+def test_no_frame_wakes_it_it_looks_a_hundred_times_a_second(
+    config: Path, pair: tuple[socket.socket, socket.socket]
+) -> None:
+    listener, port = Listener(load_config(config)), BusyPort()
+    end_s = time.monotonic() + 0.5
+    assert listen(listener, port, Outlet(pair[0]), lambda: time.monotonic() > end_s)  # type: ignore[arg-type]
+    assert set(port.waits) == {0.0}
+    assert 2 < len(port.waits) <= 50 + 4, "and once more before each of the figures"
+    for each in pair:
+        each.close()
+
+
+def test_it_takes_no_core_from_what_runs() -> None:
+    said = subprocess.run(
+        [sys.executable, "-c", "import os; from eps_hil.dashboard.listener import stand_back\n"
+         "before = os.nice(0); stand_back(); print(os.sched_getscheduler(0), os.nice(0) - before)"],
+        capture_output=True, text=True, check=True,
+    ).stdout.split()  # fmt: skip
+    assert int(said[0]) == os.SCHED_BATCH
+    assert int(said[1]) in (5, 19 - os.nice(0))
 
 
 def test_a_lost_bus_and_a_service_that_is_not_there_are_said(config: Path) -> None:

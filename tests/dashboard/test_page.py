@@ -102,6 +102,11 @@ def test_waiting_and_failing_are_said_in_words(live: Live, open_page: Make) -> N
     live.say(problems=["waiting for frames of EPS_Torques (id 0x101) on can0; is the rig there?"])
     page.wait_for_selector("text=waiting for frames of EPS_Torques")
     assert page.inner_text("#told") == "nothing from the service or the ECU yet"
+    page.wait_for_selector("#events .bad:has-text('since')")
+    assert page.title().startswith("! ")
+    live.say()
+    page.wait_for_selector("#events li:not(.bad):has-text('s: waiting for frames')")
+    assert not page.title().startswith("!")
     live.close()
     page.wait_for_selector("text=the listener on the bus has ended")
     live.server.end()
@@ -140,6 +145,7 @@ def test_freeze_zoom_cursors_and_going_on(live: Live, open_page: Make) -> None:
     newest(page, 1.0)
     page.keyboard.press(" ")
     page.wait_for_selector("#freeze[aria-pressed=true]")
+    assert page.inner_text("#link.bad") == "frozen", "what stands still does not look live"
     live.go_on(1.0)
     box = page.locator(".u-over").first.bounding_box()
     middle = box["y"] + box["height"] / 2

@@ -123,6 +123,36 @@ def test_the_first_two_colours_of_figures() -> None:
         assert apart(one, other) > 15.0
 
 
+HUE_HALF_A_TURN = np.array([[-0.574, 1.430, 0.144], [0.426, 0.430, 0.144], [0.426, 1.430, -0.856]])
+"""What CSS' hue-rotate(180deg) does to (red, green, blue)."""
+
+
+def darkened(colour: str) -> str:
+    """A picture's colour as the dark scheme shows it: the style sheet's filter, step by step."""
+    css = REPORT.read_text(encoding="utf-8")
+    found = re.search(
+        r"\.picture \{ filter: invert\(([\d.]+)\) hue-rotate\(180deg\) brightness\(([\d.]+)\)", css
+    )
+    assert found
+    invert, brighter = (float(each) for each in found.groups())
+    rgb = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    rgb = rgb * (1 - invert) + (1 - rgb) * invert
+    rgb = np.clip(brighter * np.clip(HUE_HALF_A_TURN @ rgb, 0, 1), 0, 1)
+    return "#" + "".join(f"{round(255 * each):02x}" for each in rgb)
+
+
+def test_pictures_in_the_dark() -> None:
+    """What Matplotlib drew is darkened by the style sheet and stays as clear as it was."""
+    back, page = darkened("#ffffff"), schemes(REPORT)["dark"]["back"]
+    assert apart(back, page) < 8.0, "no window of another shade"
+    assert contrast(darkened("#000000"), back) > TEXT
+    shown = [darkened(colour) for colour in COLOURS]
+    assert all(contrast(colour, back) > LINE for colour in shown)
+    assert apart(shown[0], shown[1]) > CLEAR
+    for one, other in combinations(shown, 2):
+        assert apart(one, other) > 10.0
+
+
 def test_one_stylesheet_and_no_colour_beside_it() -> None:
     for template in ROOT.rglob("templates/*.jinja"):
         text = template.read_text(encoding="utf-8")

@@ -82,6 +82,7 @@ function freeze(on) {
   } else { shown = live; view = null; a = b = null; mismatch.draw(); }
   byId("freeze").setAttribute("aria-pressed", String(on));
   byId("freeze").textContent = on ? "Go on" : "Freeze";
+  linked();
   subscribe();
   if (on) ask();
   dirty = true;
@@ -125,13 +126,18 @@ function take(buffer) {
   dirty = true;
 }
 
+// What stands still must not look live.
+function linked() {
+  if (socket.readyState !== WebSocket.OPEN) return;
+  byId("link").textContent = recorded ? "recording" : frozen ? "frozen" : "live";
+  byId("link").className = frozen && !recorded ? "chip bad" : "chip good";
+}
 function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/feed`);
   socket.binaryType = "arraybuffer";
   const link = byId("link");
   socket.onopen = () => {
-    link.textContent = recorded ? "recording" : "live";
-    link.className = "chip good";
+    linked();
     words.problems([]);
     subscribe();
     if (frozen) ask();
@@ -139,7 +145,11 @@ function connect() {
   socket.onmessage = (event) => {
     if (typeof event.data !== "string") { take(event.data); return; }
     const said = JSON.parse(event.data);
-    if (said.state) { state = said.state; words.show(state); }
+    if (said.state) {
+      state = said.state;
+      words.show(state);
+      document.title = `${state.problems.length ? "! " : ""}${layout.title} – eps_hil`; // seen from another tab
+    }
     if (said.mismatch) mismatch.take(said.mismatch);
     if (said.diagnosis) mismatch.heard(said.diagnosis);
     if (said.marks) { marks = said.marks; listMarks(); dirty = true; }
@@ -249,7 +259,7 @@ byId("mismatch").hidden = !layout.can_diagnose;
 byId("diagnose").title = layout.may_diagnose ? "d" : "only pages on the machine itself may start one (--diagnose-from)";
 if (recorded) {
   byId("freeze").hidden = true;
-  for (const id of ["figures-card", "signals-card", "told-card"]) byId(id).hidden = true;
+  for (const id of ["figures-card", "signals-card", "told-card", "events-card"]) byId(id).hidden = true;
   byId("time").hidden = false;
   const whole_s = layout.span[1] - layout.span[0];
   length = Math.min(length, whole_s);

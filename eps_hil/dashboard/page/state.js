@@ -75,6 +75,19 @@ export function show(state) {
       { text: said, bad: one.verdict !== "fine" }];
   }));
   told(state.told);
+  events(state.events || []);
+}
+
+// What was wrong since the page's program began, the newest first.
+function events(all) {
+  if (!all.length) return;
+  const clock = (t) => new Date(1000 * t).toTimeString().slice(0, 8), holder = byId("events");
+  while (holder.children.length > all.length) holder.lastChild.remove();
+  all.slice().reverse().forEach((one, k) => {
+    if (!holder.children[k]) holder.append(document.createElement("li"));
+    const when = one.to_s === null ? `since ${clock(one.from_s)}` : `${clock(one.from_s)}, ${short(one.to_s - one.from_s)} s`;
+    put(holder.children[k], `${when}${one.times > 1 ? `, ${one.times} times` : ""}: ${one.text}`, one.to_s === null);
+  });
 }
 
 // A calibration or a programme: how far, which gates are met, in which state.

@@ -1,6 +1,8 @@
 // Draws the page's plots with uPlot: drag to zoom, double click for everything again.
 (function () {
   "use strict";
+  const SIZE = innerWidth >= 2400 ? 1.5 : 1; // read from afar, as the style sheet has it
+  const FONT = `${12 * SIZE}px system-ui, 'DejaVu Sans', sans-serif`;
   const now = (name) => () => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const styles = {
     before: { stroke: now("--before"), width: 1.2 },
@@ -8,16 +10,14 @@
     recorded: { stroke: now("--ink"), width: 1 },
     noise: { stroke: now("--soft"), width: 1, dash: [4, 3] },
     edge: { stroke: "rgba(120,120,120,.6)", width: 0.5 },
-    dots2: { stroke: now("--third"), width: 0, points: { show: true, size: 6, fill: now("--third") } },
-    dots: { stroke: now("--before"), width: 0, points: { show: true, size: 6, fill: now("--before") } },
+    dots2: { stroke: now("--third"), width: 0, points: { show: true, size: 6 * SIZE, fill: now("--third") } },
+    dots: { stroke: now("--before"), width: 0, points: { show: true, size: 6 * SIZE, fill: now("--before") } },
   };
   const short = (v) => (v == null ? "" : String(Number(v.toPrecision(4))));
   const axis = (label, size, space) => ({
     label: label, stroke: now("--ink"), grid: { stroke: now("--grid"), width: 1 },
-    ticks: { stroke: now("--rule") }, size: size, labelSize: label ? 20 : 0,
-    font: "12px system-ui, 'DejaVu Sans', sans-serif",
-    labelFont: "12px system-ui, 'DejaVu Sans', sans-serif",
-    values: (_u, ticks) => ticks.map(short), space: space,
+    ticks: { stroke: now("--rule") }, size: SIZE * size, labelSize: label ? 20 * SIZE : 0,
+    font: FONT, labelFont: FONT, values: (_u, ticks) => ticks.map(short), space: SIZE * space,
   });
   const fromZero = (_u, _low, high) => [0, 1.1 * (high || 1)];
   // a value that is not there is shown as nothing
@@ -33,7 +33,7 @@
       if (line.band) bands.push({ series: [k + 1, k], fill: "rgba(120,120,120,.22)" });
     });
     const options = {
-      width: holder.clientWidth || 1100, height: plot.height, series: series, bands: bands,
+      width: holder.clientWidth || 1100, height: SIZE * plot.height, series: series, bands: bands,
       scales: { x: { time: false }, y: { range: plot.name.startsWith("profile-") ? fromZero : undefined } }, axes: [axis(plot.x_label, 34, 60), axis(plot.y_label, 58, 16)],
       cursor: { drag: { x: true, y: false } },
       hooks: { ready: [quiet], setCursor: [quiet], setLegend: [quiet] },
@@ -48,7 +48,7 @@
     });
     new ResizeObserver(() => {
       if (holder.clientWidth && holder.clientWidth !== drawn.width) {
-        drawn.setSize({ width: holder.clientWidth || 1100, height: plot.height });
+        drawn.setSize({ width: holder.clientWidth || 1100, height: SIZE * plot.height });
       }
     }).observe(holder);
   }
