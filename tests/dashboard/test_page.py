@@ -253,8 +253,8 @@ def test_the_systems_scheme_a_switch_and_what_was_chosen_last(
     assert page.evaluate(current) == other
 
 
-@pytest.mark.parametrize("width", [360, 500, 820, 1366, 2560])
-def test_no_window_is_too_narrow(live: Live, open_page: Make, width: int) -> None:
+@pytest.mark.parametrize("width", [360, 500, 820, 1366, 3840])
+def test_no_window_is_too_narrow_or_too_wide(live: Live, open_page: Make, width: int) -> None:
     page = open_page(live.server.url, width=width)
     live.go_on(2.5)
     live.say()
@@ -265,6 +265,12 @@ def test_no_window_is_too_narrow(live: Live, open_page: Make, width: int) -> Non
         "#tools button", "all => all.map(one => one.getBoundingClientRect().right)"
     )
     assert max(tools) <= width
+    words = page.eval_on_selector_all(
+        "h1, h2, p, dt, dd, td, li, .key, button",
+        "all => all.map(one => parseFloat(getComputedStyle(one).fontSize))",
+    )
+    read_from_afar = 22.0 if width > 2800 else 11.0
+    assert min(words) >= read_from_afar
 
 
 def test_everything_can_be_reached_and_read_by_keyboard(live: Live, open_page: Make) -> None:

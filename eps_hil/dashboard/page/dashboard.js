@@ -2,7 +2,7 @@
 
 import { ANSWERS, BEGINS, Stretch, read } from "./data.js";
 import { Mismatch, legend } from "./mismatch.js";
-import { Loop, Strip, readPalette, short } from "./plots.js";
+import { Loop, SIZE, Strip, readPalette, short } from "./plots.js";
 import * as words from "./state.js";
 
 const byId = (id) => document.getElementById(id);
@@ -45,10 +45,10 @@ const hooks = {
   hover: (t) => { pointer = t; dirty = true; },
   picked: (t, which) => { if (which === "a") a = t; else b = t; dirty = true; mismatch.draw(); },
 };
-const unit = Math.max(70, Math.min((innerHeight - 215 - (recorded ? 50 : 0)) / 6.7, 210)); // of a strip's height: all fit
+const unit = Math.max(70, Math.min((innerHeight - SIZE * (215 + (recorded ? 50 : 0))) / 6.7, 210 * SIZE)); // of a strip's height: all fit
 const strips = layout.strips.map((strip, k) => {
   const last = k === layout.strips.length - 1;
-  const height = Math.round((k ? unit : 1.7 * unit) + (last ? 20 : 0));
+  const height = Math.round((k ? unit : 1.7 * unit) + (last ? 20 * SIZE : 0));
   return new Strip(byId("strips"), strip, layout.traces, height, last, hooks);
 });
 const loops = layout.loops.map((loop) => new Loop(byId("loops"), loop, layout.traces, layout.instants));

@@ -1,6 +1,6 @@
 // Where rig and model part: a map over speed and load, a strip over time, and what a diagnosis found.
 
-import { short } from "./plots.js";
+import { SIZE, short } from "./plots.js";
 
 const CIVIDIS = [[0, 34, 78], [65, 77, 107], [124, 123, 120], [188, 175, 111], [254, 232, 56]]; // rising lightness
 const MAP_HEIGHT = 300, LEFT = 62, RIGHT = 16, TOP = 8, BOTTOM = 38, ROW = 20;
@@ -23,15 +23,15 @@ function ticks(low, high, most) {
   return found;
 }
 
-// A canvas at the screen's own resolution; what is drawn counts in CSS pixels.
+// A canvas at the screen's own resolution; what is drawn counts in CSS pixels, larger ones on a wall screen.
 function sized(canvas, height) {
-  const width = canvas.clientWidth || canvas.parentNode.clientWidth, ratio = devicePixelRatio;
-  canvas.style.height = `${height}px`;
+  const width = (canvas.clientWidth || canvas.parentNode.clientWidth) / SIZE, ratio = SIZE * devicePixelRatio;
+  canvas.style.height = `${height * SIZE}px`;
   canvas.width = Math.round(width * ratio);
   canvas.height = Math.round(height * ratio);
   const ctx = canvas.getContext("2d");
   ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
-  ctx.font = `${innerWidth >= 1900 ? 15 : 12}px system-ui, 'DejaVu Sans', sans-serif`;
+  ctx.font = "12px system-ui, 'DejaVu Sans', sans-serif";
   return { ctx, width };
 }
 
@@ -305,7 +305,7 @@ export class Mismatch {
   // The pointer.
 
   time(event) {
-    const { from, to, w } = this.axis, left = event.clientX - event.currentTarget.getBoundingClientRect().left;
+    const { from, to, w } = this.axis, left = (event.clientX - event.currentTarget.getBoundingClientRect().left) / SIZE;
     return from + (Math.min(Math.max(left - LEFT, 0), w) / w) * (to - from);
   }
   tell(event) {
@@ -319,8 +319,8 @@ export class Mismatch {
   read(event) {
     if (!this.shown) return;
     const box = event.currentTarget.getBoundingClientRect(), { map, cells, w, h } = this.shown;
-    const column = Math.floor(((event.clientX - box.left - LEFT) / w) * map.cells);
-    const row = Math.floor(((TOP + h - (event.clientY - box.top)) / h) * map.cells);
+    const column = Math.floor((((event.clientX - box.left) / SIZE - LEFT) / w) * map.cells);
+    const row = Math.floor(((TOP + h - (event.clientY - box.top) / SIZE) / h) * map.cells);
     const found = cells.find(([c, r]) => c === column && r === row);
     this.say(found ? `${short(found[2])} N rms, ${found[3]} samples` : "");
   }

@@ -2,9 +2,9 @@
 
 /* global uPlot */
 const STEPS = 10; // of the fading trail
-const WALL = innerWidth >= 1900; // read from afar
-const FONT = `${WALL ? 15 : 12}px system-ui, 'DejaVu Sans', sans-serif`;
-const LOOP = WALL ? 340 : 210;
+export const SIZE = innerWidth >= 2800 ? 2 : innerWidth >= 1900 ? 1.25 : 1; // read from afar
+export const FONT = `${12 * SIZE}px system-ui, 'DejaVu Sans', sans-serif`;
+const LOOP = SIZE > 1 ? 272 * SIZE : 210;
 const style = () => getComputedStyle(document.documentElement);
 let palette = {};
 
@@ -73,15 +73,15 @@ export class Strip {
       width: Math.max(holder.clientWidth, 200), height, legend: { show: false },
       scales: { x: { time: false, auto: false }, y: { range: yRange } },
       axes: [
-        axis({ size: last ? 26 : 6, values: (_u, ticks) => ticks.map(last ? hooks.clock : () => ""), space: 90 }),
-        axis({ size: WALL ? 76 : 62, values: (_u, ticks) => ticks.map(short), space: WALL ? 24 : 18 }),
+        axis({ size: last ? 26 * SIZE : 6, values: (_u, ticks) => ticks.map(last ? hooks.clock : () => ""), space: 90 * SIZE }),
+        axis({ size: 62 * SIZE, values: (_u, ticks) => ticks.map(short), space: 18 * SIZE }),
       ],
       series: [{}, ...this.keys.map((key, k) => ({
-        stroke: () => palette["c" + key.colour], width: k ? 1.2 : 1.8, dash: k ? [5, 3] : undefined,
+        stroke: () => palette["c" + key.colour], width: (k ? 1.2 : 1.8) * SIZE, dash: k ? [5 * SIZE, 3 * SIZE] : undefined,
         points: { show: false },
       }))],
       cursor: { y: false, sync: { key: "strips" }, drag: { x: true, y: false, setScale: false },
-        points: { size: 6 }, focus: { prox: -1 } },
+        points: { size: 6 * SIZE }, focus: { prox: -1 } },
       hooks: {
         setSelect: [(u) => {
           if (u.select.width < 4) return;
@@ -133,13 +133,13 @@ function drawLines(u, lines) {
     const x = Math.round(u.valToPos(line.t, "x", true));
     if (x < bbox.left || x > bbox.left + bbox.width) continue;
     ctx.strokeStyle = ctx.fillStyle = palette[line.colour];
-    ctx.lineWidth = devicePixelRatio;
+    ctx.lineWidth = SIZE * devicePixelRatio;
     ctx.setLineDash(line.dash || []);
     ctx.beginPath();
     ctx.moveTo(x, bbox.top);
     ctx.lineTo(x, bbox.top + bbox.height);
     ctx.stroke();
-    ctx.fillText(line.text, x + 3, bbox.top + 11 * devicePixelRatio);
+    ctx.fillText(line.text, x + 3, bbox.top + 11 * SIZE * devicePixelRatio);
   }
   ctx.restore();
 }
@@ -161,9 +161,9 @@ export class Loop {
       scales: { x: { time: false, auto: false }, y: { auto: false } },
       cursor: { drag: { x: false, y: false } },
       axes: [
-        axis({ size: 26, values: (_u, ticks) => ticks.map(short), space: 60, labelSize: 16,
+        axis({ size: 26 * SIZE, values: (_u, ticks) => ticks.map(short), space: 60 * SIZE, labelSize: 16 * SIZE,
           label: `${xTrace.label}, ${xTrace.unit}`, labelFont: FONT }),
-        axis({ size: WALL ? 76 : 62, values: (_u, ticks) => ticks.map(short), space: WALL ? 24 : 18 }),
+        axis({ size: 62 * SIZE, values: (_u, ticks) => ticks.map(short), space: 18 * SIZE }),
       ],
       series: [{}, {}], hooks: { draw: [(u) => this.trail(u)] },
     }, [[], []], holder);
@@ -196,8 +196,8 @@ export class Loop {
     ys.forEach((y, k) => {
       const py = y.map((v) => (v === null ? null : u.valToPos(v, "y", true)));
       ctx.strokeStyle = ctx.fillStyle = palette["c" + this.keys[k].colour];
-      ctx.lineWidth = (k ? 1.2 : 1.8) * devicePixelRatio;
-      ctx.setLineDash(k ? [5, 3] : []);
+      ctx.lineWidth = (k ? 1.2 : 1.8) * SIZE * devicePixelRatio;
+      ctx.setLineDash(k ? [5 * SIZE, 3 * SIZE] : []);
       for (let step = 0; step < STEPS; step++) {
         ctx.globalAlpha = 0.12 + (0.88 * (step + 1)) / STEPS;
         ctx.beginPath();
@@ -212,7 +212,7 @@ export class Loop {
       }
       if (px[n - 1] !== null && py[n - 1] !== null) {
         ctx.beginPath();
-        ctx.arc(px[n - 1], py[n - 1], 4 * devicePixelRatio, 0, 2 * Math.PI);
+        ctx.arc(px[n - 1], py[n - 1], 4 * SIZE * devicePixelRatio, 0, 2 * Math.PI);
         ctx.fill();
       }
     });
