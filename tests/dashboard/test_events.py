@@ -25,7 +25,14 @@ def test_an_alarm_with_a_number_that_moves_is_one_event_and_ends() -> None:
 
 def test_what_comes_back_at_once_is_counted_and_later_is_another() -> None:
     events = Events()
-    for now_s, there in ((0.0, True), (1.0, False), (2.0, True), (3.0, False), (6.0, False), (7.0, True)):
+    for now_s, there in (
+        (0.0, True),
+        (1.0, False),
+        (2.0, True),
+        (3.0, False),
+        (6.0, False),
+        (7.0, True),
+    ):
         events.see(now_s, [SILENT] if there else [])
     found = [(one["from_s"], one["to_s"], one["times"]) for one in events.content()]
     assert found == [(0.0, 3.0, 2), (7.0, None, 1)]

@@ -1,6 +1,8 @@
 """What every page shares."""
 
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -34,6 +36,15 @@ def test_the_plotting_library_comes_from_its_package() -> None:
     assert "uPlot" in page.library("uPlot.iife.js")
     assert "</script" not in page.library("uPlot.iife.js")
     assert ".uplot" in page.library("uPlot.min.css")
+
+
+def test_what_the_library_requires_is_never_run() -> None:
+    asked = (
+        "import sys; from eps_hil.dashboard.server import assets; assets(); "
+        "print(sorted({'uplot', 'IPython'} & set(sys.modules)))"
+    )
+    said = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "[]"
 
 
 def test_a_page_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
