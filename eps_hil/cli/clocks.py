@@ -24,7 +24,8 @@ def clocks(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", help="A copy with the clocks put right (.log, .blf, .asc); {name} for several."
+            "--out",
+            help="A copy with the clocks put right (.log, .blf, .asc, .mf4); {name} for several.",
         ),
     ] = None,
 ) -> None:

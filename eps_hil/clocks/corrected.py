@@ -1,6 +1,7 @@
 """A copy of a CAN log with the clocks put right: steps taken out, channels on one clock."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +13,16 @@ from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_unordered_frames
 from eps_hil.recordings.conversion import LOG_SUFFIXES, as_message, log_writer
 from eps_hil.recordings.files import replacing
+from eps_hil.recordings.mf4_bus import write_bus_mf4
 
 _NS = 1_000_000_000
+_SUFFIXES = (*LOG_SUFFIXES, ".mf4")
 
 
 def check_suffix(target: Path) -> None:
     """:class:`InputError` for a format that no CAN log can be written in."""
-    if target.suffix.lower() not in LOG_SUFFIXES:
-        known = ", ".join(LOG_SUFFIXES)
+    if target.suffix.lower() not in _SUFFIXES:
+        known = ", ".join(_SUFFIXES)
         problem = f"suffix '{target.suffix}' is no CAN log that can be written"
         raise InputError(target, "--out", problem, f"use {known}")
 
@@ -62,6 +65,9 @@ def write_corrected(
     order = np.argsort(stamps, kind="stable").tolist()
     source = found.path.suffix.lower()
     with replacing(target) as temporary:
+        if target.suffix.lower() == ".mf4":
+            put_right = ((tagged[k][0], _at(tagged[k][1], int(stamps[k]))) for k in order)
+            return write_bus_mf4(temporary, put_right, source=found.path.name)
         writer = log_writer(temporary, target.suffix.lower(), int(stamps[order[0]]) / _NS)
         try:
             for k in order:
@@ -73,6 +79,4 @@ def write_corrected(
 
 
 def _at(frame: Frame, t_ns: int) -> Frame:
-    from dataclasses import replace
-
     return replace(frame, t_ns=t_ns)

@@ -71,9 +71,12 @@ def test_coarse_stamps_are_said_to_be_coarse_and_show_no_steps(write_log: Write)
             )
 
 
-def test_the_corrected_copy_has_one_clock(write_log: Write, tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", [".log", ".mf4"])
+def test_the_corrected_copy_has_one_clock(write_log: Write, tmp_path: Path, suffix: str) -> None:
+    if suffix == ".mf4":
+        pytest.importorskip("asammdf")
     found = audit(write_log(offset_s=2e-4, drift_ppm=10.0, step_s=5e-4))
-    target = tmp_path / "one_clock.log"
+    target = tmp_path / f"one_clock{suffix}"
     assert write_corrected(found, target) == sum(len(one.channel.t_ns) for one in found.channels)
     (pair,) = audit(target).pairs
     assert abs(pair.offset_s) < 2e-6
@@ -108,7 +111,7 @@ def test_the_verb_says_writes_and_refuses(
     assert content["schema"] == "eps-hil/clocks/1"
     assert {one["channel"] for one in content["channels"]} == {"can0", "can1"}
     assert main(["clocks", str(log), "--out", str(tmp_path / "copy.csv")]) == 2
-    assert "is no CAN log that can be written; use .log, .blf, .asc" in capsys.readouterr().err
+    assert "can be written; use .log, .blf, .asc, .mf4" in capsys.readouterr().err
     empty = tmp_path / "empty.log"
     empty.write_text("\n")
     assert main(["clocks", str(empty)]) == 2
