@@ -49,7 +49,8 @@ def diagnose_against(
     )
     extra: list[Surplus] = []
     if not missing([*fitted, *kept]):
-        extra = surplus(fitted, kept, simulated.model, simulated.content["effects"])
+        effects = simulated.content["effects"]
+        extra = surplus(fitted, kept, simulated.model, effects, simulated.problem)
     base = without(simulated.model, extra)
     result = diagnose(
         base,
@@ -64,7 +65,7 @@ def diagnose_against(
     content["simulation"] = {
         **simulated.content,
         "caveats": caveats,
-        "differences": _differences(result, base, extra, fitted),
+        "differences": _differences(result, base, extra, fitted, simulated.content["parameters"]),
     }
     return replace(result, content=without_nan(content))
 
@@ -86,7 +87,11 @@ def _with_surplus(result: Diagnosis, simulator: Model, extra: Sequence[Surplus])
 def _finding(one: Surplus) -> dict[str, Any]:
     told, effect = one.content(), catalogue()[one.entry["effect"]]
     parameters = {
-        p.name: {"value": one.entry[p.name], "unit": p.unit, "ci95": None}
+        p.name: {
+            "value": one.entry[p.name],
+            "unit": p.unit,
+            "ci95": one.ci95 if p.name == one.amplitude else None,
+        }
         for p in effect.parameters
         if p.name in one.entry
     }
@@ -105,11 +110,15 @@ def _finding(one: Surplus) -> dict[str, Any]:
 
 
 def _differences(
-    result: Diagnosis, base: Model, extra: Sequence[Surplus], fitted: Sequence[Prepared]
+    result: Diagnosis,
+    base: Model,
+    extra: Sequence[Surplus],
+    fitted: Sequence[Prepared],
+    parameters: Mapping[str, Mapping[str, Any]],
 ) -> dict[str, Any]:
     """Both directions, with sizes; ``same``: effects that both have."""
-    findings = [str(one["effect"]) for one in result.content["findings"]]
-    differ = numbers(fitted, base, result.model, findings) if findings else []
+    findings = result.content["findings"]
+    differ = numbers(fitted, base, result.model, findings, parameters) if findings else []
     told = {one["name"].split(".")[0] for one in differ}
     mine = [str(one["effect"]) for one in base.effects]
     return {

@@ -11,13 +11,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from eps_hil.diagnosis.attribute.scoring import LEAST_GAIN
 from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, plain
+from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.simulator.parameters import Reduction, reduce_parameters
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
 
 _SHARES = (0.0, 0.5, 1.0)
 _GONE = 0.2
@@ -38,26 +42,38 @@ NUMBERS = (
 
 @dataclass(frozen=True)
 class Surplus:
-    """An effect that the simulator has and the rig lacks; ``rig``: its amplitude there."""
+    """An effect that the simulator has and the rig lacks; ``rig``: its amplitude there.
+
+    Half widths of 95 % intervals: of the rig's amplitude, and of the simulator's.
+    """
 
     entry: Mapping[str, Any]
     amplitude: str
     unit: str
     rig: float
+    rig_half_width: float
+    simulator_half_width: float
 
     @property
     def simulator(self) -> float:
         """The simulator's amplitude."""
         return float(self.entry[self.amplitude])
 
+    @property
+    def ci95(self) -> list[float]:
+        """Of the simulator's amplitude."""
+        return _around(self.simulator, self.simulator_half_width)
+
     def content(self) -> dict[str, Any]:
         """For the JSON."""
         effect = catalogue()[self.entry["effect"]]
         size = f"{self.amplitude} {self.simulator:.3g} {self.unit}".strip()
+        rig = {"value": self.rig, "unit": self.unit, "ci95": _around(self.rig, self.rig_half_width)}
         return {
             "effect": effect.id,
             "parameters": {k: v for k, v in plain(dict(self.entry)).items() if k != "effect"},
-            "rig": {self.amplitude: {"value": self.rig, "unit": self.unit}},
+            "ci95": {self.amplitude: self.ci95},
+            "rig": {self.amplitude: rig},
             "summary": f"The simulator has {effect.name.lower()} ({size}) that the rig lacks.",
         }
 
@@ -67,11 +83,15 @@ def surplus(
     kept: Sequence[Prepared],
     model: Model,
     effects: Collection[Mapping[str, Any]],
+    traces: Problem,
 ) -> list[Surplus]:
-    """Those of the simulator's ``effects`` that the recordings do without; ``model`` has them."""
+    """Those of the simulator's ``effects`` that the recordings do without; ``model`` has them.
+
+    ``traces``: the simulator's own, with the model that explains them.
+    """
     found: list[Surplus] = []
     for entry in effects:
-        now = _gone(fitted, kept, model, entry)
+        now = _gone(fitted, kept, model, entry, traces)
         if now is not None:
             found.append(now)
             model = without(model, [now])
@@ -79,7 +99,11 @@ def surplus(
 
 
 def _gone(
-    fitted: Sequence[Prepared], kept: Sequence[Prepared], model: Model, entry: Mapping[str, Any]
+    fitted: Sequence[Prepared],
+    kept: Sequence[Prepared],
+    model: Model,
+    entry: Mapping[str, Any],
+    traces: Problem,
 ) -> Surplus | None:
     """The effect, if it is too many: the model's own numbers are free beside all shares of it."""
     effect = catalogue()[entry["effect"]]
@@ -105,7 +129,24 @@ def _gone(
     if gain[0] - gain[1] < LEAST_GAIN:
         return None
     unit = next(one.unit for one in effect.parameters if one.name == probe.amplitude)
-    return Surplus(entry, probe.amplitude, unit, share * size)
+    at_best = tried[0].residual + share * (tried[-1].residual - tried[0].residual)
+    wide = _half_width(Problem(fitted, model), tried[-1].residual - tried[0].residual, at_best)
+    bare = replace(
+        traces.model,
+        effects=tuple(one for one in traces.model.effects if plain(one) != plain(entry)),
+    )
+    of_it = traces.residual(traces.model) - reduce_parameters(replace(traces, model=bare)).residual
+    its = _half_width(traces, of_it, traces.residual(traces.model))
+    return Surplus(entry, probe.amplitude, unit, share * size, abs(size) * wide, abs(size) * its)
+
+
+def _half_width(problem: Problem, column: Floats, left: Floats) -> float:
+    """Of the multiple of an effect whose residual is ``column`` once all else is fitted again."""
+    return float(half_widths(column[:, None], left, (problem.block, problem.stretch))[0])
+
+
+def _around(value: float, half_width: float) -> list[float]:
+    return [value - half_width, value + half_width]
 
 
 def without(model: Model, found: Sequence[Surplus]) -> Model:
@@ -115,15 +156,20 @@ def without(model: Model, found: Sequence[Surplus]) -> Model:
 
 
 def numbers(
-    recordings: Sequence[Prepared], model: Model, written: Model, findings: Collection[str]
+    recordings: Sequence[Prepared],
+    model: Model,
+    written: Model,
+    findings: Sequence[Mapping[str, Any]],
+    parameters: Mapping[str, Mapping[str, Any]],
 ) -> list[dict[str, Any]]:
-    """Numbers in which rig and simulator differ: simulator's, rig's with interval, a sentence.
+    """Numbers in which rig and simulator differ: simulator's, rig's, intervals, a sentence.
 
-    ``model``: the simulator; ``written``: the same with the findings. None unless a finding says
-    that a number differs: what no finding rests on is not made one here.
+    ``model``: the simulator; ``written``: the same with the ``findings`` (of the JSON). None unless
+    a finding says that a number differs: what no finding rests on is not made one here.
+    ``parameters``: of the simulator, those that its traces moved, with their intervals.
     """
-    told = _of_effects(model, written)
-    if not set(findings) & set(NUMBERS):
+    told = _of_effects(model, written, findings)
+    if not {one["effect"] for one in findings} & set(NUMBERS):
         return told
     structure = tuple(one for one in written.effects if one["effect"] not in NUMBERS)
     reduction: Reduction = reduce_parameters(
@@ -137,11 +183,14 @@ def numbers(
         if small or pull < _WEAK * max(pulls):
             continue
         interval = [after - 1.96 * sigma, after + 1.96 * sigma]
-        told.append(_number(one.name, one.unit, before, after, interval))
+        its = parameters.get(one.name, {}).get("ci95")
+        told.append(_number(one.name, one.unit, before, after, interval, its))
     return told
 
 
-def _of_effects(model: Model, written: Model) -> list[dict[str, Any]]:
+def _of_effects(
+    model: Model, written: Model, findings: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
     """Effects of which the simulator has one term and the recordings ask for one more."""
     told = []
     for name in {str(one["effect"]) for one in model.effects}:
@@ -160,12 +209,27 @@ def _of_effects(model: Model, written: Model) -> list[dict[str, Any]]:
                 float(mine[0][probe.amplitude]),
                 sum(float(one or 0.0) for one in values),
             )
-            told.append(_number(f"{name}.{probe.amplitude}", unit, before, after, None))
+            step = next(
+                (
+                    one["parameters"].get(probe.amplitude)
+                    for one in findings
+                    if one["effect"] == name
+                ),
+                None,
+            )
+            ends = None if step is None else step["ci95"]
+            interval = None if ends is None else [before + end for end in ends]
+            told.append(_number(f"{name}.{probe.amplitude}", unit, before, after, interval, None))
     return told
 
 
 def _number(
-    name: str, unit: str, before: float, after: float, interval: list[float] | None
+    name: str,
+    unit: str,
+    before: float,
+    after: float,
+    interval: list[float] | None,
+    its: list[float] | None,
 ) -> dict[str, Any]:
     told = "" if interval is None else f" (95 %: {interval[0]:.4g} to {interval[1]:.4g})"
     return {
@@ -174,5 +238,6 @@ def _number(
         "simulator": before,
         "rig": after,
         "ci95": interval,
+        "simulator_ci95": its,
         "summary": f"{name}: {before:.4g} {unit} in the simulator, {after:.4g}{told} on the rig.",
     }

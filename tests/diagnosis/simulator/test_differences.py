@@ -37,7 +37,11 @@ def test_what_only_the_simulator_has_is_a_finding_with_its_size(
     assert finding["parameters"]["level_nm"]["value"] == pytest.approx(0.04, rel=0.15)
     assert "that the rig lacks" in finding["summary"]
     (one,) = content["simulation"]["differences"]["simulator_only"]
-    assert abs(one["rig"]["level_nm"]["value"]) < 0.008
+    of_rig = one["rig"]["level_nm"]
+    assert abs(of_rig["value"]) < 0.008
+    assert of_rig["ci95"][0] < of_rig["value"] < of_rig["ci95"][1] < 0.02
+    low, high = finding["parameters"]["level_nm"]["ci95"]
+    assert low < finding["parameters"]["level_nm"]["value"] < high < low + 0.01
     assert content["simulation"]["differences"]["numbers"] == []
     before, after = (
         content["fit"]["holdout"][name]["torque_nrmse"] for name in ("baseline", "augmented")
@@ -59,5 +63,6 @@ def test_too_many_and_missing_and_another_number_at_once(
     assert [one["effect"] for one in told["rig_only"]] == ["stribeck"]
     numbers = {one["name"]: one for one in told["numbers"]}
     assert numbers["offset_pos_nm"]["rig"] == pytest.approx(0.08, rel=0.05)
+    assert numbers["offset_pos_nm"]["ci95"][0] < numbers["offset_pos_nm"]["rig"]
     assert numbers["offset_pos_nm"]["simulator"] == pytest.approx(0.056, rel=0.05)
     assert "unknown" not in {one["effect"] for one in content["findings"]}
