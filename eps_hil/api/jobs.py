@@ -219,7 +219,8 @@ def changes(before: Sources, after: Sources, model: Rig) -> Diagnosis:
 
     first, second = _by_name(_recordings(before)), _by_name(_recordings(after))
     try:
-        return Diagnosis(run(_model(model), first, second).after)
+        found = run(_model(model), first, second)
+        return Diagnosis(found.after, found.model)
     except RecordingError as error:
         raise InputError(error.recording, "", str(error)) from None
     except ValueError as error:

@@ -231,6 +231,8 @@ class Diagnosis:
     """What a model lacks; ``content`` is the JSON of ``eps-hil diagnose`` (CONTRACT 7)."""
 
     result: diagnosing.Diagnosis
+    written: Model | None = None
+    """The model to go on with, where it is not that of ``result``."""
 
     @property
     def content(self) -> Mapping[str, Any]:
@@ -260,8 +262,8 @@ class Diagnosis:
 
     @property
     def model(self) -> Model:
-        """The model with the effects added."""
-        return self.result.model
+        """The model with the effects added; of changes, the second state's."""
+        return self.written or self.result.model
 
     def to_dataframe(self, library: str | None = None) -> Any:
         """One row a parameter of a finding: effect, confidence, value, unit, 95 % interval."""

@@ -1,15 +1,19 @@
 """Two states of one rig of other code: what is new, gone, stronger; what is no change."""
 
+import dataclasses
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from eps_hil.cli.main import main
-from eps_hil.diagnosis.changes import Changes, Share, changes, in_words
+from eps_hil.diagnosis import changes as module
+from eps_hil.diagnosis.changes import Changes, changes, in_words
+from eps_hil.diagnosis.one_way import OneWay, Share
 from eps_hil.physics.model import Model, load_model
 
 MODEL = str(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
@@ -55,6 +59,79 @@ def test_the_same_recording_in_both_states_is_refused(
     one.write_text("time_s\n0\n")
     assert main(["changes", "--before", str(one), "--after", str(one), "--model", MODEL]) == 2
     assert "one.csv: is both --before and --after" in capsys.readouterr().err
+
+
+class _Nothing:
+    effects: tuple[Any, ...] = ()
+    model: Any = None
+
+
+NOTHING: Any = _Nothing()
+
+
+@dataclass(frozen=True)
+class Told:
+    """A diagnosis as far as the choice between both ways looks at it."""
+
+    content: dict[str, Any]
+    price: float = 0.0
+    model: Any = NOTHING
+    problem: Any = NOTHING
+    judged: Sequence[Any] = ()
+    as_read: Sequence[Any] = ()
+
+
+def told_of(*names: str) -> Told:
+    holdout: dict[str, Any] = {"augmented": {}, "noise_floor": {}}
+    findings = [{"effect": one} for one in names]
+    return Told({"findings": findings, "verdict": "", "limits": [], "fit": {"holdout": holdout}})
+
+
+class Way(OneWay):
+    """One direction whose findings are all changes, each new in the other state."""
+
+    def as_much_unknown(self) -> bool:
+        return False
+
+    def change(self, k: int) -> dict[str, Any]:
+        return {"is": "new", "before": [], "size_after": None}
+
+
+@pytest.mark.parametrize(
+    ("states", "ways", "price", "expected"),
+    [
+        # (names of the first state, of the second), (second against first, first against second)
+        (((), ()), ((), ("stribeck",)), 0.0, []),  # nothing is new: nobody looks the other way
+        (((), ("stribeck",)), (("stribeck",), ("stribeck",)), 5.0, ["stribeck new"]),
+        ((("stribeck",), ()), (("quadratic_drag",), ("stribeck",)), -5.0, ["stribeck gone"]),
+        ((("stribeck",), ()), (("unknown",), ("stribeck",)), 5.0, ["stribeck gone"]),
+        (((), ("stribeck",)), (("stribeck",), ("unknown",)), -5.0, ["stribeck new"]),
+        (((), ()), (("stribeck",), ()), 0.0, []),  # shows one way only, in neither diagnosis
+        (((), ("stribeck",)), (("stribeck",), ()), 0.0, ["stribeck new"]),
+        ((("backlash",), ()), ((), ("backlash", "stribeck")), 0.0, ["backlash gone"]),
+    ],
+)
+def test_a_change_is_told_the_way_that_explains_both_states(
+    states: Any, ways: Any, price: float, expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``price``: of the way back, above that of the way there."""
+    said = {"before": told_of(*states[0]), "after": told_of(*states[1])}
+
+    def against(known: Any, word: str, *_: Any) -> OneWay:
+        back = word == "after"
+        other = dataclasses.replace(told_of(*ways[back]), price=price * back)
+        return Way(known, cast("Any", other), cast("Any", None), word, {})
+
+    monkeypatch.setattr(module, "diagnose", lambda _model, recordings, *_: said[recordings])
+    monkeypatch.setattr(module, "against", against)
+    monkeypatch.setattr(module, "measures", lambda *_: {})
+    found = changes(NOTHING, cast("Any", "before"), cast("Any", "after"))
+    content = found.after.content
+    assert [f"{one['effect']} {one['change']['is']}" for one in content["findings"]] == expected
+    if expected:
+        assert content["seen_in"] == ("before" if "gone" in expected[0] else "after")
+    else:
+        assert content["verdict"] in ("", "no_mismatch")
 
 
 def run(
