@@ -71,6 +71,7 @@ export class Strip {
     let moved = false;
     this.plot = new uPlot({
       width: Math.max(holder.clientWidth, 200), height, legend: { show: false },
+      padding: [null, 20 * SIZE, null, null], // for half of the last instant's label
       scales: { x: { time: false, auto: false }, y: { range: yRange } },
       axes: [
         axis({ size: last ? 26 * SIZE : 6, values: (_u, ticks) => ticks.map(last ? hooks.clock : () => ""), space: 90 * SIZE }),
