@@ -46,9 +46,8 @@ warm_up(load_model(sys.argv[1]))
 """
 _PIECE = 700
 """Samples of a trace in one message: all traces stay below a socket's buffer."""
-_PENDING, _FEW, _MANY = 50, 20, 1000
-_NICE = 5
-"""Before the page's server, after rig and service."""
+_PENDING, _FEW, _MANY = 250, 20, 1000
+"""Messages that wait for the server (10 s); frames that are few, that are many."""
 
 
 class Taker(Protocol):
@@ -181,8 +180,6 @@ def stand_back() -> None:
     if hasattr(os, "SCHED_BATCH"):  # may be refused in a container; then as it was
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    with contextlib.suppress(OSError):
-        os.nice(_NICE)
 
 
 def listen(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from eps_hil.bus.config import BusConfig
 from eps_hil.bus.port import Port, open_port
 from eps_hil.bus.reconnecting_port import ReconnectingPort
+from eps_hil.bus.recorder import with_room
 from eps_hil.errors import BusError
 from eps_hil.monitor.figures import Figures
 from eps_hil.monitor.view_model import Monitor
@@ -26,9 +27,10 @@ class Pace:
 
 def listen_only(bus: BusConfig) -> Port:
     """The bus of a configuration, all its ids, and none that could be sent."""
-    return open_port(
+    port = open_port(
         bus.interface, bus.channel, fd=bus.fd, receive_ids=None, send_ids=(), options=bus.options
     )
+    return with_room(port)  # who only looks may have to wait for seconds on a busy machine
 
 
 def watch(

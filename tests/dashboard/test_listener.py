@@ -133,11 +133,10 @@ def test_no_frame_wakes_it_it_looks_a_hundred_times_a_second(
 def test_it_takes_no_core_from_what_runs() -> None:
     said = subprocess.run(
         [sys.executable, "-c", "import os; from eps_hil.dashboard.listener import stand_back\n"
-         "before = os.nice(0); stand_back(); print(os.sched_getscheduler(0), os.nice(0) - before)"],
+         "stand_back(); print(os.sched_getscheduler(0))"],
         capture_output=True, text=True, check=True,
-    ).stdout.split()  # fmt: skip
-    assert int(said[0]) == os.SCHED_BATCH
-    assert int(said[1]) in (5, 19 - os.nice(0))
+    ).stdout  # fmt: skip
+    assert int(said) == os.SCHED_BATCH
 
 
 def test_a_lost_bus_and_a_service_that_is_not_there_are_said(config: Path) -> None:

@@ -104,7 +104,8 @@ def test_waiting_and_failing_are_said_in_words(live: Live, open_page: Make) -> N
     assert page.inner_text("#told") == "nothing from the service or the ECU yet"
     page.wait_for_selector("#events .bad:has-text('since')")
     assert page.title().startswith("! ")
-    live.say()
+    live.say(dropped=7)
+    page.wait_for_selector("#figures dd.bad:has-text('7 pieces of 40 ms did not reach this page')")
     page.wait_for_selector("#events li:not(.bad):has-text('s: waiting for frames')")
     assert not page.title().startswith("!")
     live.close()

@@ -66,6 +66,7 @@ export function show(state) {
       !GOOD.has(bus.state) && bus.state !== "unknown"],
     ["lost", `${bus.lost_by_counter} by counter, ${bus.lost_in_kernel} in the kernel`,
       bus.lost_by_counter + bus.lost_in_kernel > 0],
+    ...(state.dropped ? [["gaps", `${state.dropped} pieces of 40 ms did not reach this page: this machine was too busy`, true]] : []),
     ["errors", `${bus.crc_errors} CRC, ${bus.error_frames} error frames`, bus.crc_errors + bus.error_frames > 0],
   ]);
   rows(byId("signals"), state.signals.map((one) => {
