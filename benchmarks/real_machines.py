@@ -372,7 +372,7 @@ def main() -> None:
     parser.add_argument("machines", nargs="*", default=list(MACHINES))
     parser.add_argument("--keep", type=Path, help="folder for tables, models and answers")
     parser.add_argument("--trust-channels", action="store_true")
-    asked = parser.parse_args()
+    asked = parser.parse_intermixed_args()
     more = ["--trust-channels"] if asked.trust_channels else []
     with tempfile.TemporaryDirectory() as temporary:
         for name in asked.machines:
