@@ -47,6 +47,10 @@ def written(model: Model, load: SpringLoad) -> Model:
         (OFFSET, "offset_nm"): -load.constant_n / ratio,
     }
     effects = [dict(entry) for entry in model.effects]
+    springs = [one for one in effects if one["effect"] == SPRING]
+    for one in springs:  # its stiffness takes the load's in, which is relaxed at zero
+        pull = numbers[SPRING, "stiffness_nm_per_rad"] * float(one.get("middle_rad", 0.0))
+        numbers[OFFSET, "offset_nm"] -= pull
     for (name, parameter), value in numbers.items():
         held = next((one for one in effects if one["effect"] == name), {"effect": name})
         total = float(f"{value + float(held.get(parameter, 0.0)):.6g}")

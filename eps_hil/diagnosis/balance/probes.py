@@ -246,6 +246,8 @@ def _shapes(effect: Effect, problem: Problem, residual: Floats) -> Sequence[Mapp
     assert probe is not None
     if probe.scan == "order":
         return [{"order": order} for order in _orders(problem, residual)]
+    if probe.scan == "middle_rad":
+        return [_middle(problem)]
     if probe.scan in ("centre_m", "position_m", "curve"):
         return _places(probe.scan, problem)
     return shapes_of(effect, problem)
@@ -257,6 +259,20 @@ def shapes_of(effect: Effect, problem: Problem) -> Sequence[Mapping[str, float]]
     assert probe is not None
     of = {one.name: problem.size.of(one, effect) for one in effect.parameters}
     return [{name: of[name] * value for name, value in shape.items()} for shape in probe.shapes]
+
+
+def _middle(problem: Problem) -> Mapping[str, float]:
+    """Where a spring is relaxed: at zero, or, where no recording comes by there, to be fitted.
+
+    An angle that is counted from a place beyond the travel says nothing of where the middle is.
+    """
+    ends = [
+        end
+        for one in problem.recordings
+        for end in np.percentile(one.motion(problem.model).angle_rad, [0, 100]).tolist()
+    ]
+    low, high = min(ends), max(ends)
+    return {} if low <= 0.0 <= high else {"middle_rad": 0.5 * (low + high)}
 
 
 def _places(scan: str, problem: Problem) -> Sequence[Mapping[str, float]]:

@@ -140,7 +140,7 @@ def copies(problem: Problem, effect: Effect, base: Floats) -> list[Floats]:
 def _shapes(problem: Problem, effect: Effect) -> Sequence[Mapping[str, Any]]:
     probe = effect.probe
     assert probe is not None
-    if not probe.scan:
+    if probe.scan in ("", "middle_rad"):
         return shapes_of(effect, problem)
     position = coordinates(problem)["rack_position_m"]
     low, high = (float(v) for v in np.percentile(position, [3, 97]))

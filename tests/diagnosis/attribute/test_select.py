@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import ModuleType
 from typing import Any
 
 import pytest
 
 from eps_hil.diagnosis.attribute.numbers import SPANNED, levels_first
 from eps_hil.diagnosis.attribute.scoring import score
-from eps_hil.diagnosis.attribute.select import timed
+from eps_hil.diagnosis.attribute.select import select, timed
 from eps_hil.diagnosis.balance.baseline import ALL, TIMING
 from eps_hil.diagnosis.balance.fit import fit, matters
 from eps_hil.diagnosis.balance.probes import bounds, candidates
@@ -17,6 +18,7 @@ from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
+from eps_hil.series import Series
 
 pytestmark = pytest.mark.slow
 
@@ -166,3 +168,22 @@ def test_an_unknown_effect_is_not_cut_into_names(
     assert told["verdict"] == "unknown_effect"
     assert [one["effect"] for one in told["findings"]] == ["unknown"]
     assert told["findings"][0]["curve"]
+
+
+@pytest.mark.parametrize("zero_rad", [0.0, 700.0])
+def test_a_spring_is_one_wherever_its_angle_counts_from(
+    record: Callable[..., Any], reference_model: Model, other_rig: ModuleType, zero_rad: float
+) -> None:
+    stiffness = 4e-4
+    ready = []
+    for name, one in record({other_rig.SPRING: stiffness}, ("sweep", "weave"), 3).items():
+        angle = one["motor_angle_rad"]
+        moved = {**one, "motor_angle_rad": Series(angle.t_ns, angle.value + zero_rad)}
+        ready.append(prepare(name, moved))
+    found = select(Problem(ready, reference_model)).found
+    (entry,) = found.entries
+    assert entry["effect"] == "unmodelled_spring"
+    half = found.half_width[0, "stiffness_nm_per_rad"]
+    assert entry["stiffness_nm_per_rad"] == pytest.approx(stiffness, abs=max(half, 1e-5))
+    if zero_rad:
+        assert entry["middle_rad"] == pytest.approx(zero_rad, abs=10.0)
