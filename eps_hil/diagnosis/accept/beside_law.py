@@ -21,7 +21,7 @@ from eps_hil.diagnosis.accept.standing import standing
 from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Say, Selection, rivals_of, select
 from eps_hil.diagnosis.balance.baseline import law_knobs, of_law
-from eps_hil.diagnosis.balance.fit import fit
+from eps_hil.diagnosis.balance.fit import Fit, fit
 from eps_hil.diagnosis.balance.problem import Problem, knee, term_of
 from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN, Leftover, leftover
 from eps_hil.diagnosis.remainder.find import Remainder, Term, find, share_removed
@@ -173,8 +173,7 @@ def _standing(
     """
     while named:
         found = told.found
-        size = np.minimum(np.abs(found.residual), knee(found.residual))[problem.sliding]
-        least = BESIDE_UNKNOWN * float(np.sum(size**2 - 1.0))
+        least = _unexplained(problem, found)
         good = [
             k
             for k in named
@@ -187,6 +186,12 @@ def _standing(
         named = refitted(problem, told, good)
         rivals_of(problem, told)
     return []
+
+
+def _unexplained(problem: Problem, found: Fit) -> float:
+    """The gain that a name beside laws needs: twice what both leave unexplained."""
+    size = np.minimum(np.abs(found.residual), knee(found.residual))[problem.sliding]
+    return BESIDE_UNKNOWN * float(np.sum(size**2 - 1.0))
 
 
 def _law_instead(problem: Problem, told: Selection, places: Sequence[int], kept: Problem) -> bool:
@@ -245,7 +250,8 @@ def _told(
     own = {name: value for name, value in found.own.items() if not of_law(name)}
     alone = fit(problem, found.entries, 0, own)
     alone = replace(alone, told_half_width=found.half_width)
-    least = threshold(again, found.residual, FINAL_SHARE)
+    # a name is as sure as its gain is above what the law's own faults could be
+    least = max(threshold(again, found.residual, FINAL_SHARE), _unexplained(again, found))
     shown = replace(told, null=before.null, part=before.part, found=alone, least=least)
     start = augmented_by(problem, alone, named)
     share, ends = share_removed(Sight(kept, start), kept.residual(model))
