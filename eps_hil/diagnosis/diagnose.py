@@ -54,7 +54,7 @@ from eps_hil.diagnosis.balance.load import (
     with_load,
     wrong_in_friction,
 )
-from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.balance.problem import Problem, sliding
 from eps_hil.diagnosis.balance.spread import left_open
 from eps_hil.diagnosis.data.channels import channels_in_doubt
 from eps_hil.diagnosis.data.held import own_samples
@@ -66,11 +66,12 @@ from eps_hil.diagnosis.data.intake import (
     split,
     unseen,
 )
-from eps_hil.diagnosis.data.prepare import Prepared
+from eps_hil.diagnosis.data.prepare import CLEAR_SIGMA, THIN, Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.data.size import size_of
 from eps_hil.diagnosis.direct.kinematics import small_ratio
 from eps_hil.diagnosis.first_look import first_look
+from eps_hil.diagnosis.mismatch.between import between_recordings
 from eps_hil.diagnosis.mismatch.leftover import how_held, late_torque
 from eps_hil.diagnosis.remainder.find import Remainder, with_remainder
 from eps_hil.diagnosis.search import (
@@ -96,6 +97,7 @@ MOST_LEFT = 0.5
 """Of the hold-outs' energy: what names leave of a force that is no arbitrary one."""
 LEFT_BY_LAW = 1.0 - ENOUGH
 """The same, of a law without a name."""
+LEAST_SLIDING_S = 4.0
 LEAST_JUDGED = 125
 """Sliding samples (of 8 ms) that hold-outs need to judge anything: 1 s."""
 
@@ -175,6 +177,7 @@ def _found(
     """The diagnosis under the load that fits best, where nobody measured one."""
     every = [one for one, _ in (*ready, *spare)]
     learnt = [one for one, _ in ready]  # a hold-out that the load was fitted to judges nothing
+    _slides(learnt, np.concatenate([sliding(one, model) for one in learnt]))
     load = load_of(learnt, model) if missing(every) else None
 
     def under(load: Load | None) -> Diagnosis:
@@ -205,6 +208,20 @@ def _found(
         if _price(free) < _price(first):
             return free
     return _with_load(first, fitted, load, base)
+
+
+def _slides(recordings: Sequence[Prepared], samples: npt.NDArray[np.bool_]) -> None:
+    """:class:`RecordingError` where too few samples show a rotor that slides."""
+    seconds = 1e-3 * THIN * float(np.sum(samples))
+    if seconds >= LEAST_SLIDING_S:
+        return
+    hides = max(CLEAR_SIGMA * one.speed_noise_rad_s for one in recordings)
+    raise RecordingError(
+        recordings[0].name,
+        f"its rotor slides for {seconds:.1f} s that can be told from noise (a speed beyond "
+        f"{hides:.2g} rad/s, away from reversals); a diagnosis needs {LEAST_SLIDING_S:g} s: move "
+        "farther or longer, or record speed or angle in finer steps",
+    )
 
 
 def _follows(told: Diagnosis, *, held: bool) -> bool:
@@ -284,8 +301,7 @@ def _under(
         without = {*without, *not_told_apart(load)}
     look = first_look(ready, spare, model, without)
     problem = Problem(look.fitted, look.model, tied=load_knobs(load))
-    if np.sum(problem.sliding) < 500:
-        raise ValueError("moves for less than 4 s; a diagnosis needs a rotor that slides")
+    _slides(look.fitted, problem.sliding)
     judged = kept_holdouts(look, kept)
     if sum(int(np.sum(one.judging(look.model))) for one in judged) < LEAST_JUDGED:
         raise RecordingError(
@@ -378,6 +394,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
             _only_kept(problem, selection, findings, judged),
             [] if left is not None or hidden else how_held(problem, selection.found),
         ),
+        *_between(content, [*look.fitted, *(one.prepared for one in judged)], written),
         *beside_a_gap(judged, problem.model),
         *in_no_file(content["fit"]["holdout"]),
         *unjudged(now.told.found, findings, judged, now.weighed),
@@ -399,6 +416,14 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         price=price(problem, selection, findings, judged, written, extra)
         + (wrong is not None) * price_of_one(problem, judged),
     )
+
+
+def _between(
+    content: Mapping[str, Any], recordings: Sequence[Prepared], written: Model
+) -> list[str]:
+    """What differs between recordings, where something is left."""
+    there = any(one["effect"] == "unknown" for one in content["findings"])
+    return between_recordings(recordings, written) if there else []
 
 
 def _only_kept(

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.diagnosis.balance.baseline import turned
-from eps_hil.diagnosis.data.prepare import SMOOTH_HZ, STEP_S, THIN, Prepared
+from eps_hil.diagnosis.data.prepare import CLEAR_SIGMA, STEP_S, THIN, Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.physics.model import Model
@@ -18,8 +18,6 @@ Floats = npt.NDArray[np.float64]
 Masks = npt.NDArray[np.bool_]
 
 SLIDING_RAD_S = 1.0
-CLEAR_SIGMA = 8.0
-"""Sliding means that the smoothed speed is this many deviations of its noise from zero."""
 SETTLED_RAD = 0.2
 """Path since the last rest or reversal after which the bristle's history is forgotten."""
 PRESLIDING_SIGMA_NM, NOISY_RAD_S = 0.03, 0.2
@@ -192,9 +190,9 @@ def sliding(recording: Prepared, model: Model) -> Masks:
     motion = recording.motion(model)
     speed = motion.speed_rad_s
     since = _since_reversal(speed, motion.slip_rad)
-    noise = recording.noise["motor_speed_rad_s"] * np.sqrt(2 * SMOOTH_HZ * STEP_S)
     angle = recording.size.angle
-    slides = np.abs(speed) > max(SLIDING_RAD_S * angle, CLEAR_SIGMA * noise)
+    clear = CLEAR_SIGMA * recording.speed_noise_rad_s
+    slides = np.abs(speed) > max(SLIDING_RAD_S * angle, clear)
     good = slides & (since > SETTLED_RAD * angle)
     # the filter spreads what happens at a reversal over its own length
     wide = np.convolve(~good, np.ones(2 * THIN + 1), mode="same") > 0

@@ -152,7 +152,16 @@ def _part(one: Series, start: int, end: int) -> Series:
 
 
 def unseen(recordings: Sequence[Prepared]) -> list[str]:
-    """What nobody recorded beside the load, and what that means for the answer."""
+    """What nobody recorded beside the load, or in noise only, and what that means."""
+    hidden = [one.name for one in recordings if one.speed_is_hidden]
+    said = [
+        "motor_speed_rad_s is mostly its own noise; the rate of motor_angle_rad is taken for it "
+        f"({', '.join(hidden)})."
+    ]
+    return [*(said if hidden else []), *_unheld(recordings)]
+
+
+def _unheld(recordings: Sequence[Prepared]) -> list[str]:
     blind = [one.name for one in recordings if "torque_sensor_nm" not in one.raw]
     if not blind:
         return []

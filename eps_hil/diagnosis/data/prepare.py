@@ -32,6 +32,9 @@ THIN = 8
 """Every THIN-th sample of the filtered residual is kept: 125 Hz, above twice the cut-off."""
 SMOOTH_HZ = 100.0
 """Low-pass of the speed that friction is evaluated at."""
+CLEAR_SIGMA, _CLEARER = 8.0, 0.5
+"""Sliding means that the smoothed speed is so many deviations of its noise from zero; a share of a
+measured speed's noise that the angle's rate has to stay below to take its place."""
 SLOW_HZ, TAKEN_UP = 4.0, 6
 """Below this an arbitrary force takes up what the balance lacks, in so many rounds."""
 REST_WINDOW_S, REST_RAD_S = 0.03, 0.02
@@ -48,8 +51,12 @@ _MOST_SHIFTED, _LEAST_SHIFTED = 40, 8
 _MOST_SHIFTED_BYTES = 200_000_000
 """An hour's signals are 29 MB each: what is remembered of them has to end somewhere."""
 _TAIL = 10.0
-_ROUNDING = 1e-7
-"""Of the motor torque's rms: as exact as signals of single precision are."""
+_UNEVEN, _AT_ONCE, _FEWEST = 0.05, 0.2, 100
+"""Of a sampling interval: deviation of intervals from which samples are not even; share of the
+longest that the shortest beside it has to be; differences that say anything."""
+_SAMPLED = 3e-4
+"""Of the motor torque's rms: what the balance of a sampled recording leaves without any noise. A
+torque that steps, or friction that turns, between samples of 1 ms leaves nearly as much."""
 _NEEDED = ("motor_torque_nm",)
 
 
@@ -78,6 +85,10 @@ class Prepared:
     """What a belt that gives adds to the acceleration of all inertia (``belt.py``), (n,)."""
     size: Size = ORDINARY
     """How large the machine is by all recordings."""
+    bands_hz: Mapping[str, float] = field(default_factory=dict)
+    """Half the rate that a signal was sampled at: between samples there is no noise of its own."""
+    speed_is_hidden: bool = False
+    """Whether a speed was measured, but mostly noise, so that the angle's rate took its place."""
     _shifted: dict[tuple[int, float], Floats] = field(default_factory=dict)
 
     def changed(self, **values: Any) -> "Prepared":
@@ -93,8 +104,10 @@ class Prepared:
     def by_angle(self) -> "Prepared":
         """The same with the angle's rate for its speed."""
         angle = self.raw["motor_angle_rad"]
-        speed, noise = _rate(angle, self.noise["motor_angle_rad"])
+        band_hz = self.bands_hz.get("motor_angle_rad", np.inf)
+        speed, noise = _rate(angle, self.noise["motor_angle_rad"], band_hz)
         return self.changed(
+            bands_hz={**self.bands_hz, "motor_speed_rad_s": band_hz},
             raw={**self.raw, "motor_speed_rad_s": speed},
             noise={**self.noise, "motor_speed_rad_s": noise},
             speed_is_derived=True,
@@ -201,7 +214,6 @@ class Prepared:
 
         Under ``model``: what it multiplies a signal with, it multiplies the signal's noise with.
         """
-        share = passed(CUTOFF_HZ, 0)
         worked_in = with_model_effects(model)
         gains = {str(e["effect"]): float(e["gain"]) for e in worked_in.effects if "gain" in e}
         motor = gains.get("motor_torque_gain", 1.0)
@@ -209,18 +221,18 @@ class Prepared:
         load = 1.0 / worked_in.rack_to_rotor_ratio_rad_per_m
         behind = _behind_lag(worked_in)
         squared = (
-            (motor * self.noise.get("motor_torque_nm", 0.0)) ** 2 * share * behind
-            + (sensor * self.noise.get("torque_sensor_nm", 0.0)) ** 2 * share
-            + (load * self.noise.get("rack_force_n", 0.0)) ** 2 * share
+            motor**2 * self._noise_left("motor_torque_nm") * behind
+            + sensor**2 * self._noise_left("torque_sensor_nm")
+            + load**2 * self._noise_left("rack_force_n")
             + worked_in.inertia_kg_m2**2 * self._acceleration_variance()
         )
-        return float(np.hypot(np.sqrt(squared), self._rounding_nm))
+        return max(float(np.sqrt(squared)), self._sampled_nm)
 
     @cached_property
-    def _rounding_nm(self) -> float:
-        """What arithmetic leaves of a recording without any noise, Nm: no floor is nothing."""
+    def _sampled_nm(self) -> float:
+        """What sampling leaves of a recording without any noise, Nm: no floor is nothing."""
         torque = self.raw["motor_torque_nm"]
-        return max(_ROUNDING * float(np.sqrt(np.mean(torque**2))), 1e-15)
+        return max(_SAMPLED * float(np.sqrt(np.mean(torque**2))), 1e-15)
 
     @property
     def lost_path_rad(self) -> float:
@@ -231,11 +243,22 @@ class Prepared:
             * float(np.sqrt(2 * CREEP_HZ * STEP_S))
         )
 
+    @property
+    def speed_noise_rad_s(self) -> float:
+        """Deviation of the smoothed speed by noise alone."""
+        band_hz = min(SMOOTH_HZ, self.bands_hz.get("motor_speed_rad_s", np.inf))
+        return self.noise["motor_speed_rad_s"] * float(np.sqrt(2.0 * band_hz * STEP_S))
+
     def _acceleration_variance(self) -> float:
         """Of the filtered acceleration, by noise alone, rad²/s⁴."""
         if self.speed_is_derived:
-            return self.noise["motor_angle_rad"] ** 2 * passed(CUTOFF_HZ, 4)
-        return self.noise["motor_speed_rad_s"] ** 2 * passed(CUTOFF_HZ, 2)
+            return self._noise_left("motor_angle_rad", 4)
+        return self._noise_left("motor_speed_rad_s", 2)
+
+    def _noise_left(self, name: str, power: int = 0) -> float:
+        """Variance of a filtered signal by noise alone, times (2πf) to this power."""
+        band_hz = self.bands_hz.get(name, np.inf)
+        return self.noise.get(name, 0.0) ** 2 * _passed(band_hz, CUTOFF_HZ, power)
 
     def _signal(self, name: str, delay_s: float) -> Floats:
         if name not in self.raw:
@@ -340,20 +363,53 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
     start = min(int(one.t_ns[0]) for one in used.values())
     raw = {name: _on_grid(one, origin, t_ns) for name, one in used.items()}
     noise = {name: _noise_at_1_khz(one) for name, one in used.items()}
+    bands = {name: _band_hz(one) for name, one in used.items()}
     if derived:
-        speed, sigma = _rate(raw["motor_angle_rad"], noise["motor_angle_rad"])
+        bands["motor_speed_rad_s"] = bands["motor_angle_rad"]
+        speed, sigma = _rate(
+            raw["motor_angle_rad"], noise["motor_angle_rad"], bands["motor_angle_rad"]
+        )
         raw["motor_speed_rad_s"], noise["motor_speed_rad_s"] = speed, sigma
     time_s = np.asarray(t_ns * 1e-9 + (origin - start) * 1e-9, dtype=np.float64)
     balance = ("motor_torque_nm", "motor_speed_rad_s", "motor_angle_rad", "rack_force_n")
     slowest = max(float(np.median(np.diff(used[n].t_ns))) for n in balance if n in used) * 1e-9
     interval = max(slowest, STEP_S)
-    return Prepared(name, time_s, raw, noise, derived, unexplained_nm, interval_s=interval)
+    one = Prepared(
+        name, time_s, raw, noise, derived, unexplained_nm, interval_s=interval, bands_hz=bands
+    )
+    return _seen_by_angle(one)
 
 
-def _rate(angle: Floats, noise: float) -> tuple[Floats, float]:
+def _seen_by_angle(one: Prepared) -> Prepared:
+    """The angle's rate for the speed where that is mostly noise and the angle's rate is not."""
+    if one.speed_is_derived or "motor_angle_rad" not in one.raw:
+        return one
+    usual = float(np.sqrt(np.mean(one.raw["motor_speed_rad_s"] ** 2)))
+    if CLEAR_SIGMA * one.speed_noise_rad_s < usual:
+        return one
+    other = one.by_angle()
+    clearer = other.speed_noise_rad_s < _CLEARER * one.speed_noise_rad_s
+    return other.changed(speed_is_hidden=True) if clearer else one
+
+
+def _band_hz(one: Series) -> float:
+    """Half its rate; no limit for what is at least as fast as the grid."""
+    step_s = float(np.median(np.diff(one.t_ns))) * 1e-9
+    return 0.5 / step_s if step_s > 1.5 * STEP_S else np.inf
+
+
+def _passed(band_hz: float, corner_hz: float, power: int) -> float:
+    """What the low-pass leaves of noise that is white up to a band's end, as ``passed``."""
+    if band_hz > 2.0 * corner_hz:
+        return passed(corner_hz, power)
+    whole = 2.0 * band_hz * STEP_S * (2.0 * np.pi * band_hz) ** power / (power + 1)
+    return min(passed(corner_hz, power), float(whole))
+
+
+def _rate(angle: Floats, noise: float, band_hz: float) -> tuple[Floats, float]:
     """(speed, its noise: white, as strong in the smoothed speed) from an angle and its noise."""
-    share = float(np.sqrt(passed(SMOOTH_HZ, 2) / passed(SMOOTH_HZ, 0)))
-    return np.gradient(low_pass(angle, SMOOTH_HZ), STEP_S), noise * share
+    share = _passed(band_hz, SMOOTH_HZ, 2) / _passed(band_hz, SMOOTH_HZ, 0)
+    return np.gradient(low_pass(angle, SMOOTH_HZ), STEP_S), noise * float(np.sqrt(share))
 
 
 def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:
@@ -379,19 +435,44 @@ def _noise_at_1_khz(one: Series) -> float:
     Of a signal at another rate: its noise is spread over another band.
     """
     good = np.isfinite(one.value)
-    step = float(np.median(np.diff(one.t_ns[good]))) * 1e-9
-    return noise_of(one.value[good]) * float(np.sqrt(step / STEP_S))
+    steps = np.diff(one.t_ns[good]) * 1e-9
+    step = float(np.median(steps))
+    uneven = float(np.std(steps)) > _UNEVEN * step
+    stamps = np.asarray(one.t_ns[good] * 1e-9, dtype=np.float64)
+    found = noise_of(one.value[good], stamps if uneven else None)
+    return found * float(np.sqrt(step / STEP_S))
 
 
-def noise_of(values: Floats) -> float:
+def noise_of(values: Floats, time_s: Floats | None = None) -> float:
     """Standard deviation of white noise on a smooth signal, from its higher differences.
 
     From third and sixth differences, and the smaller: noise is the same in both, motion that is
     fast beside the samples is not. Heavy tails count, as the filter adds them up; beyond ten usual
     sizes it is motion (a step, a burst) and counts no more. 0 for a constant.
+    With ``time_s`` also from divided differences: values may be even by number or by their stamps.
     """
     third = np.diff(values, n=3)
-    return min(_noise_of(np.abs(third), 3), _noise_of(np.abs(np.diff(third, n=3)), 6))
+    found = [_noise_of(np.abs(third), 3), _noise_of(np.abs(np.diff(third, n=3)), 6)]
+    if time_s is not None:
+        divided = ((n, _divided(values, time_s, n)) for n in (3, 6))
+        found += [_noise_of(np.abs(one), n) for n, one in divided if len(one) > _FEWEST]
+    return min(found)
+
+
+def _divided(values: Floats, time_s: Floats, order: int) -> Floats:
+    """Divided differences, each as large by white noise as a difference of even samples is.
+
+    Not of samples that came nearly at once, whose values are often one and the same.
+    """
+    at = np.lib.stride_tricks.sliding_window_view(time_s, order + 1)
+    apart = at[:, :, None] - at[:, None, :]
+    apart[:, np.arange(order + 1), np.arange(order + 1)] = 1.0
+    weight = 1.0 / np.prod(apart / np.mean(np.diff(time_s)), axis=2)
+    weight *= np.sqrt(comb(2 * order, order) / np.sum(weight**2, axis=1))[:, None]
+    shown = np.lib.stride_tricks.sliding_window_view(values, order + 1)
+    steps = np.diff(at, axis=1)
+    even = np.min(steps, axis=1) > _AT_ONCE * np.max(steps, axis=1)
+    return np.asarray(np.sum(weight * (shown - shown[:, :1]), axis=1))[even]
 
 
 def _noise_of(bends: Floats, order: int) -> float:
