@@ -156,8 +156,14 @@ def kernel(
     return decorate if function is None else decorate(function)
 
 
+_CONFIG: Any = numba.config
+_made: list[str] = []
+"""Names of the functions that are there to be compiled."""
+
+
 def _decorator(**options: Any) -> Callable[[F], F]:
     def decorated(function: F) -> F:
+        _made.append(function.__qualname__)
         with _cached_there(function):
             try:
                 compiled: F = numba.njit(cache=FOLDER is not None, nogil=True, **options)(function)
@@ -168,6 +174,30 @@ def _decorator(**options: Any) -> Callable[[F], F]:
         return compiled
 
     return decorated
+
+
+def interpret() -> bool:
+    """Let kernels run as Python in this process; False where some are there already.
+
+    For one short answer before anything is compiled; the bits are the same.
+    """
+    if _made:
+        return False
+    _CONFIG.DISABLE_JIT = 1
+    return True
+
+
+def interpreted() -> bool:
+    """Whether kernels run as Python."""
+    return bool(_CONFIG.DISABLE_JIT)
+
+
+def kept(module: str, function: str) -> bool:
+    """Whether machine code of a ``function`` of this package's ``module`` (a.b) is on disk."""
+    if FOLDER is None:
+        return False
+    place = FOLDER.joinpath("functions", *module.split("."))
+    return any(place.glob(f"*.{function}-*.nbi"))
 
 
 def direct(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:

@@ -80,6 +80,7 @@ def estimate(
     instant that a row speaks of. Where a recording has rack_force_n, the error is shown too.
     """
     import eps_hil
+    from eps_hil.cli import _first_answer
     from eps_hil.physics.model import load_model
 
     check_places(json)
@@ -90,8 +91,10 @@ def estimate(
     changes = _changes(friction_journal)
     if out:
         _check_out(out, recordings)
-    results = []
+    results: list[Any] = []
     for path, recording in read_each(recordings, reading):
+        if not results and chosen.kind == "observer":
+            _first_answer.prepare(recording.series, len(recordings))
         read = eps_hil.Recording(str(path), recording.series, recording.notes)
         found = eps_hil.estimate(read, rig, chosen, changes=changes)
         _say(path.name, found)
@@ -107,9 +110,11 @@ def estimate(
 
 
 def _changes(journal: Path | None) -> "list[LevelChange]":
+    if journal is None:
+        return []
     from eps_hil.service.journal import level_changes
 
-    return [] if journal is None else level_changes(journal)
+    return level_changes(journal)
 
 
 def _settings(

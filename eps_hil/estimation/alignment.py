@@ -5,6 +5,8 @@ linear interpolation between its neighbours, so a delay may be any fraction of a
 integer nanoseconds, so that a clock of seconds since 1970 loses nothing.
 """
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -13,6 +15,8 @@ from eps_hil.estimation.validity import Reason
 
 RING = 512
 """Samples kept of each signal: half a second at 1 kHz."""
+WRAP = RING - 1
+"""``n & WRAP`` is ``n % RING``."""
 
 _CLIP = 9.0
 """So many variances count at most: a jump is no noise."""
@@ -26,10 +30,10 @@ Values = npt.NDArray[np.float64]
 def push_sample(stamps: Stamps, values: Values, count: Stamps, i: int, t: int, v: float) -> bool:
     """Append to ring ``i``; False (and nothing stored) for a stamp that does not go forward."""
     n = count[i]
-    if n > 0 and t <= stamps[i, (n - 1) % RING]:
+    if n > 0 and t <= stamps[i, (n - 1) & WRAP]:
         return False
-    stamps[i, n % RING] = t
-    values[i, n % RING] = v
+    stamps[i, n & WRAP] = t
+    values[i, n & WRAP] = v
     count[i] = n + 1
     return True
 
@@ -56,22 +60,22 @@ def read_between(
     n = count[i]
     if n == 0:
         return 0.0, lost, 0
-    newest = stamps[i, (n - 1) % RING]
+    newest = stamps[i, (n - 1) & WRAP]
     if t >= newest:
-        value = values[i, (n - 1) % RING]
+        value = values[i, (n - 1) & WRAP]
         if t - newest > stale:
             return value, lost, t - newest
-        return value, (0 if np.isfinite(value) else _BAD), t - newest
+        return value, (0 if math.isfinite(value) else _BAD), t - newest
     oldest = max(0, n - RING)
     k = n - 2
-    while k >= oldest and stamps[i, k % RING] > t:
+    while k >= oldest and stamps[i, k & WRAP] > t:
         k -= 1
     if k < oldest:
-        return values[i, oldest % RING], lost, 0
-    t0, t1 = stamps[i, k % RING], stamps[i, (k + 1) % RING]
-    v0, v1 = values[i, k % RING], values[i, (k + 1) % RING]
+        return values[i, oldest & WRAP], lost, 0
+    t0, t1 = stamps[i, k & WRAP], stamps[i, (k + 1) & WRAP]
+    v0, v1 = values[i, k & WRAP], values[i, (k + 1) & WRAP]
     value = v0 if t == t0 else v0 + (v1 - v0) * ((t - t0) / (t1 - t0))
-    if not np.isfinite(value):
+    if not math.isfinite(value):
         return value, _BAD, t1 - t0
     return value, (_GAP if t1 - t0 > stale else 0), t1 - t0
 
@@ -88,13 +92,13 @@ def learn_noise(
     """
     if n < 4:
         return
-    a, b, c, d = (n - 1) % RING, (n - 2) % RING, (n - 3) % RING, (n - 4) % RING
+    a, b, c, d = (n - 1) & WRAP, (n - 2) & WRAP, (n - 3) & WRAP, (n - 4) & WRAP
     period = stamps[i, a] - stamps[i, b]
     uneven = max(
         abs(stamps[i, b] - stamps[i, c] - period), abs(stamps[i, c] - stamps[i, d] - period)
     )
     bend = values[i, a] - values[i, d] + 3.0 * (values[i, c] - values[i, b])
-    if not np.isfinite(bend) or 4 * uneven > period:
+    if not math.isfinite(bend) or 4 * uneven > period:
         return
     known[i, 1] = min(known[i, 1] + 1.0, memory_ns / period)
     power = min(bend * bend / 20.0, _CLIP * known[i, 0])
@@ -111,10 +115,10 @@ def slope(
     parabola: so the speed derived from an angle is late in arriving but not in what it says.
     """
     n = count[i]
-    newest = stamps[i, (n - 1) % RING]
+    newest = stamps[i, (n - 1) & WRAP]
     k, total = n - 1, 0.0
-    while k >= max(0, n - RING) and newest - stamps[i, k % RING] <= window:
-        total += stamps[i, k % RING] - newest
+    while k >= max(0, n - RING) and newest - stamps[i, k & WRAP] <= window:
+        total += stamps[i, k & WRAP] - newest
         k -= 1
     points = n - 1 - k
     if points < 2:
@@ -122,7 +126,7 @@ def slope(
     mean = total / points
     st, sv = 0.0, 0.0
     for j in range(k + 1, n):
-        dt = stamps[i, j % RING] - newest - mean
+        dt = stamps[i, j & WRAP] - newest - mean
         st += dt * dt
-        sv += dt * values[i, j % RING]
+        sv += dt * values[i, j & WRAP]
     return True, newest + int(round(mean)), sv / st * 1e9

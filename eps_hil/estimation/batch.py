@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.settings import EstimatorSettings, problem
-from eps_hil.estimation.stream import SIGNALS, StreamEstimator, Trace
+from eps_hil.estimation.stream import SIGNALS, Lanes, StreamEstimator, Trace
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -24,6 +24,20 @@ def sample_periods_s(series: Mapping[str, Series]) -> dict[str, float]:
 def sync_signal(series: Mapping[str, Series]) -> str:
     """The signal whose samples clock the estimator: the speed, else the angle."""
     return "motor_speed_rad_s" if "motor_speed_rad_s" in series else "motor_angle_rad"
+
+
+def lanes(series: Mapping[str, Series]) -> Lanes:
+    """The samples as the compiled run takes them; it puts them in order."""
+    there = [series[name] for name in SIGNALS if name in series]
+    many = np.array([len(series[name].t_ns) if name in series else 0 for name in SIGNALS], np.int64)
+    end = np.cumsum(many)
+    begin, sync = end - many, SIGNALS.index(sync_signal(series))
+    return Lanes(
+        np.concatenate([one.t_ns for one in there]),
+        np.concatenate([one.value for one in there]),
+        np.append(begin, begin[sync]),
+        np.append(end, end[sync]),
+    )
 
 
 def events(
@@ -91,9 +105,12 @@ def estimate(
             raise ValueError("the smoother knows no change of friction levels")
         trace = _smoothed(model, chosen, periods, series)
     else:
-        trace = StreamEstimator(model, chosen, periods).run(*events(series), changes)
+        trace = StreamEstimator(model, chosen, periods).run(lanes(series), changes)
     first = min(int(s.t_ns[0]) for name, s in series.items() if name in SIGNALS)
-    keep = trace.t_ns >= first
+    there = trace.t_ns >= first
+    begin = int(np.argmax(there)) if len(there) else 0
+    # a view, where time does not jump
+    keep = slice(begin, None) if bool(there[begin:].all()) else there
     return Trace(
         trace.t_ns[keep],
         trace.rack_force_n[keep],

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import kernel
+from eps_hil.estimation import acting
 from eps_hil.estimation.bristle_model import Step, transition
 from eps_hil.estimation.bristle_setup import (
     BRISTLE,
@@ -35,7 +36,6 @@ from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import HELD, RUNS, Carried, Moment, Rig, begin_anew
 from eps_hil.estimation.validity import Reason
-from eps_hil.physics.effects import added
 from eps_hil.physics.effects.added import Added, InUse
 from eps_hil.physics.effects.effect import Instant
 from eps_hil.physics.friction import (
@@ -104,7 +104,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     if x.use.position:
         law = in_mid_travel(law, s.local)
     known = Physics(law, x.effects, x.use)
-    b.extra[1] = added.torque_nm(x.effects, i, 0.0) if x.use.torque else 0.0
+    b.extra[1] = acting.torque_nm(x.effects, i, 0.0) if x.use.torque else 0.0
     torque = drive_torque_nm(c, known, i, u) - b.extra[1]
     if s.running != RUNS:
         _start(c, f, law, b, s, u, torque)
@@ -112,7 +112,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
         b.extra[0] = _extra_level_nm(known, i, b.mean)
         _predict(f, law, b, s, 0.5 * (torque + s.torque))
     if x.use.memory:
-        added.advance(x.effects, i, c.step_s)
+        acting.advance(x.effects, i, c.step_s)
     s.torque = torque
     r.clock_s += c.step_s
     _open(f, b)
@@ -130,7 +130,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     size = f.lag + 1
     s.filtered = b.ring[b.place[0] % size] if b.place[0] >= size else b.ring[0]
     publish(c, s, friction_nm(law, b.extra, b.mean))
-    beyond = _OUT_OF_RANGE if x.use.ranged and added.out_of_range(x.effects, i) else 0
+    beyond = _OUT_OF_RANGE if x.use.ranged and acting.out_of_range(x.effects, i) else 0
     return verdict(c, s) | beyond
 
 
@@ -204,7 +204,7 @@ def _extra_level_nm(x: Physics, i: Instant, mean: Floats) -> float:
         return 0.0
     level = static_level_nm(mean[BRISTLE], mean[FORCE], x.law)
     now = moved(i, mean[OMEGA], i.position_m, i.rack_force_n)
-    return added.level_nm(x.effects, now, level) - level
+    return acting.level_nm(x.effects, now, level) - level
 
 
 @kernel

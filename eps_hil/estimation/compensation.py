@@ -3,11 +3,11 @@
 import math
 
 from eps_hil.compiled import kernel
+from eps_hil.estimation import acting
 from eps_hil.estimation.gap import still_unknown
 from eps_hil.estimation.levels import adapted_level_nm, approach
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import Moment, Rig
-from eps_hil.physics.effects import added
 from eps_hil.physics.effects.effect import Instant
 from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
@@ -43,8 +43,8 @@ def instant_of(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> Instan
     )
     if not x.use.position:
         return i
-    i = moved(i, i.speed_rad_s, added.position_m(x.effects, i, i.position_m), load)
-    s.local = 1.0 / added.load_nm(x.effects, i, 1.0)
+    i = moved(i, i.speed_rad_s, acting.position_m(x.effects, i, i.position_m), load)
+    s.local = 1.0 / acting.load_nm(x.effects, i, 1.0)
     if c.known_force:
         return i
     return moved(i, i.speed_rad_s, i.position_m, s.local * load)
@@ -55,9 +55,9 @@ def drive_torque_nm(c: Constants, x: Physics, i: Instant, u: Inputs) -> float:
     """T_1m of eq. 1a (Nm, at the rotor), with what is known to be wrong with its two sensors."""
     motor, sensor = u.motor_torque_nm, u.torque_sensor_nm
     if x.use.motor:
-        motor = added.motor_nm(x.effects, i, motor)
+        motor = acting.motor_nm(x.effects, i, motor)
     if x.use.sensor:
-        sensor = added.sensor_nm(x.effects, i, sensor)
+        sensor = acting.sensor_nm(x.effects, i, sensor)
     return motor + c.sensor_to_rotor * sensor
 
 
@@ -82,10 +82,10 @@ def friction_step(
     level = adapted_level_nm(x, r, direction, i.rack_force_n)
     now = moved(i, moving, i.position_m, i.rack_force_n)
     if x.use.level:
-        level = added.level_nm(x.effects, now, level)
+        level = acting.level_nm(x.effects, now, level)
     level = max(level, SMALLEST_LEVEL_NM)
     if x.use.memory:
-        added.advance(x.effects, now, c.step_s)
+        acting.advance(x.effects, now, c.step_s)
     s.unknown_nm = still_unknown(s.unknown_nm, slip, level, x.law.sigma0_nm_per_rad)
     s.unknown_n = s.unknown_nm * c.ratio * s.local
     before = abs(s.bristle)
@@ -96,7 +96,7 @@ def friction_step(
     friction = friction_torque_nm(s.bristle, moving, level, x.law)
     if c.limit and abs(speed) < c.limiter_speed and abs(s.acceleration) < c.limiter_acceleration:
         friction = math.copysign(min(abs(friction), abs(torque)), friction)
-    return friction + added.torque_nm(x.effects, i, 0.0) if x.use.torque else friction
+    return friction + acting.torque_nm(x.effects, i, 0.0) if x.use.torque else friction
 
 
 @kernel

@@ -9,7 +9,7 @@ as after a hole that is too long to be bridged, what may have begun unseen is wa
 from typing import TYPE_CHECKING
 
 from eps_hil.compiled import kernel
-from eps_hil.estimation.speed_and_angle import RING
+from eps_hil.estimation.speed_and_angle import WRAP
 from eps_hil.estimation.validity import Reason
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def blind(w: "Watch", p: "Limits", speed: float, refused: bool) -> None:
     A hole goes on where inputs come but no torque is seen between two of them. The course is lost,
     too, where a sample was ``refused``: what is impossible now may have been wrong before.
     """
-    w.speed[(w.steps + w.hole) % RING] = speed
+    w.speed[(w.steps + w.hole) & WRAP] = speed
     w.hole += 1
     w.unseen += 1
     if w.steps > 0 and (refused or w.unseen > p.bridged):
@@ -69,8 +69,8 @@ def course(w: "Watch", p: "Limits", torque: float, noise: float, seen: bool) -> 
     w.unseen = 0 if seen else w.unseen + 1
     if 0 < w.unseen <= p.bridged and k > 0:
         return guessed(w, p, noise)
-    w.guesses, w.doubt[k % RING] = 0, 0.0
-    w.slope_nm = (torque - w.torque[(k - n) % RING]) / n if k >= n else 0.0
+    w.guesses, w.doubt[k & WRAP] = 0, 0.0
+    w.slope_nm = (torque - w.torque[(k - n) & WRAP]) / n if k >= n else 0.0
     return torque
 
 
@@ -83,12 +83,12 @@ def guessed(w: "Watch", p: "Limits", noise: float) -> float:
     """
     k, n = w.steps, p.window
     if w.guesses == 0:
-        w.guess_before = w.doubt[(k - 1 - n) % RING] if k > n else 0.0
+        w.guess_before = w.doubt[(k - 1 - n) & WRAP] if k > n else 0.0
     w.guesses += 1
     far = w.guesses / n
     bent = 0.5 * far * (far + 1.0)
-    w.doubt[k % RING] = bent * bent * w.swing + far * far * (2.0 * noise + w.guess_before)
-    return float(w.torque[(k - 1) % RING] + w.slope_nm)
+    w.doubt[k & WRAP] = bent * bent * w.swing + far * far * (2.0 * noise + w.guess_before)
+    return float(w.torque[(k - 1) & WRAP] + w.slope_nm)
 
 
 @kernel
@@ -96,9 +96,9 @@ def learn_swing(w: "Watch", p: "Limits") -> None:
     """How far the torque leaves its course by itself within a window: the largest square (Nm²) of
     its second difference in the last half second or so, of torques that were seen."""
     n, m, t, doubt = p.window, w.steps - 1 - p.window, w.torque, w.doubt
-    if max(doubt[m % RING], doubt[(m - n) % RING], doubt[(m - 2 * n) % RING]) > 0.0:
+    if max(doubt[m & WRAP], doubt[(m - n) & WRAP], doubt[(m - 2 * n) & WRAP]) > 0.0:
         return
-    bend = t[m % RING] - 2.0 * t[(m - n) % RING] + t[(m - 2 * n) % RING]
+    bend = t[m & WRAP] - 2.0 * t[(m - n) & WRAP] + t[(m - 2 * n) & WRAP]
     w.swing = max(bend * bend, w.swing * (1.0 - p.spread_memory))
 
 
@@ -107,5 +107,5 @@ def undecided(w: "Watch", p: "Limits", edge: float) -> bool:
     """Whether a jump of ``edge`` (Nm), a window ago, may be no more than where a guess ended."""
     m, most = w.steps - 1 - p.window, 0.0
     for j in range(p.edge):
-        most = max(most, w.doubt[(m + j) % RING])
+        most = max(most, w.doubt[(m + j) & WRAP])
     return bool(edge * edge <= _SIGMA**2 * most)

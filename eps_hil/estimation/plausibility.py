@@ -6,19 +6,21 @@ taken out as it arrives; what several signals cannot be together is told beside 
 """
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import kernel, njit
+from eps_hil.compiled import kernel
 from eps_hil.estimation.holes import blind, course, unseen
+from eps_hil.estimation.records import copy
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.speed_and_angle import (
     LEAK_PER_MS,
     RING,
     SLOW_LEAK_PER_MS,
+    WRAP,
     angle_off,
     jumped_alone,
 )
@@ -183,16 +185,23 @@ def new_watch() -> Records:
 _NEW = new_watch()
 
 
-@njit
+@kernel
+def _each(of: npt.NDArray[Any]) -> tuple[Any, Any, Any, Any, Any]:
+    """A number of every signal, COUNT of them, by value."""
+    return of[0], of[1], of[2], of[3], of[4]
+
+
+@kernel
 def watch_anew(watch: Records) -> None:
     """Nothing seen yet, after a jump of time; what is of the rig's signals stays known."""
     w = watch[0]
-    spread, repeats, learnt = w.spread, w.repeats.copy(), w.learnt.copy()
-    turns, equals, rested = w.turns.copy(), w.equals.copy(), w.rested.copy()
-    watch[0] = _NEW[0]
-    w.spread, w.repeats[:], w.learnt[:] = spread, repeats, learnt
-    w.turns[:], w.equals[:], w.rested[:] = turns, equals, rested
-    w.started = 0
+    spread, repeats, learnt = w.spread, _each(w.repeats), _each(w.learnt)
+    turns, equals, rested = _each(w.turns), _each(w.equals), _each(w.rested)
+    copy(watch, 0, _NEW, 0)
+    w.spread, w.started = spread, 0
+    for i in range(COUNT):
+        w.repeats[i], w.learnt[i] = repeats[i], learnt[i]
+        w.turns[i], w.equals[i], w.rested[i] = turns[i], equals[i], rested[i]
 
 
 def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Limits:
@@ -242,7 +251,7 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
 @kernel
 def judge_sample(watch: Records, p: Limits, i: int, t: int, v: float) -> float:
     """The sample of signal ``i``, or NaN where it cannot be what it says."""
-    if not p.on or not np.isfinite(v):
+    if not p.on or not math.isfinite(v):
         return v
     w = watch[0]
     before, since = w.last[i], t - w.last_ns[i]
@@ -317,13 +326,13 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
         w.slow, w.turned, w.slow_gain = 0.0, 0.0, 0.0
         blind(w, p, u.motor_speed_rad_s, missing & (_RANGE | _RATE) != 0)
         return latched(w, p), w.told > 0
-    before = w.speed[(w.steps - 1) % RING]
+    before = w.speed[(w.steps - 1) & WRAP]
     if w.steps == 0 or w.hole > 0:
         before = u.motor_speed_rad_s
         w.angle = u.motor_angle_rad - before * p.step_s
     if w.hole > 0:
         bridge(w, p, u)
-    at = w.steps % RING
+    at = w.steps & WRAP
     reason = unseen(w, p)
     torque = u.motor_torque_nm + p.sensor_to_rotor * u.torque_sensor_nm
     w.torque[at] = course(w, p, torque - w.unexplained_nm, u.drive_noise, seen)

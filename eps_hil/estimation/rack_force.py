@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from eps_hil.compiled import kernel
+from eps_hil.estimation import acting
 from eps_hil.estimation.compensation import drive_torque_nm, friction_step, instant_of
 from eps_hil.estimation.gap import bridge
 from eps_hil.estimation.levels import FrictionLevels, adapted_level_nm, levels_in_use
@@ -34,7 +35,6 @@ from eps_hil.estimation.state import (
     new_carried,
 )
 from eps_hil.estimation.validity import Reason
-from eps_hil.physics.effects import added
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 
@@ -114,7 +114,7 @@ def estimator_step(c: Constants, x: Physics, e: Carried, u: Inputs, reason: int)
         begin_anew(e, x.effects)
         return _DIVERGED
     publish(c, s, friction)
-    beyond = _OUT_OF_RANGE if x.use.ranged and added.out_of_range(x.effects, i) else 0
+    beyond = _OUT_OF_RANGE if x.use.ranged and acting.out_of_range(x.effects, i) else 0
     return verdict(c, s) | beyond
 
 

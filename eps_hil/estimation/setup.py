@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 from eps_hil.estimation import observer_design
+from eps_hil.estimation.acting import table_of
 from eps_hil.estimation.bristle_setup import filter_constants
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.physics.effects.added import Added, InUse, added, in_use
@@ -73,7 +74,8 @@ class Physics(NamedTuple):
 def physics_of(model: Model) -> Physics:
     """Friction law and added effects of a model whose own numbers are worked in already."""
     effects = added(model)
-    return Physics(friction_law(model.friction), effects, in_use(effects))
+    use = in_use(effects)
+    return Physics(friction_law(model.friction), table_of(effects, use), use)
 
 
 class Inputs(NamedTuple):

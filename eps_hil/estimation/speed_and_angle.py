@@ -4,6 +4,7 @@ Both are of one sensor, mostly, but travel as two numbers. Their ways, ∫ω dt 
 noise, by a wrong gain, and where one is later than the other; by no more.
 """
 
+import math
 from typing import TYPE_CHECKING
 
 from eps_hil.compiled import kernel
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     from eps_hil.estimation.plausibility import Limits, Watch
 
 RING = 256
+WRAP = RING - 1
+"""``n & WRAP`` is ``n % RING``, of which there are dozens a step."""
 LEAK_PER_MS, SLOW_LEAK_PER_MS = 0.95, 0.99
 """What the residuals keep from one millisecond to the next: they cover some 20 and 100 ms."""
 _SCALE, _SMOOTHED_S = 0.25, 0.005
@@ -33,7 +36,7 @@ def angle_off(w: "Watch", p: "Limits", u: Inputs, before: float) -> bool:
     speed = u.motor_speed_rad_s
     way, turned = 0.5 * (speed + before) * p.step_s, u.motor_angle_rad - w.angle
     apart = turned - way
-    w.apart[(w.steps - 1) % RING] = w.apart[(w.steps - 2) % RING] + apart
+    w.apart[(w.steps - 1) & WRAP] = w.apart[(w.steps - 2) & WRAP] + apart
     w.slip = p.leak * w.slip + apart
     w.path = p.leak * w.path + way
     w.gain = p.leak * w.gain + (speed - before)
@@ -56,7 +59,7 @@ def _slides_alone(
     w.turned = p.slow_leak * w.turned + turned
     w.slow_gain = p.slow_leak * w.slow_gain + change
     noise = max(u.angle_noise, p.angle_noise) + p.slow_noise * max(u.speed_noise, 0.0)
-    tolerance = (p.jump * noise) ** 0.5 + p.slow_rest
+    tolerance = math.sqrt(p.jump * noise) + p.slow_rest
     tolerance += _LOW_SCALE * abs(w.turned) + _SMOOTHED_S * abs(w.slow_gain)
     w.slow = min(max(w.slow, -_MOST * tolerance), _MOST * tolerance)
     said = w.turned - w.slow  # the speed's own way
@@ -75,14 +78,14 @@ def jumped_alone(w: "Watch", p: "Limits", u: Inputs) -> bool:
     if k < 2 * n or n < 3:
         return False
     v, m = w.speed, k - n
-    jump = v[(m + 1) % RING] - v[m % RING]
-    course = v[m % RING] - v[(m - 1) % RING] + v[(m + 2) % RING] - v[(m + 1) % RING]
+    jump = v[(m + 1) & WRAP] - v[m & WRAP]
+    course = v[m & WRAP] - v[(m - 1) & WRAP] + v[(m + 2) & WRAP] - v[(m + 1) & WRAP]
     jump -= 0.5 * course
     if jump * jump < max(2.5 * p.jump * u.speed_noise, _SPEED_JUMP**2):
         return False
     bend = 0.0
     for j in range(2 * n + 1):
-        bend += p.hinge[j] * w.apart[(m - n + j) % RING]
+        bend += p.hinge[j] * w.apart[(m - n + j) & WRAP]
     due = jump * n * p.step_s
     noise = p.jump * p.hinge_noise * u.angle_noise
     return bool((bend + due) ** 2 < 0.25 * due * due and bend * bend > noise)

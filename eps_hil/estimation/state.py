@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import kernel
+from eps_hil.estimation.records import copy
 from eps_hil.physics.effects.added import Added
 
 LINE_LENGTH = 640
@@ -142,8 +143,8 @@ def keep(e: Carried, kept: Kept, good: bool, every: int) -> None:
     kept.steps[1] += 1
     if not good or kept.steps[0] < every:
         return
-    kept.moments[0] = kept.moments[1]
-    kept.moments[1] = e.moment[0]
+    copy(kept.moments, 0, kept.moments, 1)
+    copy(kept.moments, 1, e.moment, 0)
     kept.steps[1], kept.steps[0] = kept.steps[0], 0
     kept.steps[2] = min(kept.steps[2] + 1, 2)
 
@@ -156,10 +157,10 @@ def roll_back(e: Carried, kept: Kept) -> None:
     there is none yet, it begins anew.
     """
     if kept.steps[2] < 2:
-        e.moment[0] = _NEW[0]
+        copy(e.moment, 0, _NEW, 0)
         return
-    e.moment[0] = kept.moments[0]
-    kept.moments[1] = kept.moments[0]
+    copy(e.moment, 0, kept.moments, 0)
+    copy(kept.moments, 1, kept.moments, 0)
     kept.steps[0] = kept.steps[1]
     s = e.moment[0]
     s.running, s.held_steps = HELD, kept.steps[1]
@@ -171,7 +172,7 @@ def begin_anew(e: Carried, effects: Added) -> None:
 
     The levels are at their goals then: nothing is published in which a step could show.
     """
-    e.moment[0] = _NEW[0]
+    copy(e.moment, 0, _NEW, 0)
     effects.state[:] = 0.0
     r = e.rig[0]
     r.added_pos, r.added_neg = r.goal_pos, r.goal_neg

@@ -14,13 +14,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import direct
+from eps_hil.compiled import direct, interpreted
 from eps_hil.estimation import levels, setup
 from eps_hil.estimation.bristle_filter import PhysicsInside, physics_inside
 from eps_hil.estimation.bristle_setup import new_belief
 from eps_hil.estimation.levels import FrictionLevels, LevelChange
+from eps_hil.estimation.plain import plain
 from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.stream_steps import (
+    BATCH_ROWS,
     WAITING,
     new_memory,
     new_waiting,
@@ -33,7 +35,7 @@ from eps_hil.estimation.validity import Reason, reason_of
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 
-__all__ = ["SIGNALS", "Estimate", "StreamEstimator", "Trace"]
+__all__ = ["SIGNALS", "Estimate", "Lanes", "StreamEstimator", "Trace"]
 
 Int64 = npt.NDArray[np.int64]
 Float64 = npt.NDArray[np.float64]
@@ -62,6 +64,22 @@ class Trace:
     def valid(self) -> npt.NDArray[np.bool_]:
         """Where the estimate may be used."""
         return np.equal(self.reason, 0)
+
+
+class Lanes(NamedTuple):
+    """Samples of a recording, signal after signal: ``t_ns`` and ``value`` (n,).
+
+    Those of SIGNALS are ``begin`` to ``end`` in their order, (6,); last are the sync stamps.
+    """
+
+    t_ns: Int64
+    value: Float64
+    begin: Int64
+    end: Int64
+
+
+_BLOCK = 2_000_000
+"""Rows of one compiled call: half an hour at 1 kHz, 64 MB."""
 
 
 class StreamEstimator:
@@ -169,14 +187,8 @@ class StreamEstimator:
             take_and_advance, m, self.timing, self.constants, self.physics, waits, 0, 0
         )
 
-    def run(
-        self,
-        signal: npt.NDArray[np.int8],
-        t_ns: Int64,
-        value: Float64,
-        changes: Sequence[LevelChange] = (),
-    ) -> Trace:
-        """All events of a recording at once: places in SIGNALS, −1 for a sync; all shape (n,).
+    def run(self, lanes: Lanes, changes: Sequence[LevelChange] = ()) -> Trace:
+        """All samples of a recording at once.
 
         ``changes``: friction levels set meanwhile, in the order of their stamps; no jump of time
         may lie between them.
@@ -187,20 +199,33 @@ class StreamEstimator:
             queue = levels.queue_of(changes, self.physics)
             self.memory = self.memory._replace(levels=queue)
             self._take, self._advance = take_all, take_and_advance  # other types, perhaps
+        t_ns, value, at, ends = lanes.t_ns, lanes.value, lanes.begin.copy(), lanes.end
+        size = self._rows_due(lanes) + 2 * BATCH_ROWS
+        if interpreted():
+            self.memory, self.timing = plain(self.memory), plain(self.timing)
+            t_ns, value, at, ends = map(plain, (t_ns, value, at, ends))
         blocks: list[tuple[Int64, Float64, Int64]] = []
-        since, size = 0, 100_000
-        out_t, out = np.empty(size, np.int64), np.empty((size, 2))
-        out_reason = np.empty(size, np.int64)
-        while since < len(signal):
-            since, n = run(
-                self.memory, self.timing, self.constants, self.physics,
-                signal, t_ns, value, out_t, out, out_reason, since,
+        while not blocks or any(k < n for k, n in zip(at, ends, strict=True)):
+            out_t, out, out_reason = (
+                np.empty(size, np.int64), np.empty((size, 2)), np.empty(size, np.int64)
             )  # fmt: skip
-            blocks.append((out_t[:n].copy(), out[:n].copy(), out_reason[:n].copy()))
-        if not blocks:
-            return Trace(out_t[:0], out[:0, 0], out[:0, 1], out_reason[:0])
-        times, values, reasons = (np.concatenate(part) for part in zip(*blocks, strict=True))
+            n = run(
+                self.memory, self.timing, self.constants, self.physics,
+                t_ns, value, at, ends, out_t, out, out_reason,
+            )  # fmt: skip
+            blocks.append((out_t[:n], out[:n], out_reason[:n]))
+        if len(blocks) == 1:
+            times, values, reasons = blocks[0]
+        else:
+            times, values, reasons = (np.concatenate(part) for part in zip(*blocks, strict=True))
         return Trace(times, values[:, 0], values[:, 1], reasons)
+
+    def _rows_due(self, lanes: Lanes) -> int:
+        """About how many: all, where time does not jump; no more than a block in any case."""
+        sync = lanes.t_ns[lanes.begin[-1] : lanes.end[-1]]
+        if not len(sync):
+            return 0
+        return min(max(int(sync[-1] - sync[0]), 0) // self.timing.step_ns + 1, _BLOCK)
 
     def _estimate(self, k: int) -> Estimate:
         m = self.memory

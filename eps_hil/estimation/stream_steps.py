@@ -50,7 +50,7 @@ _SOUND = int(Reason.SETTLING | Reason.OUT_OF_RANGE)
 """What leaves the state itself sound, and worth going back to."""
 _BAD, _IMPLAUSIBLE = int(Reason.BAD_SAMPLE), int(Reason.IMPLAUSIBLE)
 _JUMP_NS = 1_000_000_000
-_BATCH_ROWS = 11_000
+BATCH_ROWS = 11_000
 """Steps that one sync frame can make due: a jump of a second and more starts anew."""
 WAITING = 64
 """Samples that may wait for the sync frame."""
@@ -86,9 +86,9 @@ def new_memory() -> Memory:
         np.zeros(n, np.int64),
         np.zeros(3, np.int64),
         new_carried(),
-        np.zeros(_BATCH_ROWS, np.int64),
-        np.zeros((_BATCH_ROWS, 2)),
-        np.full(_BATCH_ROWS, _NOT_STARTED, np.int64),
+        np.zeros(BATCH_ROWS, np.int64),
+        np.zeros((BATCH_ROWS, 2)),
+        np.full(BATCH_ROWS, _NOT_STARTED, np.int64),
         levels.new_queue(),
         new_watch(),
         new_kept(),
@@ -141,9 +141,8 @@ def _learn(m: Memory, timing: Timing, i: int, t: int) -> None:
     """
     if m.noise[i, 1] == 0.0:
         m.noise[i, 0], m.noise[i, 1] = timing.first_noise[i, 0], timing.first_noise[i, 1]
-    ring = alignment.RING
-    n = max(m.learnt[i], m.filled[i] - ring + 4)
-    while n < m.filled[i] and m.stamps[i, n % ring] <= t:
+    n = max(m.learnt[i], m.filled[i] - alignment.RING + 4)
+    while n < m.filled[i] and m.stamps[i, n & alignment.WRAP] <= t:
         n += 1
         alignment.learn_noise(m.stamps, m.values, n, i, m.noise, timing.noise_memory)
     m.learnt[i] = n
@@ -189,7 +188,7 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
     return inputs, reason, seen
 
 
-@kernel
+@kernel(inline="always")
 def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     """Step the grid up to sync stamp ``t``; results in m.t_ns, m.estimate, m.reason [0:n]."""
     extra = 0
@@ -205,15 +204,15 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         else:  # the clock was set back a little: for how long nothing was seen, nobody knows
             m.carried.moment[0].held_steps += _JUMP_NS // timing.step_ns
         m.grid[0] = t
-        m.filled[:] = 0
-        m.learnt[:] = 0
+        for i in range(len(SIGNALS)):
+            m.filled[i] = m.learnt[i] = 0
         watch_anew(m.watch)
         extra = _TIME
     m.grid[2] = t
     lag = int(round(c.output_lag_s * 1e9))
     n = 0
     # Half a step of grace: a sync frame that is a little early still makes its own step due.
-    while m.grid[0] <= t + timing.step_ns // 2 and n < _BATCH_ROWS:
+    while m.grid[0] <= t + timing.step_ns // 2 and n < BATCH_ROWS:
         levels.hand_over(m.levels, m.carried.rig[0], m.grid[0])
         at = m.grid[0] - timing.lookback
         inputs, reason, seen = gather(m, timing, at)
@@ -261,33 +260,47 @@ def take_and_advance(
 
 
 @kernel
+def _first(t_ns: Int64, at: Int64, ends: Int64) -> int:
+    """The lane whose next stamp is the earliest, the first of several; -1: all are at their end."""
+    lane, earliest = -1, 0
+    for i in range(len(at)):
+        if at[i] < ends[i] and (lane < 0 or t_ns[at[i]] < earliest):
+            lane, earliest = i, t_ns[at[i]]
+    return lane
+
+
+@kernel
 def run(
     m: Memory,
     timing: Timing,
     c: Constants,
     x: Physics,
-    signal: npt.NDArray[np.int8],
     t_ns: Int64,
     value: Float64,
+    at: Int64,
+    ends: Int64,
     out_t: Int64,
     out: Float64,
     out_reason: Int64,
-    since: int,
-) -> tuple[int, int]:
-    """Events ``since`` onwards (signal −1 is a sync) until done or ``out`` is full.
+) -> int:
+    """All samples in the order of their stamps until done or ``out`` is full: the rows written.
 
-    Returns (next event, rows written).
+    Lane by lane they lie in ``t_ns`` and ``value`` from ``at`` (moved on here) to ``ends``, those
+    of SIGNALS first; the last lane are the sync stamps, which come after samples of their stamp.
     """
-    rows = 0
-    k = since
-    while k < len(signal) and rows + _BATCH_ROWS <= len(out_t):
-        if signal[k] >= 0:
-            push(m, timing, signal[k], t_ns[k], value[k])
-        else:
-            n = advance(m, timing, c, x, t_ns[k])
-            for j in range(n):
-                out_t[rows + j], out_reason[rows + j] = m.t_ns[j], m.reason[j]
-                out[rows + j, 0], out[rows + j, 1] = m.estimate[j, 0], m.estimate[j, 1]
-            rows += n
-        k += 1
-    return k, rows
+    rows, sync = 0, len(at) - 1
+    while rows + BATCH_ROWS <= len(out_t):
+        lane = _first(t_ns, at, ends)
+        if lane < 0:
+            break
+        k = at[lane]
+        at[lane] = k + 1
+        if lane != sync:
+            push(m, timing, lane, t_ns[k], value[k])
+            continue
+        n = advance(m, timing, c, x, t_ns[k])
+        for j in range(n):
+            out_t[rows + j], out_reason[rows + j] = m.t_ns[j], m.reason[j]
+            out[rows + j, 0], out[rows + j, 1] = m.estimate[j, 0], m.estimate[j, 1]
+        rows += n
+    return rows

@@ -6,6 +6,7 @@ must show it. The rings of :class:`~eps_hil.estimation.plausibility.Watch` hold 
 found to be unexplained*, so that the end of a wrong torque looks like its beginning.
 """
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy.typing as npt
 from eps_hil.compiled import kernel
 from eps_hil.estimation.holes import guessed, learn_swing, lose_course, undecided
 from eps_hil.estimation.setup import Inputs
-from eps_hil.estimation.speed_and_angle import RING
+from eps_hil.estimation.speed_and_angle import WRAP
 from eps_hil.estimation.state import Records
 from eps_hil.estimation.validity import Reason
 
@@ -83,13 +84,13 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
     torque, speeds, weights = w.torque, w.pace, p.hinge
     done = 0.0
     for j in range(2 * n + 1):
-        done += weights[j] * speeds[(k - 2 * n + j) % RING]
-    w.bend[k % RING] = done
+        done += weights[j] * speeds[(k - 2 * n + j) & WRAP]
+    w.bend[k & WRAP] = done
     if k < 3 * n:
         return
-    done -= w.bend[(k - n) % RING]  # the load goes on bending the course as it did
+    done -= w.bend[(k - n) & WRAP]  # the load goes on bending the course as it did
     learn_swing(w, p)
-    base, slope, edge = torque[(k - n) % RING], *_edge(w, p, u)
+    base, slope, edge = torque[(k - n) & WRAP], *_edge(w, p, u)
     noise = p.bend_noise * u.speed_noise + p.due_noise * u.drive_noise
     limit = max(p.jump * noise, _MOTION * w.spread)
     w.spread += p.spread_memory * (min(done * done, _CLIP * w.spread) - w.spread)
@@ -98,7 +99,7 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
         return
     due, speed, before, most = 0.0, 0.0, 0.0, 0.0
     for j in range(1, n + 1):
-        off = torque[(k - n + j) % RING] - base - j * slope
+        off = torque[(k - n + j) & WRAP] - base - j * slope
         speed += 0.5 * (before + off) * p.step_s * p.inverse_inertia
         due += weights[n + j] * speed
         most, before = max(most, abs(off)), off
@@ -118,7 +119,7 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
 @kernel
 def _followed(done: float, due: float, limit: float) -> bool:
     """Whether the speed's bend ``done`` is that of the torque, ``due`` (rad/s); not zero."""
-    share = max(_FOLLOWS, 0.5 - _FOLLOWS * (limit / (due * due)) ** 0.5)
+    share = max(_FOLLOWS, 0.5 - _FOLLOWS * math.sqrt(limit / (due * due)))
     return done * due > share * due * due
 
 
@@ -130,7 +131,7 @@ def add_pace(w: "Watch", p: "Limits") -> None:
     jumps, and would hide one that jumps there, or excuse one that did not.
     """
     w.lent += p.step_s * p.inverse_inertia * w.changed_nm
-    w.pace[w.steps % RING] = w.speed[w.steps % RING] + w.lent
+    w.pace[w.steps & WRAP] = w.speed[w.steps & WRAP] + w.lent
 
 
 @kernel
@@ -156,16 +157,16 @@ def _edge(w: "Watch", p: "Limits", u: Inputs) -> tuple[float, float]:
     slope from before it counts.
     """
     n, m, torque = p.window, w.steps - 1 - p.window, w.torque
-    slope = (torque[m % RING] - torque[(m - n) % RING]) / n
+    slope = (torque[m & WRAP] - torque[(m - n) & WRAP]) / n
     new = not 0 < m - w.edge_at <= n + p.edge
     if not new:
         slope = w.edge_slope
     edge = 0.0
     for j in range(1, p.edge + 1):
-        off = torque[(m + j) % RING] - torque[m % RING] - j * slope
+        off = torque[(m + j) & WRAP] - torque[m & WRAP] - j * slope
         edge = off if abs(off) > abs(edge) else edge
     if new and _leaves(p, u, edge):
-        w.edge_at, w.edge_nm, w.edge_slope = m, torque[m % RING], slope
+        w.edge_at, w.edge_nm, w.edge_slope = m, torque[m & WRAP], slope
     return slope, edge
 
 
@@ -180,7 +181,7 @@ def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> 
         if abs(level) * p.ratio < _KEPT * UNEXPLAINED_N:
             level = 0.0
     for j in range(1, k - first + 1):
-        w.torque[(first + j) % RING] = base + j * slope
+        w.torque[(first + j) & WRAP] = base + j * slope
     old = w.unexplained_nm
     w.unexplained_nm += level if abs(level) * p.ratio > UNEXPLAINED_N else 0.0
     if abs(w.unexplained_nm) * p.ratio < _KEPT * UNEXPLAINED_N or (
@@ -230,13 +231,13 @@ def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
     missing, w.hole, w.missed = w.hole, 0, 1
     if w.steps == 0:
         return
-    speed = w.speed[(w.steps - 1) % RING]
+    speed = w.speed[(w.steps - 1) & WRAP]
     slope = (u.motor_speed_rad_s - speed) / (missing + 1)
     for j in range(1, missing + 1):
-        at = w.steps % RING
-        w.apart[at] = w.apart[(w.steps - 1) % RING]
+        at = w.steps & WRAP
+        w.apart[at] = w.apart[(w.steps - 1) & WRAP]
         w.torque[at] = guessed(w, p, u.drive_noise)
-        if not np.isfinite(w.speed[at]):
+        if not math.isfinite(w.speed[at]):
             w.speed[at] = speed + j * slope
         add_pace(w, p)
         w.steps += 1

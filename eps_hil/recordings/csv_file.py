@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterator
 from decimal import Decimal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +33,11 @@ from eps_hil.signals import TIME
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
+_DIGITS = 28
 _WORTH_ARROW = 100_000
 """Bytes from which it is worth while to load pyarrow."""
+_LOOK = 4096
+"""Bytes that are looked at first: the whole would be copied."""
 _WHAT = "a CSV file with one header line of canonical names was expected"
 
 
@@ -43,20 +47,25 @@ def read_csv(path: Path, *, ignore_unknown: bool = False) -> Table:
     names = _names(path, header, body)
     columns, notes = usable_columns(path, names, "line 1", ignore_unknown=ignore_unknown)
     body = _plain(path, body, names, columns)
-    if not body.strip(b"\n"):
+    if not (body[:_LOOK].strip(b"\n") or body.strip(b"\n")):
         raise InputError(path, "line 2", "nothing follows the header", "a recording needs rows")
     used = list(columns.values())
     line_of = _LineOfRow(body)
-    _check_width(path, body, len(names), line_of)
-    cells = _numbers(path, body, columns)
-    blank = np.isnan(cells).all(axis=1)
+    exact: Stamps | None = None
+    fast = _plainly(body, len(names), columns)
+    if fast is None:
+        _check_width(path, body, len(names), line_of)
+        cells = _numbers(path, body, columns)
+    else:
+        cells, exact = fast
+    blank = np.isnan(cells).all(axis=1) if np.isnan(cells[:, 0]).any() else np.zeros(0, bool)
     if blank.any():  # lines of nothing but commas, as a spreadsheet leaves below its data
         line_of.keep(np.flatnonzero(~blank))
         cells = cells[~blank]
     if not len(cells):
         raise InputError(path, "line 2", "all cells are empty", "a recording needs rows")
     values = {name: cells[:, used.index(index)] for name, index in columns.items()}
-    t_ns = _stamps(path, body, values, columns, line_of)
+    t_ns = _stamps(path, body, values, columns, line_of, exact)
     signals = {k: np.ascontiguousarray(v) for k, v in values.items() if k not in (TIME, TIME_NS)}
     return Table(t_ns, signals, line_of, notes)
 
@@ -67,6 +76,11 @@ class _LineOfRow:
     def __init__(self, body: bytes) -> None:
         self._body = body
         self._kept: Stamps | None = None
+
+    @property
+    def rows(self) -> Stamps | slice:
+        """Those that stay."""
+        return slice(None) if self._kept is None else self._kept
 
     def keep(self, rows: Stamps) -> None:
         """Rows that stay after others were dropped."""
@@ -90,6 +104,13 @@ def _lines(body: bytes) -> Iterator[tuple[int, bytes]]:
             yield number, line
 
 
+def _first_line(body: bytes) -> bytes:
+    begin = 0
+    while body.startswith(b"\n", begin):
+        begin += 1
+    return body[begin : body.find(b"\n", begin)]
+
+
 def _text_bytes(path: Path) -> bytes:
     raw = read_bytes(path)
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -98,7 +119,7 @@ def _text_bytes(path: Path) -> bytes:
     if b"\0" in raw:
         line = raw[: raw.index(0)].count(10) + 1
         raise InputError(path, f"line {line}", "holds binary data", _WHAT)
-    if not raw.strip():
+    if not (raw[:_LOOK].strip() or raw.strip()):
         raise InputError(path, "", "is empty", _WHAT)
     if b"\r" in raw:
         raw = raw.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -132,7 +153,7 @@ def _names(path: Path, header: str, body: bytes) -> list[str]:
         raise InputError(path, "line 1", "is blank", _WHAT)
     if all(_NUMBER.fullmatch(name) for name in names):
         raise InputError(path, "line 1", "holds numbers, no column names", _WHAT)
-    commas = body.partition(b"\n")[0].count(b",")
+    commas = body.count(b",", 0, body.find(b"\n"))
     if names[-1] == "" and (commas == len(names) - 2 or _column_is_empty(body, len(names) - 1)):
         names.pop()  # a comma that ends the header line, as some loggers write it
     return names
@@ -148,7 +169,7 @@ def _plain(path: Path, body: bytes, names: list[str], columns: dict[str, int]) -
         body = re.sub(rb"[ \t]*([,\n])[ \t]*", rb"\1", body.lstrip(b" \t"))
     if b'"' in body:
         body = _unquoted(path, body, set(columns.values()), names)
-    first = body.lstrip(b"\n").partition(b"\n")[0]
+    first = _first_line(body)
     if first.count(b",") == len(names) and _column_is_empty(body, len(names)):
         body = body.replace(b",\n", b"\n")
     return body
@@ -188,9 +209,9 @@ def _numbers(path: Path, body: bytes, columns: dict[str, int]) -> Floats:
     """All used cells, shape (rows, used): NaN for empty ones, infinite for NaN and infinity."""
     text = body.lower()
     if len(text) > _WORTH_ARROW and b"nan" not in text:
-        cells = _by_arrow(text, list(columns.values()))
-        if cells is not None:
-            return cells
+        found = _by_arrow(text, list(columns.values()), _first_line(text).count(b",") + 1)
+        if found is not None:
+            return found[0]
     text = text.replace(b"nan", b"inf")
     if text.startswith(b",") or b",," in text or b"\n," in text or b",\n" in text:
         text = _filled(text)
@@ -208,16 +229,43 @@ def _numbers(path: Path, body: bytes, columns: dict[str, int]) -> Floats:
         raise InputError(path, "", f"is not readable as CSV: {error}", _WHAT) from None
 
 
-def _by_arrow(text: bytes, used: list[int]) -> Floats | None:
-    """As ``numpy.loadtxt`` to the last bit, and faster; None where it has doubts."""
+def _plainly(
+    body: bytes, width: int, columns: dict[str, int]
+) -> tuple[Floats, Stamps | None] | None:
+    """All used cells, and stamps to the nanosecond where floats do not hold them.
+
+    None where anything is unusual, and is looked at closely: words, lines of another width.
+    """
+    if len(body) < _WORTH_ARROW or b"n" in body or b"N" in body:
+        return None
+    used, exact = list(columns.values()), None
+    if TIME_NS in columns:
+        exact = (columns[TIME_NS], 0)
+    elif TIME in columns:
+        first = _first_line(body).split(b",")
+        try:
+            exact = (columns[TIME], 9) if float(first[columns[TIME]]) >= EPOCH_S else None
+        except (ValueError, IndexError):
+            return None
+    return _by_arrow(body, used, width, exact)
+
+
+def _by_arrow(
+    text: bytes, used: list[int], width: int, exact: tuple[int, int] | None = None
+) -> tuple[Floats, Stamps | None] | None:
+    """As ``numpy.loadtxt`` to the last bit, and faster; None where it has doubts.
+
+    ``exact``: a column of stamps with so many decimal places, which are given as integers too.
+    """
     try:
         import pyarrow
         from pyarrow import csv as arrow
     except ImportError:  # the parquet extra
         return None
-    width = text.lstrip(b"\n").partition(b"\n")[0].count(b",") + 1
     names = [str(index) for index in range(width)]
     wanted = {str(index): pyarrow.float64() for index in used}
+    if exact is not None:
+        wanted[str(exact[0])] = pyarrow.decimal128(_DIGITS, exact[1])
     try:
         table = arrow.read_csv(
             pyarrow.py_buffer(text),
@@ -229,8 +277,15 @@ def _by_arrow(text: bytes, used: list[int]) -> Floats | None:
         )
     except pyarrow.ArrowException:
         return None
-    cells = np.empty((len(table), len(wanted)))
+    cells = np.empty((len(table), len(wanted)), order="F")
+    stamps: Stamps | None = None
     for k, name in enumerate(wanted):
+        if exact is not None and name == str(exact[0]):
+            stamps = _integers(table[name])
+            if stamps is None:
+                return None
+            cells[:, k] = stamps / 10.0 ** exact[1]
+            continue
         parts = [
             np.from_dlpack(chunk)  # pyarrow's own way loads pandas, where that is there
             if not chunk.null_count
@@ -238,7 +293,19 @@ def _by_arrow(text: bytes, used: list[int]) -> Floats | None:
             for chunk in table[name].chunks
         ]
         np.concatenate(parts, out=cells[:, k])
-    return cells
+    return cells, stamps
+
+
+def _integers(column: Any) -> Stamps | None:
+    """Decimal numbers of pyarrow in units of their last place; None where a cell is empty."""
+    if column.null_count:
+        return None
+    parts = []
+    for chunk in column.chunks:  # 16 bytes each, the lower half first
+        halves = np.frombuffer(chunk.buffers()[1], np.int64)[2 * chunk.offset :]
+        parts.append(halves[: 2 * len(chunk)].reshape(-1, 2))
+    low, high = np.concatenate(parts).T if parts else (np.empty(0, np.int64),) * 2
+    return None if (low >> 63 != high).any() else np.ascontiguousarray(low)
 
 
 def _filled(text: bytes) -> bytes:
@@ -272,6 +339,7 @@ def _stamps(
     values: dict[str, Floats],
     columns: dict[str, int],
     line_of: _LineOfRow,
+    known: Stamps | None,
 ) -> Stamps:
     """The exact nanosecond that the text names; from floats while those are exact."""
     name = TIME_NS if TIME_NS in columns else TIME
@@ -279,6 +347,8 @@ def _stamps(
     t_ns = stamps_from_seconds(path, seconds, line_of, column=f"column {name}")
     if np.abs(seconds).max() < EPOCH_S:
         return t_ns
+    if known is not None:
+        return known if len(known) == len(t_ns) else known[line_of.rows]
     index = columns[name]
     cells = line_of.kept([line.split(b",", index + 1)[index] for _, line in _lines(body)])
     exact: Callable[[bytes], int] = _integer if name == TIME_NS else _nanoseconds

@@ -220,14 +220,60 @@ def test_both_parsers_read_the_same_to_the_last_bit(
 ) -> None:
     body = ("\n\n" if blank else "\n").join(",".join(row) for row in rows)
     text, used = f"{body}\n".lower().encode(), [2, 0]
-    by_arrow = csv_file._by_arrow(text, used)
-    assert by_arrow is not None
+    found = csv_file._by_arrow(text, used, 3)
+    assert found is not None
+    by_arrow = found[0]
     columns = {"motor_torque_nm": 2, "time_s": 0}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(csv_file, "_WORTH_ARROW", 1 << 40)
         by_numpy = csv_file._numbers(Path("ride.csv"), text, columns)
     np.testing.assert_array_equal(by_arrow, by_numpy)
     np.testing.assert_array_equal(np.signbit(by_arrow), np.signbit(by_numpy))
+
+
+EPOCH = [1_757_617_431_821_276_123, 1_757_617_431_822_276_001, 1_757_617_432_000_000_000]
+
+
+@pytest.mark.parametrize("column", ["time_s", "time_ns"])
+def test_stamps_of_a_large_file_are_exact(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, column: str
+) -> None:
+    monkeypatch.setattr(csv_file, "_WORTH_ARROW", 0)
+    monkeypatch.setattr(csv_file, "_nanoseconds", None)  # cell by cell is another path
+    monkeypatch.setattr(csv_file, "_integer", None)
+    cells = EPOCH if column == "time_ns" else [f"{t // 10**9}.{t % 10**9:09d}" for t in EPOCH]
+    rows = "".join(f"{cell},{k}\n" for k, cell in enumerate(cells))
+    recording = _read(tmp_path, f"{column},motor_torque_nm\n\n" + rows)
+    assert recording.series["motor_torque_nm"].t_ns.tolist() == EPOCH
+
+
+@pytest.mark.parametrize(
+    ("row", "place", "problem"),
+    [
+        ("1757617433.5", "line 5", "1 cells where the header has 2"),
+        ("1757617433.5,1,2", "line 5", "3 cells where the header has 2"),
+        ("x,1", "line 5, column time_s", "'x' is not a number"),
+        (",1", "line 5, column time_s", "is empty"),
+        ("1757617433.5,nan", "line 5, column motor_torque_nm", "is NaN or infinite"),
+    ],
+)
+def test_what_is_wrong_with_a_large_file_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, row: str, place: str, problem: str
+) -> None:
+    monkeypatch.setattr(csv_file, "_WORTH_ARROW", 0)
+    rows = "".join(f"{t // 10**9}.{t % 10**9:09d},1\n" for t in EPOCH)
+    with pytest.raises(InputError) as raised:
+        _read(tmp_path, f"time_s,motor_torque_nm\n{rows}{row}\n1757617434.5,1\n")
+    assert place in str(raised.value)
+    assert problem in str(raised.value)
+
+
+def test_more_than_nine_places_are_rounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(csv_file, "_WORTH_ARROW", 0)
+    rows = "1757617431.8212761236,1\n1757617432.5,1\n"
+    recording = _read(tmp_path, "time_s,motor_torque_nm\n" + rows)
+    t_ns = recording.series["motor_torque_nm"].t_ns.tolist()
+    assert t_ns == [1_757_617_431_821_276_124, 1_757_617_432_500_000_000]
 
 
 @pytest.mark.slow

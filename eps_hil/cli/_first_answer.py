@@ -1,0 +1,45 @@
+"""The first answer after installation: interpreted at once, while it is compiled for the next."""
+
+import contextlib
+import subprocess
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from eps_hil.series import Series
+
+MOST_SAMPLES = 400_000
+"""Interpreted, these take some twenty seconds; more of them wait for the compiler."""
+
+
+def prepare(series: "Mapping[str, Series]", recordings: int) -> None:
+    """Before the estimator is imported: let it run as Python if none of it is compiled yet.
+
+    Short recordings then wait for nothing; ``recordings`` are taken to be as long as this one.
+    Both give the same bits.
+    """
+    from eps_hil import compiled
+
+    if compiled.kept("estimation.stream_steps", "run"):
+        return
+    samples = recordings * sum(len(one.t_ns) for one in series.values())
+    if samples > MOST_SAMPLES or not compiled.interpret():
+        _say("compiling the estimator, once: about a minute")
+        return
+    if compiled.FOLDER is None:
+        return
+    with contextlib.suppress(OSError):
+        subprocess.Popen(
+            [sys.executable, "-m", "eps_hil.estimation.ahead"],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )  # fmt: skip
+        _say("estimated without compiled code, which is made in the background, once")
+
+
+def _say(text: str) -> None:
+    if sys.stderr.isatty():
+        typer.echo(text, err=True)
