@@ -192,14 +192,6 @@ def interpreted() -> bool:
     return bool(_CONFIG.DISABLE_JIT)
 
 
-def kept(module: str, function: str) -> bool:
-    """Whether machine code of a ``function`` of this package's ``module`` (a.b) is on disk."""
-    if FOLDER is None:
-        return False
-    place = FOLDER.joinpath("functions", *module.split("."))
-    return any(place.glob(f"*.{function}-*.nbi"))
-
-
 def direct(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
     """The machine code of a compiled ``function`` for arguments of these very types.
 

@@ -28,8 +28,8 @@ NO_CLOCK = frozenset(
     for folder, names in {
         "bus": "bit_packing bits codec eps_rig_dbc fast_clock mapping protection sample_clock "
         "stamp_offset",
-        "cli": "budget compare convert diagnose estimate frequency_response gap identify schema "
-        "tune",
+        "cli": "budget compare convert diagnose estimate first_answer frequency_response gap "
+        "identify schema tune",
         "monitor": "view_model",
         "programme": "conductor recordings",
         "real": "emps ford_gt350",

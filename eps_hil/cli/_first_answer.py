@@ -15,15 +15,26 @@ MOST_SAMPLES = 400_000
 """Interpreted, these take some twenty seconds; more of them wait for the compiler."""
 
 
-def prepare(series: "Mapping[str, Series]", recordings: int) -> None:
+def _is_compiled(effects: bool) -> bool:
+    """Whether machine code of the batch run is on disk, for models with or without effects."""
+    from eps_hil import compiled
+
+    if compiled.FOLDER is None:
+        return False
+    place = compiled.FOLDER / "functions" / "estimation" / "stream_steps"
+    table = b"Added" if effects else b"Nothing"  # the type by which it was compiled
+    return any(table in index.read_bytes() for index in place.glob("*.run-*.nbi"))
+
+
+def prepare(series: "Mapping[str, Series]", recordings: int, *, effects: bool) -> None:
     """Before the estimator is imported: let it run as Python if none of it is compiled yet.
 
     Short recordings then wait for nothing; ``recordings`` are taken to be as long as this one.
-    Both give the same bits.
+    Both give the same bits. ``effects``: whether the model has any.
     """
     from eps_hil import compiled
 
-    if compiled.kept("estimation.stream_steps", "run"):
+    if _is_compiled(effects):
         return
     samples = recordings * sum(len(one.t_ns) for one in series.values())
     if samples > MOST_SAMPLES or not compiled.interpret():

@@ -94,7 +94,7 @@ def estimate(
     results: list[Any] = []
     for path, recording in read_each(recordings, reading):
         if not results and chosen.kind == "observer":
-            _first_answer.prepare(recording.series, len(recordings))
+            _first_answer.prepare(recording.series, len(recordings), effects=bool(rig.effects))
         read = eps_hil.Recording(str(path), recording.series, recording.notes)
         found = eps_hil.estimate(read, rig, chosen, changes=changes)
         _say(path.name, found)

@@ -6,28 +6,36 @@ Done by one process at a time, at low priority; a second one ends at once.
 import contextlib
 import fcntl
 import os
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from eps_hil import compiled
+from eps_hil.estimation.batch import events
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.stream import SIGNALS, Lanes, StreamEstimator
+from eps_hil.estimation.stream import SIGNALS, StreamEstimator
 from eps_hil.examples import CONFIGS
 from eps_hil.physics.model import load_model
+from eps_hil.series import Series
 
 
 def main() -> None:
-    """The batch run first, then what a live service calls."""
+    """The batch run first, then what a live service calls, then the run with added effects."""
     if compiled.FOLDER is None:
         return
     with (compiled.FOLDER / "ahead.lock").open("w") as lock, contextlib.suppress(BlockingIOError):
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         os.nice(5)
         model = load_model(CONFIGS / "reference_rig.yaml")
-        stream = StreamEstimator(model, EstimatorSettings(), dict.fromkeys(SIGNALS, 1e-3))
-        sample = np.zeros(1, np.int64)
-        stream.run(Lanes(sample, np.zeros(1), np.zeros(6, np.int64), np.array([1, 0, 0, 0, 0, 1])))
-        stream.warm_up()
+        effect: dict[str, Any] = {"effect": "viscous_friction", "coefficient_nm_s_per_rad": 1e-4}
+        once = Series(np.arange(2), np.zeros(2))
+        drive = dict.fromkeys(("motor_torque_nm", "motor_speed_rad_s"), once)
+        for rig in (model, replace(model, effects=(effect,))):
+            stream = StreamEstimator(rig, EstimatorSettings(), dict.fromkeys(SIGNALS, 1e-3))
+            stream.run(*events(drive))
+            if rig is model:
+                stream.warm_up()
 
 
 if __name__ == "__main__":

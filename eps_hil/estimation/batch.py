@@ -7,7 +7,8 @@ import numpy.typing as npt
 
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.settings import EstimatorSettings, problem
-from eps_hil.estimation.stream import SIGNALS, Lanes, StreamEstimator, Trace
+from eps_hil.estimation.stream import SIGNALS, StreamEstimator, Trace
+from eps_hil.estimation.stream_steps import merge
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -26,20 +27,6 @@ def sync_signal(series: Mapping[str, Series]) -> str:
     return "motor_speed_rad_s" if "motor_speed_rad_s" in series else "motor_angle_rad"
 
 
-def lanes(series: Mapping[str, Series]) -> Lanes:
-    """The samples as the compiled run takes them; it puts them in order."""
-    there = [series[name] for name in SIGNALS if name in series]
-    many = np.array([len(series[name].t_ns) if name in series else 0 for name in SIGNALS], np.int64)
-    end = np.cumsum(many)
-    begin, sync = end - many, SIGNALS.index(sync_signal(series))
-    return Lanes(
-        np.concatenate([one.t_ns for one in there]),
-        np.concatenate([one.value for one in there]),
-        np.append(begin, begin[sync]),
-        np.append(end, end[sync]),
-    )
-
-
 def events(
     series: Mapping[str, Series],
 ) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.int64], npt.NDArray[np.float64]]:
@@ -47,15 +34,17 @@ def events(
 
     Returns (place in SIGNALS or −1, stamp in ns, value), each of shape (n,).
     """
-    sync = series[sync_signal(series)].t_ns
-    parts = [(i, series[name]) for i, name in enumerate(SIGNALS) if name in series]
-    kind = np.concatenate(
-        [np.full(len(s.t_ns), i, np.int8) for i, s in parts] + [np.full(len(sync), -1, np.int8)]
-    )
-    t_ns = np.concatenate([s.t_ns for _, s in parts] + [sync])
-    value = np.concatenate([s.value for _, s in parts] + [np.zeros(len(sync))])
-    order = np.argsort(t_ns, kind="stable")
-    return kind[order], t_ns[order], value[order]
+    there = [series[name] for name in SIGNALS if name in series]
+    many = np.array([len(series[name].t_ns) if name in series else 0 for name in SIGNALS], np.int64)
+    end = np.cumsum(many)
+    begin, sync = end - many, SIGNALS.index(sync_signal(series))
+    begin, end = np.append(begin, begin[sync]), np.append(end, end[sync])
+    n = int(np.sum(end - begin))
+    signal, t_ns, value = np.empty(n, np.int8), np.empty(n, np.int64), np.empty(n)
+    stamps = np.concatenate([one.t_ns for one in there])
+    values = np.concatenate([one.value for one in there])
+    merge(stamps, values, begin, end, signal, t_ns, value)
+    return signal, t_ns, value
 
 
 def latency_s(model: Model, settings: EstimatorSettings, periods_s: Mapping[str, float]) -> float:
@@ -105,7 +94,7 @@ def estimate(
             raise ValueError("the smoother knows no change of friction levels")
         trace = _smoothed(model, chosen, periods, series)
     else:
-        trace = StreamEstimator(model, chosen, periods).run(lanes(series), changes)
+        trace = StreamEstimator(model, chosen, periods).run(*events(series), changes)
     first = min(int(s.t_ns[0]) for name, s in series.items() if name in SIGNALS)
     there = trace.t_ns >= first
     begin = int(np.argmax(there)) if len(there) else 0

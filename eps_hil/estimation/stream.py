@@ -35,7 +35,7 @@ from eps_hil.estimation.validity import Reason, reason_of
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 
-__all__ = ["SIGNALS", "Estimate", "Lanes", "StreamEstimator", "Trace"]
+__all__ = ["SIGNALS", "Estimate", "StreamEstimator", "Trace"]
 
 Int64 = npt.NDArray[np.int64]
 Float64 = npt.NDArray[np.float64]
@@ -64,18 +64,6 @@ class Trace:
     def valid(self) -> npt.NDArray[np.bool_]:
         """Where the estimate may be used."""
         return np.equal(self.reason, 0)
-
-
-class Lanes(NamedTuple):
-    """Samples of a recording, signal after signal: ``t_ns`` and ``value`` (n,).
-
-    Those of SIGNALS are ``begin`` to ``end`` in their order, (6,); last are the sync stamps.
-    """
-
-    t_ns: Int64
-    value: Float64
-    begin: Int64
-    end: Int64
 
 
 _BLOCK = 2_000_000
@@ -187,8 +175,14 @@ class StreamEstimator:
             take_and_advance, m, self.timing, self.constants, self.physics, waits, 0, 0
         )
 
-    def run(self, lanes: Lanes, changes: Sequence[LevelChange] = ()) -> Trace:
-        """All samples of a recording at once.
+    def run(
+        self,
+        signal: npt.NDArray[np.int8],
+        t_ns: Int64,
+        value: Float64,
+        changes: Sequence[LevelChange] = (),
+    ) -> Trace:
+        """All events of a recording at once: places in SIGNALS, −1 for a sync; all shape (n,).
 
         ``changes``: friction levels set meanwhile, in the order of their stamps; no jump of time
         may lie between them.
@@ -199,19 +193,21 @@ class StreamEstimator:
             queue = levels.queue_of(changes, self.physics)
             self.memory = self.memory._replace(levels=queue)
             self._take, self._advance = take_all, take_and_advance  # other types, perhaps
-        t_ns, value, at, ends = lanes.t_ns, lanes.value, lanes.begin.copy(), lanes.end
-        size = self._rows_due(lanes) + 2 * BATCH_ROWS
+        # about as many rows as are due; where time jumps, another block follows
+        due = int(t_ns[-1] - t_ns[0]) // self.timing.step_ns + 1 if len(t_ns) else 0
+        size = min(max(due, 0), _BLOCK) + 2 * BATCH_ROWS
         if interpreted():
             self.memory, self.timing = plain(self.memory), plain(self.timing)
-            t_ns, value, at, ends = map(plain, (t_ns, value, at, ends))
+            signal, t_ns, value = plain(signal), plain(t_ns), plain(value)
         blocks: list[tuple[Int64, Float64, Int64]] = []
-        while not blocks or any(k < n for k, n in zip(at, ends, strict=True)):
+        since = 0
+        while not blocks or since < len(signal):
             out_t, out, out_reason = (
                 np.empty(size, np.int64), np.empty((size, 2)), np.empty(size, np.int64)
             )  # fmt: skip
-            n = run(
+            since, n = run(
                 self.memory, self.timing, self.constants, self.physics,
-                t_ns, value, at, ends, out_t, out, out_reason,
+                signal, t_ns, value, out_t, out, out_reason, since,
             )  # fmt: skip
             blocks.append((out_t[:n], out[:n], out_reason[:n]))
         if len(blocks) == 1:
@@ -219,13 +215,6 @@ class StreamEstimator:
         else:
             times, values, reasons = (np.concatenate(part) for part in zip(*blocks, strict=True))
         return Trace(times, values[:, 0], values[:, 1], reasons)
-
-    def _rows_due(self, lanes: Lanes) -> int:
-        """About how many: all, where time does not jump; no more than a block in any case."""
-        sync = lanes.t_ns[lanes.begin[-1] : lanes.end[-1]]
-        if not len(sync):
-            return 0
-        return min(max(int(sync[-1] - sync[0]), 0) // self.timing.step_ns + 1, _BLOCK)
 
     def _estimate(self, k: int) -> Estimate:
         m = self.memory

@@ -260,47 +260,62 @@ def take_and_advance(
 
 
 @kernel
-def _first(t_ns: Int64, at: Int64, ends: Int64) -> int:
-    """The lane whose next stamp is the earliest, the first of several; -1: all are at their end."""
-    lane, earliest = -1, 0
-    for i in range(len(at)):
-        if at[i] < ends[i] and (lane < 0 or t_ns[at[i]] < earliest):
-            lane, earliest = i, t_ns[at[i]]
-    return lane
-
-
-@kernel
 def run(
     m: Memory,
     timing: Timing,
     c: Constants,
     x: Physics,
+    signal: npt.NDArray[np.int8],
+    t_ns: Int64,
+    value: Float64,
+    out_t: Int64,
+    out: Float64,
+    out_reason: Int64,
+    since: int,
+) -> tuple[int, int]:
+    """Events ``since`` onwards (signal −1 is a sync) until done or ``out`` is full.
+
+    Returns (next event, rows written).
+    """
+    rows = 0
+    k = since
+    while k < len(signal) and rows + BATCH_ROWS <= len(out_t):
+        place = int(signal[k])
+        if place >= 0:
+            push(m, timing, place, t_ns[k], value[k])
+        else:
+            n = advance(m, timing, c, x, t_ns[k])
+            for j in range(n):
+                out_t[rows + j], out_reason[rows + j] = m.t_ns[j], m.reason[j]
+                out[rows + j, 0], out[rows + j, 1] = m.estimate[j, 0], m.estimate[j, 1]
+            rows += n
+        k += 1
+    return k, rows
+
+
+@kernel
+def merge(
     t_ns: Int64,
     value: Float64,
     at: Int64,
     ends: Int64,
+    signal: npt.NDArray[np.int8],
     out_t: Int64,
     out: Float64,
-    out_reason: Int64,
-) -> int:
-    """All samples in the order of their stamps until done or ``out`` is full: the rows written.
+) -> None:
+    """Samples lane by lane, from ``at`` (moved on) to ``ends``, in the order of their stamps.
 
-    Lane by lane they lie in ``t_ns`` and ``value`` from ``at`` (moved on here) to ``ends``, those
-    of SIGNALS first; the last lane are the sync stamps, which come after samples of their stamp.
+    Of equal stamps the earlier lane comes first; the last lane are sync stamps (signal −1).
     """
-    rows, sync = 0, len(at) - 1
-    while rows + BATCH_ROWS <= len(out_t):
-        lane = _first(t_ns, at, ends)
-        if lane < 0:
-            break
-        k = at[lane]
-        at[lane] = k + 1
-        if lane != sync:
-            push(m, timing, lane, t_ns[k], value[k])
-            continue
-        n = advance(m, timing, c, x, t_ns[k])
-        for j in range(n):
-            out_t[rows + j], out_reason[rows + j] = m.t_ns[j], m.reason[j]
-            out[rows + j, 0], out[rows + j, 1] = m.estimate[j, 0], m.estimate[j, 1]
-        rows += n
-    return rows
+    lanes = len(at)
+    for k in range(len(signal)):
+        lane, earliest = -1, 0
+        for i in range(lanes):
+            if at[i] < ends[i] and (lane < 0 or t_ns[at[i]] < earliest):
+                lane, earliest = i, t_ns[at[i]]
+        out_t[k] = earliest
+        if lane == lanes - 1:
+            signal[k], out[k] = -1, 0.0
+        else:
+            signal[k], out[k] = lane, value[at[lane]]
+        at[lane] += 1

@@ -71,8 +71,8 @@ def test_same_bits_as_compiled(tmp_path: Path, effects: list[dict[str, float | s
     series = spoiled()
     np.savez(
         tmp_path / "read.npz",
-        **{f"t_{name}": one.t_ns for name, one in series.items()},
-        **{name: one.value for name, one in series.items()},
+        **{f"t_{name}": one.t_ns for name, one in series.items()},  # type: ignore[arg-type]
+        **{name: one.value for name, one in series.items()},  # type: ignore[arg-type]
     )
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_DISABLE_JIT"}
     subprocess.run(
