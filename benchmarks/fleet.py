@@ -14,6 +14,7 @@ what 10^6 such recordings need by these figures. Exit status 1 if a row failed.
 
 import argparse
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -88,14 +89,19 @@ def scheduler_cost(tasks: int) -> float:
         return (time.perf_counter() - begun) / tasks
 
 
-def plan(seconds: float, size: float, task_s: float) -> None:
+def plan(seconds: float, size: float, task_s: float, written: float) -> None:
     """What 10^6 recordings need, by what one costs a core, its bytes and its scheduling."""
     hours = MANY * seconds / 3600.0
     full = seconds / task_s
-    print(f"10^6 recordings: {hours:.0f} core hours, {MANY * size / 1e12:.2f} TB read")
+    memory_gb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e9
+    print(
+        f"10^6 recordings: {hours:.0f} core hours, {MANY * size / 1e12:.2f} TB read, "
+        f"{MANY * written / 1e12:.2f} TB written, {memory_gb:.2f} GB a worker"
+    )
     print(
         f"Dask's scheduler is full at {full:.0f} cores; then {size / task_s / 1e6:.0f} MB/s are "
-        f"read, and 10^6 take {MANY * task_s / 3600.0:.1f} h"
+        f"read, and 10^6 take {MANY * task_s / 3600.0:.1f} h; the storage gives "
+        f"{size / seconds / 1e6:.1f} MB/s to each core"
     )
 
 
@@ -126,6 +132,7 @@ def main() -> int:
             failed += wrong
             rate[processes] = seconds / (len(tasks) - 1)
             print(f"{processes} processes  {rate[processes] * 1e3:9.1f} ms a recording", flush=True)
+            written = sum(one.stat().st_size for one in out.rglob("*") if one.is_file())
         loop = by_shell([task.path for task in tasks[: chosen.shell]], chosen.job, folder)
         print(f"shell loop   {loop * 1e3:9.1f} ms a recording")
     gained = rate[1] / rate[cores] / cores
@@ -133,7 +140,7 @@ def main() -> int:
     if chosen.tasks:
         task_s = scheduler_cost(chosen.tasks)
         print(f"Dask: {task_s * 1e3:.2f} ms a task, {1.0 / task_s:.0f} tasks a second")
-        plan(rate[1], size / len(tasks), task_s)
+        plan(rate[1], size / len(tasks), task_s, written / len(tasks))
     print(f"rows that failed: {failed}")
     return int(failed > 0)
 
