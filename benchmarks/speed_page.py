@@ -148,7 +148,7 @@ def measured(row: Row, patience_s: float) -> Told:
     return Told(row, text.strip(), float(found[1]) if found else None, time.perf_counter() - begun)
 
 
-def page(told: list[Told]) -> str:
+def page(told: list[Told], quick: bool) -> str:
     """The page, in Markdown."""
     load = os.getloadavg()[0] / (os.cpu_count() or 1)
     lines = [
@@ -160,6 +160,7 @@ def page(told: list[Told]) -> str:
         f"eps_hil {VERSION}, Python {platform.python_version()}, {os.cpu_count()} cores "
         f"({_processor()}), load {load:.1f} a core at the end"
         + (": **the machine was busy**." if load > _BUSY else "."),
+        *(["", "**Small inputs: this says only that every row works.**"] if quick else []),
         "",
         "| what | peer | figure | goal | reached | in the way of more |",
         "|---|---|---|---|---|---|",
@@ -216,9 +217,9 @@ def main() -> int:
         figure = "failed" if told[-1].figure is None else f"{told[-1].figure:g}"
         print(f"{row.name:10} {figure} {row.unit}, {told[-1].seconds:.0f} s", file=sys.stderr)
         if chosen.out:
-            chosen.out.write_text(page(told), encoding="utf-8")
+            chosen.out.write_text(page(told, chosen.quick), encoding="utf-8")
     if not chosen.out:
-        print(page(told), end="")
+        print(page(told, chosen.quick), end="")
     return int(any(one.figure is None for one in told))
 
 
