@@ -132,6 +132,7 @@ class Listener:
         self._bus, self._model_file = str(config.bus), config.model
         self._balanced_ns = 0
         self._warm = threading.Event()
+        self._compiling: subprocess.Popen[bytes] | None = None
 
     def warm_up(self) -> None:
         """Load or compile the residual's code; the page moves meanwhile, without that figure.
@@ -142,14 +143,21 @@ class Listener:
 
         def work() -> None:
             if compiled.FOLDER is not None:
-                subprocess.run(
-                    [sys.executable, "-c", _WARM, str(self._model_file)], check=False,
+                self._compiling = subprocess.Popen(
+                    [sys.executable, "-c", _WARM, str(self._model_file)],
                     stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                 )  # fmt: skip
+                if self._compiling.wait() < 0:
+                    return  # closed
             self.monitor.warm_up()
             self._warm.set()
 
         threading.Thread(target=work, daemon=True).start()
+
+    def close(self) -> None:
+        """What still compiles ends with us."""
+        if self._compiling is not None:
+            self._compiling.kill()
 
     def balance(self) -> dict[str, Block]:
         """The torque balance that the last state went by, what is new of it."""
@@ -211,6 +219,7 @@ def listen(
         return True
     finally:
         port.close()
+        listener.close()
 
 
 def _catch_up(monitor: Monitor, port: ReconnectingPort | Port) -> bool:

@@ -89,6 +89,23 @@ model: {ROOT}/configs/reference_rig.yaml
     return path
 
 
+def test_what_compiles_ends_with_the_listener(
+    config: Path, pair: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("eps_hil.dashboard.listener._WARM", "import time; time.sleep(600)")
+    monkeypatch.setattr("eps_hil.compiled.FOLDER", config.parent)
+    listener = Listener(load_config(config))
+    listener.warm_up()
+    until_s = time.monotonic() + 60
+    while listener._compiling is None and time.monotonic() < until_s:
+        time.sleep(0.01)
+    assert listen(listener, SilentPort(), Outlet(pair[0]), lambda: True)  # type: ignore[arg-type]
+    assert listener._compiling is not None
+    assert listener._compiling.wait(60) < 0
+    for each in pair:
+        each.close()
+
+
 def test_a_silent_bus_is_said_in_words(
     config: Path, pair: tuple[socket.socket, socket.socket]
 ) -> None:
