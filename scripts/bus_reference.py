@@ -36,18 +36,17 @@ def load(messages: Iterable[Any], duration_s: Callable[[int], float]) -> float:
 
 
 def _messages(database: Any) -> list[str]:
-    lines = [
-        "| id | message | cycle | from | counter, CRC bits | what |",
-        "|---|---|---|---|---|---|",
-    ]
+    """A listing, two lines a message."""
+    lines = ["```"]
     for m in sorted(database.messages, key=lambda each: each.frame_id):
         checks = {s.name: _bits(s) for s in m.signals}
-        lines.append(
-            f"| 0x{m.frame_id:03X} | `{m.name}` | {m.cycle_time} ms"
-            f" | {m.senders[0]} | {checks['Counter']}, {checks.get('Crc', 'none')}"
-            f" | {re.split(r' [(]|, sent |[.] ', m.comment)[0].rstrip('.')} |"
-        )
-    return lines
+        crc = f", CRC {checks['Crc']}" if "Crc" in checks else ", no CRC"
+        lines += [
+            f"0x{m.frame_id:03X} {m.name}  {m.cycle_time} ms  {m.senders[0]}"
+            f"  counter {checks['Counter']}{crc}",
+            f"      {re.split(r' [(]|, sent |[.] ', m.comment)[0].rstrip('.')}",
+        ]
+    return [*lines, "```"]
 
 
 def _bits(signal: Any) -> str:

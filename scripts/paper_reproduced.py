@@ -44,34 +44,36 @@ def main() -> None:
 
 
 def _verdicts(content: dict[str, Any]) -> list[str]:
-    """What agrees with its number; what does not, with what was measured."""
+    """How many statements agree, and those that do not, with what was measured."""
     counts = ", ".join(f"{count} {word}" for word, count in content["outcomes"].items())
-    all_of = [(k, one) for k, figure in content["figures"].items() for one in figure["statements"]]
-    agree = [(k, o["claim"], _number(o)) for k, o in all_of if o["outcome"] == "agrees"]
-    rest = [
-        (
-            k,
-            o["claim"],
-            o["outcome"],
-            f"{o['measure']}: {_number(o)}; {o['remark'] or ''}".rstrip("; "),
-        )
-        for k, o in all_of
-        if o["outcome"] != "agrees"
-    ]
-    lines = [f"Seed {content['seed']}: {counts}.", ""]
-    lines += _table(("where", "the paper says, and it agrees", "number"), agree)
-    return lines + _table(("where", "the paper says", "here", "by"), rest)
+    lines = [f"Seed {content['seed']}: {counts}. Not, or partly:", ""]
+    for figure in content["figures"].values():
+        for one in figure["statements"]:
+            if one["outcome"] != "agrees":
+                lines.append(
+                    f"- {one['claim']} ({one['outcome']}): {one['measure']} {_number(one)};"
+                    f" {one['remark']}"
+                )
+    return [*lines, ""]
 
 
 def _number(one: dict[str, Any]) -> str:
     unit = f" {one['unit']}" if one["unit"] else ""
     value = "–" if one["value"] is None else f"{one['value']:.3g}"
     sign = {"at least": "≥", "at most": "≤"}[one["limit_is"]]
-    return f"{value} ({sign} {one['agrees_limit']:.3g}{unit})"
+    asked = " where it should be" if one["outcome"] != "agrees" else ""
+    return f"{value}{asked} {sign} {one['agrees_limit']:.3g}{unit}"
 
 
 def _figure(key: str, figure: dict[str, Any]) -> list[str]:
     lines = [f"## {figure['title']}", "", f"![{key}](images/paper_{key}.png)", ""]
+    agree = [
+        f"{one['claim']} ({_number(one)})"
+        for one in figure["statements"]
+        if one["outcome"] == "agrees"
+    ]
+    if agree:
+        lines += ["Agrees: " + "; ".join(agree) + ".", ""]
     for table in figure["tables"]:
         if table["title"] not in SHOWN:
             continue
