@@ -16,11 +16,12 @@ class Instant(NamedTuple):
 
 
 class Lane:
-    """One message on the clock: its last counter, cycle, stamp and instant."""
+    """One message on the clock: last counter, cycle and stamp that had a place on it, instant."""
 
     __slots__ = (
         "behind_since", "counter", "cycle", "in_a_row", "in_time", "joined", "late_first",
-        "late_last", "late_run", "late_total", "phase", "repeated", "stamp", "stray", "t",
+        "late_last", "late_run", "late_total", "phase", "repeated", "stamp", "stray", "strayed",
+        "t",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -35,4 +36,5 @@ class Lane:
         self.phase: int | None = None  # counter less cycle, where the line was left with it known
         self.behind_since: int | None = None  # stamp since when it alone is late
         self.stray = -1  # the last counter that could not be
+        self.strayed = 0  # its stamp
         self.in_a_row = 0

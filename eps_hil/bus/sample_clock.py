@@ -62,6 +62,11 @@ _MS = 1_000_000
 _instant = partial(tuple.__new__, Instant)
 
 
+def _heard(at: Lane) -> int:
+    """Stamp of a lane's newest frame, whether it has a place on the line or none."""
+    return at.strayed if at.in_a_row else at.stamp
+
+
 class SampleClock:
     """Sample instants from (receive stamp, counter) of one sender's messages of one period.
 
@@ -136,15 +141,16 @@ class SampleClock:
         at.repeated = False
         if skip > elapsed:  # would be early
             return self._early(at, t_ns, counter, skip)
-        at.in_a_row = 0
         cycles = skip + (elapsed - skip) // modulo * modulo
         late = early - period // 2 - cycles * period
+        silence = 0 if late <= LATE * self._unit_ns else t_ns - _heard(at)
+        at.in_a_row = 0
         if late <= LATE * self._unit_ns:
             at.late_total = at.late_run = 0
             at.late_last = 0
             at.behind_since = None
             at.in_time += 1
-        elif self._slipped(at, late, t_ns - at.stamp):
+        elif self._slipped(at, late, silence):
             return self._late(at, t_ns, counter, skip, cycles, late)
         due = self._place(at, t_ns, counter, at.cycle + cycles)
         return _instant((due, cycles - 1, False, True))  # as almost always
@@ -187,14 +193,14 @@ class SampleClock:
 
     def _early(self, at: Lane, t_ns: int, counter: int, skip: int) -> Instant:
         """A frame before its time: the stamps' clock was set, or the counter cannot be."""
-        silence = t_ns - at.stamp
+        silence = t_ns - _heard(at)
         if skip == 1 or not 0 <= silence <= self.silence_ns:
             return self._restart(at, t_ns, counter, skip, silence)
         follows = counter == (at.stray + 1) % self.counter_modulo
         at.in_a_row = at.in_a_row + 1 if follows and at.in_a_row else 1
         at.stray = counter
         if at.in_a_row < _IN_A_ROW:
-            at.stamp = t_ns
+            at.strayed = t_ns
             return Instant(self._forward(at, t_ns, t_ns), trusted=False)
         at.in_a_row = 0
         if not self._others_in_time(at, t_ns):
@@ -231,7 +237,7 @@ class SampleClock:
         """A new line through this frame; the drift is the quartz's and stays."""
         last = self.last
         again = last is not None
-        self._paused = last is None or t_ns - last.stamp > self.silence_ns
+        self._paused = last is None or t_ns - _heard(last) > self.silence_ns
         phase = at.counter - at.cycle if at.joined else at.phase
         known = phase is not None and at.in_time >= _RELATED
         moved = counter - (phase or 0)

@@ -29,7 +29,7 @@ from eps_hil.estimation.bristle_setup import (
     new_belief,
 )
 from eps_hil.estimation.compensation import drive_torque_nm, instant_of, moved
-from eps_hil.estimation.gap import bridge, still_unknown
+from eps_hil.estimation.gap import another_time, bridge, still_unknown
 from eps_hil.estimation.levels import approach
 from eps_hil.estimation.rack_force import publish, verdict
 from eps_hil.estimation.settings import EstimatorSettings
@@ -107,6 +107,8 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     b.extra[1] = acting.torque_nm(x.effects, i, 0.0) if x.use.torque else 0.0
     torque = drive_torque_nm(c, known, i, u) - b.extra[1]
     if s.running != RUNS:
+        if another_time(c, s, u, torque):
+            begin_anew(e, x.effects)
         _start(c, f, law, b, s, u, torque)
     else:
         b.extra[0] = _extra_level_nm(known, i, b.mean)
@@ -127,6 +129,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     s.bristle_rms = math.sqrt(b.cov[BRISTLE, BRISTLE])
     s.force, s.slope = b.mean[FORCE], 0.0
     _follow_unknown(f, law, b, s, u)
+    s.drive = torque
     size = f.lag + 1
     s.filtered = b.ring[b.place[0] % size] if b.place[0] >= size else b.ring[0]
     publish(c, s, friction_nm(law, b.extra, b.mean))

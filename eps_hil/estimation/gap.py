@@ -10,7 +10,7 @@ import math
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation.setup import Constants, Inputs
-from eps_hil.estimation.state import NEVER_RAN, Moment
+from eps_hil.estimation.state import HELD, NEVER_RAN, NOBODY_KNOWS, Moment
 from eps_hil.physics.friction import bristle_step
 
 NOISE_SIGMA = 4.0
@@ -25,6 +25,23 @@ def still_unknown(unknown_nm: float, slip_rad: float, level_nm: float, sigma0: f
     if unknown_nm < KNOWN_NM or slip_rad == 0.0:
         return unknown_nm
     return unknown_nm * math.exp(-slip_rad * sigma0 / level_nm)
+
+
+@kernel
+def another_time(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
+    """Whether nobody knows how long inputs were missing, nor that nothing happened meanwhile.
+
+    It did not where the clock was set and the rotor rests as it did, by angle and ``torque``
+    (T_1m, Nm).
+    """
+    if s.held_steps < NOBODY_KNOWS:
+        return False
+    most_nm = c.unknown_limit_n / c.ratio + NOISE_SIGMA * math.sqrt(2.0 * s.drive_noise)
+    most_rad = NOISE_SIGMA * math.sqrt(2.0 * max(s.angle_noise, c.first_angle_noise))
+    rests = abs(s.speed) < c.limiter_speed and abs(u.motor_speed_rad_s) < c.limiter_speed
+    turned = abs(u.motor_angle_rad - s.last_angle)
+    same = rests and c.angle_seen and turned < most_rad and abs(torque - s.drive) < most_nm
+    return s.running != HELD or not same
 
 
 @kernel

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from eps_hil.compiled import kernel
 from eps_hil.estimation import acting
 from eps_hil.estimation.compensation import drive_torque_nm, friction_step, instant_of
-from eps_hil.estimation.gap import bridge
+from eps_hil.estimation.gap import another_time, bridge
 from eps_hil.estimation.levels import FrictionLevels, adapted_level_nm, levels_in_use
 from eps_hil.estimation.observer import observer_step
 from eps_hil.estimation.settings import EstimatorSettings
@@ -98,6 +98,8 @@ def estimator_step(c: Constants, x: Physics, e: Carried, u: Inputs, reason: int)
         s.held_steps += 1
         return reason
     if s.running != RUNS:
+        if another_time(c, s, u, drive_torque_nm(c, x, instant_of(c, x, s, r, u), u)):
+            begin_anew(e, x.effects)
         start(c, x, s, r, u)
     i = instant_of(c, x, s, r, u)
     torque = drive_torque_nm(c, x, i, u)

@@ -18,6 +18,8 @@ from eps_hil.physics.effects.added import Added
 LINE_LENGTH = 640
 """Steps of friction that wait for the filtered force: 64 ms at the shortest step."""
 NEVER_RAN, HELD, RUNS = -1, 0, 1
+NOBODY_KNOWS = 1 << 40
+"""``held_steps``, and more, where the clock went back by over a second."""
 """Values of ``running``: nothing estimated yet; the last estimate is held; estimating."""
 
 Records = npt.NDArray[Any]

@@ -13,6 +13,7 @@ from eps_hil.estimation import alignment, levels
 from eps_hil.estimation.plausibility import judge_sample, judge_step, new_watch, watch_anew
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
+    NOBODY_KNOWS,
     RUNS,
     Carried,
     Kept,
@@ -198,11 +199,16 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     elif time_jumped(m.grid, timing.step_ns, t):
         levels.hand_over(m.levels, m.carried.rig[0], m.grid[0])
         m.carried.rig[0].clock_s += max(t - m.grid[0], 0) * 1e-9
-        if abs(t - m.grid[0]) > _JUMP_NS:
+        if t - m.grid[0] > _JUMP_NS:
             begin_anew(m.carried, x.effects)
             m.kept.steps[2] = 0
-        else:  # the clock was set back a little: for how long nothing was seen, nobody knows
-            m.carried.moment[0].held_steps += _JUMP_NS // timing.step_ns
+        else:  # the clock was set back: for how long nothing was seen, nobody knows
+            unseen = _JUMP_NS // timing.step_ns
+            if m.grid[0] - t > _JUMP_NS:
+                unseen = NOBODY_KNOWS
+            m.carried.moment[0].held_steps += unseen
+            m.kept.steps[0] += unseen
+            m.kept.steps[1] += unseen
         m.grid[0] = t
         for i in range(len(SIGNALS)):
             m.filled[i] = m.learnt[i] = 0
