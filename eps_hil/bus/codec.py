@@ -67,6 +67,7 @@ class FrameDecoder:
         for message_name in mapping.messages:
             self._message(database, message_name, f"messages.{message_name}")
         self._sync = self._sync_key(database, mapping)
+        self._sync_clock = None if self._sync is None else self._plans[self._sync].clock
 
     @property
     def receive_ids(self) -> tuple[int, ...]:
@@ -82,6 +83,11 @@ class FrameDecoder:
         """Name of the mapped message that the frame carries; "" if none."""
         plan = self._plans.get((frame.can_id, frame.extended))
         return "" if plan is None else plan.name
+
+    @property
+    def moved_ns(self) -> int:
+        """By how much the sync message's instants moved against its counter, in all."""
+        return 0 if self._sync_clock is None else self._sync_clock.moved_ns
 
     def sync(self, frame: Frame) -> bool:
         """Whether the estimator steps on this frame."""

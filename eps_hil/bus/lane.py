@@ -20,8 +20,8 @@ class Lane:
 
     __slots__ = (
         "behind_since", "counter", "cycle", "in_a_row", "in_time", "joined", "late_first",
-        "late_last", "late_run", "late_total", "phase", "repeated", "stamp", "stray", "strayed",
-        "t",
+        "late_last", "late_low", "late_run", "late_total", "near_since", "patience", "phase",
+        "repeated", "stamp", "stray", "strayed", "t",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -32,9 +32,12 @@ class Lane:
         self.repeated = False
         self.late_total = self.late_run = 0
         self.late_first = self.late_last = 0
+        self.late_low = 0  # the least late of those in the run
         self.in_time = 0  # frames in time since it joined
         self.phase: int | None = None  # counter less cycle, where the line was left with it known
         self.behind_since: int | None = None  # stamp since when it alone is late
+        self.patience = 0  # for how long it is then taken to wait
+        self.near_since = 0  # stamp since when its relation to the others is a guess by time
         self.stray = -1  # the last counter that could not be
         self.strayed = 0  # its stamp
         self.in_a_row = 0

@@ -55,6 +55,10 @@ _LATE_RUN = 16
 _LATE_TOTAL = 128  # not one frame in time, though some caught up
 _SILENCE_PERIODS = 20
 _DOUBT_NS = 800_000_000  # how long a lane that alone is late is taken to wait
+_PASSED_NS = 60_000_000  # the same where it did nothing, and another came that may have waited
+_YOUNG_NS = (
+    2_000_000_000  # so long after it was guessed by time a relation of counters may be wrong
+)
 _WAITED = 3.5  # periods of lateness from which that matters
 _RELATED = 64  # frames in time after which a lane's counter belongs to the line
 _IN_A_ROW = 8
@@ -87,6 +91,8 @@ class SampleClock:
         usual = _SILENCE_PERIODS * self._unit_ns
         self.silence_ns = usual if silence_ns is None else silence_ns
         self.restarts = 0
+        self.moved_ns = 0
+        """By how much the line went to later instants, in all: time itself seemed to jump."""
         self._lanes: dict[str, Lane] = {}
         self.last: Lane | None = None
         self._paused = False  # whether the sender was silent before the line began
@@ -188,6 +194,7 @@ class SampleClock:
             cycle += 0 if self._paused and ahead >= -1 else ahead
         else:
             waits = False
+            at.near_since = t_ns
         lost = 0 if first else self._held(skip, silence)
         return Instant(self._place(at, t_ns, counter, cycle), lost, trusted=not waits)
 
@@ -195,7 +202,9 @@ class SampleClock:
         """A frame before its time: the stamps' clock was set, or the counter cannot be."""
         silence = t_ns - _heard(at)
         if skip == 1 or not 0 <= silence <= self.silence_ns:
-            return self._restart(at, t_ns, counter, skip, silence)
+            found = self._restart(at, t_ns, counter, skip, silence)
+            self._be_patient(at, t_ns)
+            return found
         follows = counter == (at.stray + 1) % self.counter_modulo
         at.in_a_row = at.in_a_row + 1 if follows and at.in_a_row else 1
         at.stray = counter
@@ -208,19 +217,30 @@ class SampleClock:
         at.joined, at.phase = False, None
         return self._join(at, t_ns, counter, skip) or Instant(t_ns, trusted=False)
 
+    def _be_patient(self, at: Lane, t_ns: int) -> None:
+        """For how long others are taken to wait where ``at`` was too early for the line.
+
+        If the relation of the counters is known, they do wait. If it was guessed by time not long
+        ago, it was ``at`` that waited then, and they are in time.
+        """
+        for lane in self._lanes.values():
+            young = min(t_ns - at.near_since, t_ns - lane.near_since) < _YOUNG_NS
+            lane.patience = _PASSED_NS if young else _DOUBT_NS
+
     def _late(
         self, at: Lane, t_ns: int, counter: int, skip: int, cycles: int, late: int
     ) -> Instant:
         """Late without catching up: the sender's schedule slipped, or this lane's frames wait."""
         if self._others_in_time(at, t_ns):
-            if at.behind_since is None or not t_ns - at.behind_since > _DOUBT_NS:
-                since = t_ns if at.behind_since is None else at.behind_since
-                at.behind_since = since
+            if at.behind_since is None or not t_ns - at.behind_since > at.patience:
+                if at.behind_since is None:
+                    at.behind_since, at.patience = t_ns, _DOUBT_NS
                 t = self._place(at, t_ns, counter, at.cycle + cycles)
                 return Instant(t, cycles - 1, trusted=late < _WAITED * self._unit_ns)
             at.joined, at.phase, at.behind_since = False, None, None
             return self._join(at, t_ns, counter, skip) or Instant(t_ns, trusted=False)
-        return self._restart(at, t_ns, counter, skip, t_ns - at.stamp)
+        waited = max(late - at.late_low, 0)
+        return self._restart(at, t_ns, counter, skip, t_ns - at.stamp, waited)
 
     def _others_in_time(self, at: Lane, t_ns: int) -> bool:
         """Whether another lane's newest frame was in time, and is new."""
@@ -233,10 +253,14 @@ class SampleClock:
             for lane in self._lanes.values()
         )
 
-    def _restart(self, at: Lane, t_ns: int, counter: int, skip: int, silence: int) -> Instant:
-        """A new line through this frame; the drift is the quartz's and stays."""
+    def _restart(
+        self, at: Lane, t_ns: int, counter: int, skip: int, silence: int, waited: int = 0
+    ) -> Instant:
+        """A new line through this frame, less what it waited; the drift is kept."""
         last = self.last
         again = last is not None
+        if at.joined:
+            self.moved_ns += t_ns - waited - self._due(at.cycle + max(skip, 1))
         self._paused = last is None or t_ns - _heard(last) > self.silence_ns
         phase = at.counter - at.cycle if at.joined else at.phase
         known = phase is not None and at.in_time >= _RELATED
@@ -250,8 +274,8 @@ class SampleClock:
                 lane.phase += moved
             lane.joined = False
             lane.late_total = lane.late_run = lane.late_last = 0
-            lane.behind_since = None
-        self._origin, self._anchor, self._level = t_ns, 0, 0
+            lane.behind_since, lane.patience = None, _DOUBT_NS
+        self._origin, self._anchor, self._level = t_ns - waited, 0, 0
         self._block_start, self._low_cycle, self._low = 0, 0, 0
         self.lows.clear()
         self.restarts += again
@@ -267,8 +291,10 @@ class SampleClock:
         self.last = at
         residual = t_ns - self._origin - cycle * self.period_ns
         self._remember(cycle, residual)
-        if residual < self._level + self._slope * (cycle - self._anchor):
+        lower = residual - self._level - self._slope * (cycle - self._anchor)
+        if lower < 0.0:
             self._anchor, self._level = cycle, residual
+            self.moved_ns += round(lower)
         return self._forward(at, t_ns, self._due(cycle))
 
     def _forward(self, at: Lane, t_ns: int, due: int) -> int:
@@ -284,10 +310,12 @@ class SampleClock:
             at.late_last = late
             return True
         if silence > self.silence_ns:
+            at.late_low = late
             return True
         fell = at.late_last - late > self._unit_ns // 2  # a burst: it is catching up
         if at.late_run == 0 or fell:
-            at.late_run, at.late_first = 0, late
+            at.late_run, at.late_first, at.late_low = 0, late, late
+        at.late_low = min(at.late_low, late)
         at.late_run += 1
         at.late_total += 1
         at.late_last = late

@@ -132,7 +132,8 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     s.drive = torque
     size = f.lag + 1
     s.filtered = b.ring[b.place[0] % size] if b.place[0] >= size else b.ring[0]
-    publish(c, s, friction_nm(law, b.extra, b.mean))
+    s.unlimited = friction_nm(law, b.extra, b.mean)
+    publish(c, s, s.unlimited)
     beyond = _OUT_OF_RANGE if x.use.ranged and acting.out_of_range(x.effects, i) else 0
     return verdict(c, s) | beyond
 

@@ -93,10 +93,14 @@ def friction_step(
     if resting:  # no further than it can bend; but a noisy level must not ratchet it back
         limit = max(level / x.law.sigma0_nm_per_rad, before)
         s.bristle = min(max(s.bristle, -limit), limit)
-    friction = friction_torque_nm(s.bristle, moving, level, x.law)
+    friction = s.unlimited = friction_torque_nm(s.bristle, moving, level, x.law)
     if c.limit and abs(speed) < c.limiter_speed and abs(s.acceleration) < c.limiter_acceleration:
         friction = math.copysign(min(abs(friction), abs(torque)), friction)
-    return friction + acting.torque_nm(x.effects, i, 0.0) if x.use.torque else friction
+    if not x.use.torque:
+        return friction
+    more = acting.torque_nm(x.effects, i, 0.0)
+    s.unlimited += more
+    return friction + more
 
 
 @kernel

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from eps_hil.estimation.plausibility import Limits, Watch
 
 _SETTLING = int(Reason.SETTLING)
+_SUDDEN = 0.7
+"""Share of a torque's change in a window that a jump makes in two milliseconds."""
 _SIGMA = 2.0
 """Deviations of the guess within which a jump at a hole's end may be the guess's own error."""
 
@@ -84,11 +86,25 @@ def guessed(w: "Watch", p: "Limits", noise: float) -> float:
     k, n = w.steps, p.window
     if w.guesses == 0:
         w.guess_before = w.doubt[(k - 1 - n) & WRAP] if k > n else 0.0
+        if _jumps(w, p, noise):
+            w.slope_nm = (w.torque[(k - 1 - n) & WRAP] - w.torque[(k - 1 - 2 * n) & WRAP]) / n
     w.guesses += 1
     far = w.guesses / n
     bent = 0.5 * far * (far + 1.0)
     w.doubt[k & WRAP] = bent * bent * w.swing + far * far * (2.0 * noise + w.guess_before)
     return float(w.torque[(k - 1) & WRAP] + w.slope_nm)
+
+
+@kernel
+def _jumps(w: "Watch", p: "Limits", noise: float) -> bool:
+    """Whether the torque of the last window is no slope but a jump, which is not judged yet."""
+    n, k, t, most = p.window, w.steps - 1, w.torque, 0.0
+    if k < 2 * n:
+        return False
+    bend = t[k & WRAP] - 2.0 * t[(k - n) & WRAP] + t[(k - 2 * n) & WRAP]
+    for j in range(n - p.edge + 1):
+        most = max(most, abs(t[(k - j) & WRAP] - t[(k - j - p.edge) & WRAP]))
+    return bool(bend * bend > max(p.jump * noise, w.swing) and most > _SUDDEN * abs(bend))
 
 
 @kernel

@@ -44,6 +44,8 @@ class Moment:
     # Its torque of the last step (Nm), and how well the bristle filter knows z (rad, rms).
     friction: float
     bristle_rms: float
+    # The same before the limiter of eq. 4a, which follows the torque and not the motion.
+    unlimited: float
     # By how much the friction may be off (Nm), what that is at the rack (N), and for how many
     # steps more the output holds something of it.
     unknown_nm: float

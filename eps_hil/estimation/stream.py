@@ -101,6 +101,15 @@ class StreamEstimator:
         """From a sync frame's stamp back to the instant that its estimate speaks of."""
         return self.timing.lookback * 1e-9 + self.constants.output_lag_s
 
+    def force_of_shift_n(self, shift_ns: int) -> float:
+        """By how much the force is off (N) at its worst, once instants moved by ``shift_ns``.
+
+        Speed that changed in a step of one length seems to change in one of another.
+        """
+        c, now = self.constants, self.memory.carried.moment[0]
+        kick = abs(float(now.acceleration)) * abs(shift_ns) * 1e-9 * c.ratio / c.inverse_inertia
+        return kick / (_SPREAD * max(c.output_lag_s, c.step_s))
+
     def push(self, signal: str, t_ns: int, value: float) -> None:
         """Take one sample; a signal that the estimator does not use is ignored.
 
@@ -223,4 +232,6 @@ class StreamEstimator:
         return Estimate(int(m.t_ns[k]), force_n, friction_nm, bits == 0, reason_of(bits))
 
 
+_SPREAD = 1.5
+"""Lags of the output over which observer and filter spread what lasts a moment."""
 _NOTHING = Estimate(0, 0.0, 0.0, False, Reason.NOT_STARTED)

@@ -233,7 +233,7 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         m.t_ns[n] = at - lag
         now = m.carried.moment[0]
         known = now.running == RUNS and now.unknown_n <= c.unknown_limit_n
-        take_friction(m.watch, now.friction, known)
+        take_friction(m.watch, now.unlimited, known)
         if timing.limits.on and abs(now.out_force) > timing.limits.estimate_n:
             doubt |= _IMPLAUSIBLE
             now.settle_steps = max(now.settle_steps, c.settle_steps)

@@ -108,8 +108,9 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
         return
     if due * due < limit or w.innovation * w.innovation < limit:
         return
-    if w.stalled > 0 and w.unexplained_nm == 0.0:
-        return  # what stood still catches up
+    if w.stalled > 0 and w.unexplained_nm == 0.0:  # what stood still catches up, or is wrong anew
+        w.stalled, w.missed = p.stalled_steps, 1
+        return
     if undecided(w, p, edge):
         lose_course(w)
     else:
@@ -188,6 +189,7 @@ def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> 
         level * old < 0.0 and abs(w.unexplained_nm) < _BACK * abs(old)
     ):
         forget_unexplained(w)
+    w.slope_nm = slope
     w.quiet, w.missed = 0, 0
     if w.unsure > 0:  # it may as well be the end of what was wrong since nobody looked
         w.missed, w.stalled, w.told = 1, p.stalled_steps, _ROLLED_BACK

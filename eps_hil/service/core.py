@@ -47,6 +47,10 @@ class Decoder(Protocol):
     def decode(self, frame: Frame) -> list[Sample]:
         """Samples of a frame."""
 
+    @property
+    def moved_ns(self) -> int:
+        """By how much the sync message's instants moved against its counter, in all."""
+
     def sync(self, frame: Frame) -> bool:
         """Whether the estimator steps on it."""
 
@@ -59,6 +63,9 @@ class Estimator(Protocol):
 
     def advance(self, t_ns: int) -> int:
         """Step up to a sync stamp; how many estimates are new."""
+
+    def force_of_shift_n(self, shift_ns: int) -> float:
+        """By how much the force is off (N) once instants moved."""
 
     @property
     def latest(self) -> Estimate:
@@ -126,6 +133,29 @@ class AgeDoubt:
         return self._moved_ns * self._rate > AGE_DOUBT_N
 
 
+class ShiftDoubt:
+    """Whether the force is off because the line of the samples' instants moved a moment ago.
+
+    Until what was sampled before is out of the look-back, and out of the filters.
+    """
+
+    def __init__(self, look_back_ns: int, estimator: Estimator, moved_ns: int) -> None:
+        self._until_ns, self._since_ns, self._shift = 0, 0, 0.0
+        self._look_back_ns, self._estimator = look_back_ns, estimator
+        self._moved_ns = moved_ns
+
+    def stale(self, moved_ns: int, receive_ns: int) -> bool:
+        """For each sync frame; ``moved_ns`` as of the decoder."""
+        if moved_ns != self._moved_ns:
+            since, self._since_ns = receive_ns - self._since_ns, receive_ns
+            kept = 0.0 if not 0 <= since < self._look_back_ns else 1.0 - since / self._look_back_ns
+            self._shift = kept * self._shift + moved_ns - self._moved_ns
+            self._moved_ns = moved_ns
+            if self._estimator.force_of_shift_n(round(self._shift)) > AGE_DOUBT_N:
+                self._until_ns = receive_ns + 2 * self._look_back_ns
+        return 0 <= self._until_ns - receive_ns <= 2 * self._look_back_ns
+
+
 def estimate_values(estimate: Estimate, status: Status, age_s: float) -> dict[str, float]:
     """Signals of ``EPSHIL_Estimate`` (force in N, torque in Nm, age in ms)."""
     return {
@@ -190,6 +220,7 @@ class ServiceCore:
         self._look_back_ns = round(estimator.latency_s * 1e9)
         self._age_limit_ns = round(age_limit_s * 1e9)
         self._doubt = AgeDoubt(self._look_back_ns)
+        self._shift = ShiftDoubt(self._look_back_ns, estimator, decoder.moved_ns)
         self._start_wait_ns = round(start_wait_s * 1e9)
         self._started_ns: int | None = None
 
@@ -246,7 +277,8 @@ class ServiceCore:
             self.record.append((receive_ns, estimate))
         age_ns = receive_ns - estimate.t_ns
         estimate = aged(estimate, age_ns, self._look_back_ns, self._age_limit_ns)
-        if self._doubt.stale(estimate, receive_ns, sample_ns):
+        kicked = self._shift.stale(self.decoder.moved_ns, receive_ns)
+        if self._doubt.stale(estimate, receive_ns, sample_ns) or kicked:
             estimate = estimate._replace(valid=False, reason=estimate.reason | Reason.STALE)
         if self._start_wait_ns:
             estimate = self._waited(estimate, receive_ns)

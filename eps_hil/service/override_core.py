@@ -51,6 +51,10 @@ class _Tee:
         self._core.take(frame, samples)
         return samples
 
+    @property
+    def moved_ns(self) -> int:
+        return self._decoder.moved_ns
+
     def sync(self, frame: Frame) -> bool:
         return self._decoder.sync(frame)
 

@@ -296,6 +296,29 @@ def test_a_lane_that_joined_during_a_hiccup_is_put_right() -> None:
     assert all(instants[n, "a"] == instants[n, "b"] for n in range(5, 100))
 
 
+def test_frames_without_a_place_do_not_move_the_others() -> None:
+    """All counters jump at once, and another sender's frames keep b's from being believed.
+
+    b's own frames were once taken for the newest place on the line, and a was late beside them.
+    """
+    clock = SampleClock(MS, 256)
+    frames = []
+    for n in range(400):
+        jumped = (n + 9 if n >= 200 else n) % 256
+        frames.append((EPOCH + n * MS, jumped, "a", n))
+        frames.append((EPOCH + n * MS + 100 * US, jumped, "b", n))
+        if 150 <= n < 240:
+            frames.append((EPOCH + n * MS + 500 * US, (jumped + 97) % 256, "b", -1))
+    late = []
+    for stamp, counter, lane, n in sorted(frames):
+        at = clock.instant(stamp, counter, lane)
+        assert at is not None
+        if n >= 210 and (lane == "a" or n >= 250):
+            late.append(stamp - at.t_ns)
+            assert at.trusted
+    assert max(late) < MS // 2
+
+
 def test_a_frame_that_cannot_be_trusted_gets_the_instant_that_was_due() -> None:
     sender = Sender(cycles=200)
     clock = SampleClock(MS, 256)

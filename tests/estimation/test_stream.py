@@ -195,6 +195,34 @@ def test_a_jump_of_time_starts_anew(reference_model: Model, jump_s: int) -> None
     assert np.all(again.valid[800:])
 
 
+@pytest.mark.parametrize(("moved_rad", "known"), [(0.0, True), (0.03, False)])
+def test_a_clock_set_back_keeps_the_bristle_of_a_resting_rotor(
+    reference_model: Model, moved_rad: float, known: bool
+) -> None:
+    """By seconds: the rotor slides to rest before, and rests there by angle and torque after."""
+    rng = np.random.default_rng(3)
+    t_ns = np.arange(3000, dtype=np.int64) * MS + 100_000 * MS
+    speed = np.where(t_ns < 101_000 * MS, 20.0, 0.0)
+    columns = {
+        "motor_torque_nm": np.where(speed > 0.0, 0.3, 0.2) + 2e-3 * rng.standard_normal(3000),
+        "torque_sensor_nm": 1e-2 * rng.standard_normal(3000),
+        "motor_speed_rad_s": speed + 1e-2 * rng.standard_normal(3000),
+        "motor_angle_rad": np.cumsum(speed) * 1e-3 + 1e-3 * rng.standard_normal(3000),
+    }
+    first = {name: Series(t_ns[:2000], v[:2000]) for name, v in columns.items()}
+    columns["motor_angle_rad"][2000:] += moved_rad
+    set_back = t_ns[2000:] - 5_000 * MS
+    then = {name: Series(set_back, v[2000:]) for name, v in columns.items()}
+    settings = EstimatorSettings(plausibility=PlausibilitySettings(enabled=False))
+    stream = StreamEstimator(reference_model, settings, sample_periods_s(first))
+    before = live(stream, first)
+    after = live(stream, then)
+    assert before.valid[-1]
+    assert bool(after.valid[-1]) == known
+    if known:
+        assert abs(after.rack_force_n[-1] - before.rack_force_n[-1]) < 20.0
+
+
 def test_nothing_said_before_there_is_anything(reference_model: Model) -> None:
     stream = StreamEstimator(reference_model, EstimatorSettings(), dict.fromkeys(NAMES[:3], 1e-3))
     assert stream.latest.reason & Reason.NOT_STARTED
