@@ -153,7 +153,7 @@ class ShiftDoubt:
             self._moved_ns = moved_ns
             if self._estimator.force_of_shift_n(round(self._shift)) > AGE_DOUBT_N:
                 self._until_ns = receive_ns + 2 * self._look_back_ns
-        return 0 <= self._until_ns - receive_ns <= 2 * self._look_back_ns
+        return 0 < self._until_ns - receive_ns <= 2 * self._look_back_ns
 
 
 def estimate_values(estimate: Estimate, status: Status, age_s: float) -> dict[str, float]:

@@ -319,6 +319,39 @@ def test_frames_without_a_place_do_not_move_the_others() -> None:
     assert max(late) < MS // 2
 
 
+def test_who_waited_since_the_start_puts_the_others_in_doubt_for_a_moment_only() -> None:
+    """b's frames wait 20 ms from the first on, then no more: a was in time, and is again soon."""
+    clock = SampleClock(MS, 256)
+    frames = [(EPOCH + n * MS, n % 256, "a", n) for n in range(1200)]
+    for n in range(1180):
+        wait = 20 * MS if n < 400 else 0
+        stamp = max(EPOCH + n * MS + wait, EPOCH + 419 * MS + (n - 399) * US if n >= 400 else 0)
+        frames.append((stamp + 100 * US, n % 256, "b", n))
+    untrusted = {"a": 0, "b": 0}
+    for stamp, counter, lane, n in sorted(frames):
+        at = clock.instant(stamp, counter, lane)
+        assert at is not None
+        untrusted[lane] += not at.trusted
+        if n > 600:
+            assert at.trusted
+            assert abs(stamp - at.t_ns) < MS
+    assert untrusted["b"] == 0
+    assert 30 <= untrusted["a"] <= 100
+
+
+def test_a_line_that_moved_is_told_and_begins_at_the_least_late_frame() -> None:
+    clock = SampleClock(MS, 256)
+    for n in range(300):
+        clock.instant(EPOCH + n * MS, n % 256)
+    assert clock.moved_ns == 0
+    late = [3 * MS + (k % 4) * MS // 2 for k in range(200)]  # 3 to 4.5 ms, never in time
+    for k, by in enumerate(late):
+        at = clock.instant(EPOCH + (300 + k) * MS + by, (300 + k) % 256)
+        assert at is not None
+    assert clock.moved_ns == pytest.approx(3 * MS, abs=MS // 2)
+    assert at.t_ns == EPOCH + 499 * MS + clock.moved_ns
+
+
 def test_a_frame_that_cannot_be_trusted_gets_the_instant_that_was_due() -> None:
     sender = Sender(cycles=200)
     clock = SampleClock(MS, 256)

@@ -432,3 +432,45 @@ def test_of_a_large_offset_the_speed_must_show_more(reference_model: Model) -> N
             assert not 0 <= at <= 1000
             missed += at == -1
     assert missed == 0
+
+
+@pytest.mark.parametrize("offset_nm", [0.165, -0.165])
+def test_an_offset_at_rest_is_not_excused_by_the_limiter(
+    reference_model: Model, steps_truth: Any, offset_nm: float
+) -> None:
+    """Eq. 4a bounds the friction by the torque: what that changes moves no rotor."""
+    right = estimate(series_of(steps_truth), reference_model)
+    for since in range(11_300, 12_500, 200):
+        lied = series_of(steps_truth)
+        lied[NAMES[0]].value[since : since + 160] += offset_nm
+        trace = estimate(lied, reference_model)
+        assert wrong_and_valid_ms(trace, right) <= 20, since
+
+
+def test_what_begins_amid_the_doubt_of_another_is_doubted_anew(
+    reference_model: Model, sweep_truth: Any
+) -> None:
+    """It was taken for a frozen torque that catches up, and believed when that doubt was over."""
+    right = estimate(series_of(sweep_truth), reference_model)
+    lied = series_of(sweep_truth)
+    lied[NAMES[0]].value[9000:9050] = lied[NAMES[0]].value[9000]
+    lied[NAMES[0]].value[10_000:11_000] += 0.3
+    trace = estimate(lied, reference_model)
+    assert told(trace, 9010, 9050) & Reason.FROZEN
+    assert wrong_and_valid_ms(trace, right) <= 20
+    assert told(trace, 13_000, 14_000) == Reason.FINE
+
+
+def test_a_jump_just_before_a_hole_is_no_slope_within_it(
+    reference_model: Model, sweep_truth: Any
+) -> None:
+    """The guess ran away with the jump's slope; coming back from it was one more jump."""
+    lied = series_of(sweep_truth)
+    lied[NAMES[0]].value[9000:9400] += 0.3
+    kept = np.ones(len(lied[NAMES[0]].t_ns), bool)
+    for lost in (slice(9002, 9005), slice(9007, 9010), slice(9012, 9017)):
+        kept[lost] = False
+    holes = {n: Series(one.t_ns[kept], one.value[kept]) for n, one in lied.items()}
+    trace = estimate(holes, reference_model)
+    assert told(trace, 9030, 9400) & Reason.INCONSISTENT
+    assert told(trace, 11_400, 12_400) == Reason.FINE

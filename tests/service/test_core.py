@@ -15,7 +15,7 @@ from eps_hil.bus.frame import Frame
 from eps_hil.estimation.stream import SIGNALS, Estimate
 from eps_hil.estimation.validity import Reason
 from eps_hil.service.config import ServiceConfig
-from eps_hil.service.core import AgeDoubt, ServiceCore, Status, status_of
+from eps_hil.service.core import AgeDoubt, ServiceCore, ShiftDoubt, Status, status_of
 from eps_hil.service.setup import Parts, prepare
 
 from .conftest import T0_NS, Receiver, TinyRig
@@ -86,6 +86,20 @@ def test_an_age_that_nobody_knows_is_told_where_the_force_is_fast(
     assert all(said[116:138]) == told
     assert not any(said[145:])
     assert any(said) == told
+
+
+@pytest.mark.parametrize(("speed_up", "told"), [(0.0, False), (2_000.0, True)])
+def test_an_estimate_is_stale_where_instants_moved_while_the_rotor_sped_up(
+    parts: Parts, speed_up: float, told: bool
+) -> None:
+    """Speed that changed in one millisecond seems to have changed in four."""
+    doubt, ms = ShiftDoubt(22 * 10**6, parts.estimator, 0), 10**6
+    parts.estimator.memory.carried.moment[0].acceleration = speed_up
+    said = [doubt.stale(3 * ms if k >= 100 else 0, k * ms) for k in range(200)]
+    assert not any(said[:100])
+    assert all(said[100:144]) == told
+    assert any(said) == told
+    assert not any(said[146:])
 
 
 def test_settling_is_told_from_invalid(parts: Parts, rig: TinyRig, receiver: Receiver) -> None:
