@@ -349,6 +349,7 @@ def test_a_line_that_moved_is_told_and_begins_at_the_least_late_frame() -> None:
         at = clock.instant(EPOCH + (300 + k) * MS + by, (300 + k) % 256)
         assert at is not None
     assert clock.moved_ns == pytest.approx(3 * MS, abs=MS // 2)
+    assert at is not None
     assert at.t_ns == EPOCH + 499 * MS + clock.moved_ns
 
 
