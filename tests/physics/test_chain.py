@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 
+from eps_hil.compiled import direct
 from eps_hil.errors import InputError
 from eps_hil.physics.chain import (
     HAND_TORQUE,
@@ -67,11 +68,14 @@ def drive(
     """Step by step; columns: time and the readings, one line per integration step."""
     state = state or rest_state(chain)
     scratch, dt = np.zeros((2, INPUTS)), chain.step_s
+    first = row(0.0)
+    step = direct(advance, chain, state, 0.0, first, first, 1, scratch)
+    read = direct(read_out, chain, state, first, first)
     lines = []
     for k in range(round(seconds / dt)):
         now, after = row(k * dt), row((k + 1) * dt)
-        advance(chain, state, command((k + 0.5) * dt), now, after, 1, scratch)
-        lines.append((k * dt + dt, *read_out(chain, state, after, (after - now) / dt)))
+        step(chain, state, float(command((k + 0.5) * dt)), now, after, 1, scratch)
+        lines.append((k * dt + dt, *read(chain, state, after, (after - now) / dt)))
     return state, np.array(lines)
 
 
