@@ -1,4 +1,4 @@
-"""A plugin for runs without the compiler: a test that takes too long is stopped, and skipped.
+"""A plugin for runs without the compiler: a test that computes too long is stopped, and skipped.
 
 The alarm is raised in code of this project only, never inside the tool that measures coverage,
 which an exception there would leave locked.

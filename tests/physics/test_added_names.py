@@ -9,10 +9,11 @@ from eps_hil.physics.effects.catalogue import catalogue
 
 def _chain(compiled: Any) -> Iterator[str]:
     """Qualified names of a fused function and of those of its kind that it calls."""
-    yield compiled.py_func.__qualname__
-    for cell in compiled.py_func.__closure__ or ():
-        inner = cell.cell_contents
-        if hasattr(inner, "py_func") and inner.py_func.__module__ == added.__name__:
+    plain = getattr(compiled, "py_func", compiled)  # the function itself without the compiler
+    yield plain.__qualname__
+    for cell in plain.__closure__ or ():
+        inner = getattr(cell.cell_contents, "py_func", cell.cell_contents)
+        if callable(inner) and inner.__module__ == added.__name__:
             yield from _chain(inner)
 
 

@@ -409,4 +409,4 @@ def test_what_goes_with_time_says_so(reference_model: Model, name: str) -> None:
         SLOTS[effect.slot](table, Instant(t, 5.0, 7.3, 0.003, 400.0, 0.4, 0.6, 0.5, RATIO), 0.3)
         for t in (1.0, 200.0)
     )
-    assert (then != later) is effect.over_time
+    assert bool(then != later) is effect.over_time
