@@ -75,6 +75,17 @@ def friction_apart_n(record: AxisRecord, model: Model) -> tuple[float, float]:
     return forth, -back
 
 
+def with_more_friction(model: Model, forward_n: float, backward_n: float) -> Model:
+    """``model`` with so much more Coulomb friction: what a record's own friction is worth."""
+    friction = model.friction
+    moved = replace(
+        friction,
+        offset_pos_nm=friction.offset_pos_nm + forward_n * ARM_M,
+        offset_neg_nm=friction.offset_neg_nm + backward_n * ARM_M,
+    )
+    return replace(model, friction=moved)
+
+
 def write(folder: Path, record: AxisRecord, run: FreeRun) -> Path:
     """``free_run.csv`` (time_s, position_m as the record counts it), for anybody to score."""
     folder.mkdir(parents=True, exist_ok=True)

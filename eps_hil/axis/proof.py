@@ -10,7 +10,7 @@ import numpy.typing as npt
 from eps_hil.axis.augment import Augmented, Say, augment
 from eps_hil.axis.emps import ARM_M, AxisRecord, published_model
 from eps_hil.axis.findings import entries_of, findings
-from eps_hil.axis.free_run import FreeRun, free_run, friction_apart_n
+from eps_hil.axis.free_run import FreeRun, free_run, friction_apart_n, with_more_friction
 from eps_hil.axis.identify import axis_numbers
 from eps_hil.axis.phase import rephased
 from eps_hil.diagnosis.data.prepare import EDGE_S, SMOOTH_HZ, STEP_S, prepare
@@ -77,13 +77,16 @@ def prove(fitted: AxisRecord, heldout: AxisRecord, say: Say | None = None) -> Pr
         "after": run.rmse_mm,
         "identified_only": free_run(heldout, augmented.identified).rmse_mm,
     }
-    content["friction_more_than_modelled_n"] = {
-        name: dict(zip(("forward", "backward"), friction_apart_n(one, its), strict=True))
-        for name, one, its in (
-            ("fitted", fitted, augmented.model),
-            ("held_out", heldout, model),
-        )
+    apart = {
+        "fitted": friction_apart_n(fitted, augmented.model),
+        "held_out": friction_apart_n(heldout, model),
     }
+    content["friction_more_than_modelled_n"] = {
+        name: dict(zip(("forward", "backward"), two, strict=True)) for name, two in apart.items()
+    }
+    content["free_run_position_rmse_mm"]["after_with_its_own_friction"] = free_run(
+        heldout, with_more_friction(augmented.model, *apart["held_out"])
+    ).rmse_mm
     return Proof(content, heldout, before, after, run)
 
 

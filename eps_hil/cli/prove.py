@@ -208,6 +208,12 @@ def _say(content: Mapping[str, Any]) -> None:
         typer.echo(
             f"  {words:34}{row['before']:11.2f}{row['identified_only']:12.2f}{row['after']:11.2f}"
         )
+    more = content["friction_more_than_modelled_n"]["held_out"]
+    typer.echo(
+        f"    with the friction that it has more of ({more['forward']:.2f} N forward, "
+        f"{more['backward']:.2f} N backward): "
+        f"{content['free_run_position_rmse_mm']['after_with_its_own_friction']:.2f}"
+    )
     numbers = content["parameters"]
     typer.echo("The model's own numbers, from DATA_EMPS:")
     for name in numbers["published"]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from eps_hil.axis.emps import ARM_M, AxisRecord, published_model
-from eps_hil.axis.free_run import free_run, friction_apart_n, write
+from eps_hil.axis.free_run import free_run, friction_apart_n, with_more_friction, write
 from eps_hil.diagnosis.data.prepare import STEP_S
 from eps_hil.physics.simulate import simulate
 
@@ -45,3 +45,10 @@ def test_friction_that_a_record_has_more_of_is_told_by_direction() -> None:
     assert abs(forward - 2.0) < 0.15
     assert abs(backward + 1.0) < 0.15
     assert np.all(np.abs(friction_apart_n(record, replace(model, friction=other))) < 0.15)
+
+
+def test_more_friction_is_in_newtons_at_the_axis_by_direction() -> None:
+    own = published_model().friction
+    more = with_more_friction(published_model(), 2.0, -1.0).friction
+    assert np.isclose((more.offset_pos_nm - own.offset_pos_nm) / ARM_M, 2.0)
+    assert np.isclose((more.offset_neg_nm - own.offset_neg_nm) / ARM_M, -1.0)
