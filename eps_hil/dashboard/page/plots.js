@@ -20,7 +20,7 @@ export function short(v) {
   if (v === null || v === undefined || !isFinite(v)) return "–";
   const size = Math.abs(v);
   if (size >= 100) return v.toFixed(0).replace("-", "−");
-  if (size !== 0 && size < 0.001) return v.toExponential(1).replace("-", "−");
+  if (size !== 0 && size < 0.001) return v.toExponential(1).replaceAll("-", "−");
   return String(Number(v.toPrecision(3))).replace("-", "−");
 }
 
