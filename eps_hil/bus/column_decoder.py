@@ -181,7 +181,7 @@ def expected_crc(rule: CrcRule, data: npt.NDArray[np.uint8]) -> npt.NDArray[np.u
     """The CRC of payloads (n, width), (n,).
 
     A CRC of messages of one length is affine over their bits: that of zeros, and on top of it
-    what each byte adds.
+    what each bit adds.
     """
     width = data.shape[1]
     nothing = rule.expected(bytes(width))
@@ -189,8 +189,11 @@ def expected_crc(rule: CrcRule, data: npt.NDArray[np.uint8]) -> npt.NDArray[np.u
     for at in range(width):
         if at != rule.byte:
             before, after = bytes(at), bytes(width - at - 1)
-            adds = [rule.expected(before + bytes((b,)) + after) ^ nothing for b in range(256)]
-            crc ^= np.array(adds, np.uint8)[data[:, at]]
+            adds = np.zeros(1, np.uint8)  # of every value of the byte, by its bits
+            for bit in range(8):
+                one = rule.expected(before + bytes((1 << bit,)) + after) ^ nothing
+                adds = np.concatenate([adds, adds ^ np.uint8(one)])
+            crc ^= adds[data[:, at]]
     return crc
 
 
