@@ -12,11 +12,11 @@ PAGE = Path(__file__).parents[1] / "docs" / "reference-effects.md"
 HEAD = """# Effects that a model file may add
 
 Written by `scripts/effects_reference.py` from `eps_hil/physics/effects/`, one file an effect. A
-model file takes them as `effects: [{effect: stribeck, level_nm: 0.045, speed_rad_s: 12.0}]`;
-`simulate`, `estimate`, the service and the simulated rig use them. Torques and angles are at the
-rotor, ω is its speed, φ its angle, x the rack position, F the rack force, ψ the pinion angle.
-Brackets hold what a parameter may be. *Looks like*: what it may be confused with; `diagnose` says
-how to tell them apart.
+model file takes them below `model:`, indented: `effects: [{effect: stribeck, level_nm: 0.045,
+speed_rad_s: 12.0}]`; `simulate`, `estimate`, the service and the simulated rig use them. Torques
+and angles are at the rotor, ω is its speed, φ its angle, x the rack position, F the rack force, ψ
+the pinion angle. Brackets hold what a parameter may be. *Looks like*: what it may be confused
+with; `diagnose` says how to tell them apart.
 """
 
 WHERE = {
