@@ -76,7 +76,7 @@ _ON_THE_BUS = {
 @lru_cache(maxsize=4096)
 def reason_of(bits: int) -> Reason:
     """The same as ``Reason(bits)``, which takes as long as a step of the estimator."""
-    return Reason(bits)
+    return Reason(int(bits))  # numpy's where kernels run as Python
 
 
 def on_the_bus(reason: Reason) -> Reason:
