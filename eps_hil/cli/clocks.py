@@ -25,7 +25,7 @@ def clocks(
         Path | None,
         typer.Option(
             "--out",
-            help="A copy with the clocks put right (.log, .blf, .asc, .mf4); {name} for several.",
+            help="A copy with the clocks corrected (.log, .blf, .asc, .mf4); {name} for several.",
         ),
     ] = None,
 ) -> None:

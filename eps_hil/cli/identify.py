@@ -165,7 +165,7 @@ def _say(found: "Identification") -> None:
         where = ", ".join(part for part in (finding.recording, finding.signal) if part)
         typer.echo(f"note: {where + ': ' if where else ''}{finding.summary}")
     typer.echo(
-        f"left over while sliding: {1e3 * found.residual_nm:.3g} mNm rms; "
+        f"torque residual while sliding: {1e3 * found.residual_nm:.3g} mNm rms; "
         f"sensor noise alone: {1e3 * found.floor_nm:.3g}"
     )
 

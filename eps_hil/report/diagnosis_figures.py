@@ -124,7 +124,7 @@ def finding(
     lines = [
         Line("mean ±2 standard errors", "edge", 1e3 * (mean - error)),
         Line("", "edge", 1e3 * (mean + error), band_below=True),
-        Line("recordings, left over without this term", "dots", 1e3 * mean),
+        Line("recordings, residual without this term", "dots", 1e3 * mean),
         Line("this term, as fitted", "after", 1e3 * model),
     ]
     ratio = evidence.problem.model.rack_to_rotor_ratio_rad_per_m
@@ -143,7 +143,7 @@ def unknown(finding: Mapping[str, Any]) -> Plot | None:
     columns = zip(*finding["curve"], strict=True)
     x, size, band = (np.array(column, dtype=np.float64) for column in columns)
     what = "way that nothing explains" if apart else "torque that nothing explains"
-    what = "torque that its model takes off" if finding.get("model") else what
+    what = "torque that its model explains" if finding.get("model") else what
     lines = [
         Line("±2 standard errors", "edge", 1e3 * (size - band)),
         Line("", "edge", 1e3 * (size + band), band_below=True),

@@ -172,7 +172,7 @@ def profiles(evidence: Evidence) -> list[Plot]:
             continue
         centre = 0.5 * (edges[1:] + edges[:-1])
         plots.append(
-            Plot(f"profile-{name}", LABELS[name], "left over, N", centre, lines, height=170)
+            Plot(f"profile-{name}", LABELS[name], "residual, N", centre, lines, height=170)
         )
     return plots
 

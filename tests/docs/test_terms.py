@@ -12,7 +12,10 @@ from eps_hil.physics.effects.catalogue import catalogue
 
 ROOT = Path(__file__).parents[2]
 OLD = {
-    "torque left over": "torque residual",
+    "left over": "residual",
+    "put right": "corrected",
+    "rubs": "causes friction",
+    "leave over": "the residual",
     "noise variances": "Δχ²",
     "model as it was": "baseline model",
     "comes near enough": "fits as well",

@@ -221,7 +221,7 @@ def test_page_of_a_signal_that_is_late(explained: Diagnosis) -> None:
     assert "explained by one signal that is wrong, and by no effect of the drive" in checked.text
     assert "12 ms later than the model file says" in checked.text
     assert "Blue: with the findings." in checked.text
-    assert "put right in all that follows" in checked.text
+    assert "corrected in all that follows" in checked.text
 
 
 def test_thinned_keeps_peaks() -> None:

@@ -79,7 +79,7 @@ def in_no_file(told: Mapping[str, Mapping[str, Any]]) -> list[str]:
         return []
     return [
         "The figures after are of the written model on the hold-outs as they were read: it leaves "
-        f"torque_nrmse {left:.3g}. Once that channel is put right, which no model file does, it "
+        f"torque_nrmse {left:.3g}. Once that channel is corrected, which no model file does, it "
         f"leaves {right:.3g}."
     ]
 
