@@ -35,10 +35,10 @@ def changes(
 ) -> None:
     """What does the rig do now that it did not do before?
 
-    Both states are diagnosed, the second one against all that was found in the first: friction,
-    effects of the catalogue, and what has no name. Only what the first recordings would have shown,
-    and do not, is a change. Of each state the last recording, or the last third of a single one, is
-    kept from the fit.
+    Both states are diagnosed, then one of them against all that was found in the other: friction,
+    effects of the catalogue, and what has no name. Only what the other's recordings would have
+    shown, and do not, is a change. Of each state the last recording, or the last third of a single
+    one, is kept from the fit.
     """
     from eps_hil.diagnosis.changes import changes as run
     from eps_hil.diagnosis.data.intake import RecordingError

@@ -1,10 +1,10 @@
 """What differs between two states of one rig: recordings before, recordings after (issue 24).
 
-The recordings before are diagnosed first, and what was found there is what those after are judged
-against (``one_way.py``). Where that shows something, the question is turned round: the state after
-is diagnosed by itself, and the recordings before against it. What is gone is a plain finding there,
-which it is not the other way: an effect of another sign, out of a law that holds both it and what
-stays. A change shows both ways; it is told in the way that explains both states at the least price.
+Both are diagnosed by themselves. What was found in the one that needs less is what the other is
+judged against (``one_way.py``): what only that has is found more surely than what it lacks, which
+would be an effect of another sign, out of a law that holds both it and what stays. Names that only
+the other's own diagnosis has are changes. With any other answer the question is turned round: a
+change shows both ways, and is told in the way that explains both states at the least price.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -48,25 +48,44 @@ def changes(model: Model, before: Recordings, after: Recordings, say: Say | None
     :class:`RecordingError` as for a diagnosis.
     """
     first = diagnose(model, before, {}, part(say, 0.0, 0.2, "before"))
-    forward = against(first, "before", after, part(say, 0.2, 0.3, "after"))
-    whole = {one["effect"] for one in first.content["findings"]} & MEASURED_WHOLE.keys()
-    told = _names(forward)
-    if not told and not whole:
-        return _forward(forward, told, model, before)
-    second = diagnose(model, after, {}, part(say, 0.5, 0.2, "after"))
-    backward = against(second, "after", before, part(say, 0.7, 0.3, "before"))
-    turned = _names(backward)
-    if told and turned:
-        unknown = [UNKNOWN in names for names in (told, turned)]
-        better = unknown[0] if unknown[0] != unknown[1] else backward.price < forward.price
-        if better:
-            return _backward(backward, turned, first, model, before)
-        return _forward(forward, told, model, before)
-    if turned:
-        return _backward(backward, turned & MEASURED_WHOLE.keys(), first, model, before)
-    own = {one["effect"] for one in second.content["findings"]} - {UNKNOWN}
-    alone = own - {one["effect"] for one in first.content["findings"]}
-    return _forward(forward, told & alone, model, before)
+    second = diagnose(model, after, {}, part(say, 0.2, 0.2, "after"))
+    ways = {"before": (first, after), "after": (second, before)}
+    word, turned = _simpler_first(first, second)
+
+    def way(known: str, start: float) -> OneWay:
+        return against(ways[known][0], known, ways[known][1], part(say, start, 0.3, known))
+
+    def told(one: OneWay, names: Collection[str]) -> Changes:
+        if one.word == "before":
+            return _forward(one, names, model, before)
+        return _backward(one, names, first, model, before)
+
+    one = way(word, 0.4)
+    found, alone = _names(one), _own(ways[turned][0]) - _own(ways[word][0])
+    whole = (_own(ways[word][0]) - _own(ways[turned][0])) & MEASURED_WHOLE.keys()
+    if found <= alone and not whole:
+        return told(one, found)
+    other = way(turned, 0.7)
+    back = _names(other)
+    if found and back:
+        unknown = [UNKNOWN in names for names in (found, back)]
+        better = unknown[0] if unknown[0] != unknown[1] else other.price < one.price
+        return told(other, back) if better else told(one, found)
+    if back:
+        return told(other, back & (_own(ways[word][0]) - _own(ways[turned][0])))
+    return told(one, found & alone)
+
+
+def _simpler_first(first: Diagnosis, second: Diagnosis) -> tuple[str, str]:
+    """The state that needs less to explain it, and the other: what only that one has is found
+    more surely than what it lacks.
+    """
+    there, here = (len(one.content["findings"]) for one in (first, second))
+    return ("before", "after") if there <= here else ("after", "before")
+
+
+def _own(told: Diagnosis) -> set[str]:
+    return {str(one["effect"]) for one in told.content["findings"]} - {UNKNOWN}
 
 
 def _names(way: OneWay) -> set[str]:

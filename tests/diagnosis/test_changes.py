@@ -102,13 +102,15 @@ class Way(OneWay):
     [
         # (names of the first state, of the second), (second against first, first against second)
         (((), ()), ((), ("stribeck",)), 0.0, []),  # nothing is new: nobody looks the other way
-        (((), ("stribeck",)), (("stribeck",), ("stribeck",)), 5.0, ["stribeck new"]),
-        ((("stribeck",), ()), (("quadratic_drag",), ("stribeck",)), -5.0, ["stribeck gone"]),
-        ((("stribeck",), ()), (("unknown",), ("stribeck",)), 5.0, ["stribeck gone"]),
-        (((), ("stribeck",)), (("stribeck",), ("unknown",)), -5.0, ["stribeck new"]),
+        (((), ("stribeck",)), (("stribeck",), ("unknown",)), 5.0, ["stribeck new"]),
+        ((("stribeck",), ()), (("quadratic_drag",), ("stribeck",)), 5.0, ["stribeck gone"]),
+        ((("a",), ("a",)), (("unknown",), ("stribeck",)), 5.0, ["stribeck gone"]),
+        ((("a",), ("a",)), (("quadratic_drag",), ("stribeck",)), -5.0, ["stribeck gone"]),
+        ((("a",), ("a",)), (("quadratic_drag",), ("stribeck",)), 5.0, ["quadratic_drag new"]),
+        (((), ("a",)), (("stribeck",), ("unknown",)), -5.0, ["stribeck new"]),
         (((), ()), (("stribeck",), ()), 0.0, []),  # shows one way only, in neither diagnosis
-        (((), ("stribeck",)), (("stribeck",), ()), 0.0, ["stribeck new"]),
-        ((("backlash",), ()), ((), ("backlash", "stribeck")), 0.0, ["backlash gone"]),
+        (((), ("stribeck",)), (("stribeck", "a"), ()), 0.0, ["stribeck new"]),
+        ((("backlash",), ("a",)), ((), ("backlash", "stribeck")), 0.0, ["backlash gone"]),
     ],
 )
 def test_a_change_is_told_the_way_that_explains_both_states(
