@@ -14,18 +14,27 @@ from eps_hil.report.plots import ticks
 Floats = npt.NDArray[np.float64]
 
 COLUMNS, ROWS = 24, 16
+_UNKNOWN = 1e9
+"""Half width where nothing was seen."""
 
 
 def maps(finding: Mapping[str, Any]) -> list[dict[str, Any]]:
     """For each term of a finding's model that is a map: axes, cells and the ends of its scale.
 
-    Values are mNm, or percent where the map is a factor.
+    Values are mNm, or percent where the map is a factor. A cell is ``sure`` where its value is
+    beyond its 95 % half width (``band`` of the model).
     """
-    terms = (finding.get("model") or {}).get("terms", [])
-    return [_map(term) for term in terms if len(term["inputs"]) == 2 and "values" in term]
+    model = finding.get("model") or {}
+    terms = model.get("terms", [])
+    bands = model.get("band", [None] * len(terms))
+    return [
+        _map(term, band)
+        for term, band in zip(terms, bands, strict=True)
+        if len(term["inputs"]) == 2 and "values" in term
+    ]
 
 
-def _map(term: Mapping[str, Any]) -> dict[str, Any]:
+def _map(term: Mapping[str, Any], band: Any) -> dict[str, Any]:
     knots = [np.array(axis, dtype=np.float64) for axis in term["knots"]]
     ends = [
         term.get("range", {}).get(name, (axis[0], axis[-1]))
@@ -37,6 +46,10 @@ def _map(term: Mapping[str, Any]) -> dict[str, Any]:
     )
     factor = 100.0 if term["how"] == "factor" else 1e3
     values = factor * float(term.get("size", 1.0)) * _between(term["values"], knots, x, y)
+    half = np.zeros(values.shape)
+    if band is not None:
+        known = [[np.inf if one is None else one for one in row] for row in band]
+        half = factor * _between(np.minimum(known, _UNKNOWN), knots, x, y)
     low, high = float(np.min(values)), float(np.max(values))
     cells = [
         {
@@ -44,6 +57,8 @@ def _map(term: Mapping[str, Any]) -> dict[str, Any]:
             "row": ROWS - 1 - j,
             "fill": colour((values[i, j] - low) / max(high - low, 1e-12)),
             "value": float(values[i, j]),
+            "half": float(half[i, j]),
+            "sure": bool(abs(values[i, j]) >= half[i, j]),
         }
         for i in range(COLUMNS)
         for j in range(ROWS)

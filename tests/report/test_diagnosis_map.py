@@ -34,3 +34,13 @@ def test_a_factor_is_told_in_percent_and_a_law_is_no_map() -> None:
     assert drawn["high"] == pytest.approx(100.0 * 0.03, rel=0.06)
     law = {"inputs": ["time_s", "motor_speed_rad_s"], "shapes": ["linear", "linear"]}
     assert maps({"model": {"terms": [law]}}) == maps({}) == []
+
+
+def test_a_cell_within_its_band_is_not_sure() -> None:
+    """Where nothing was seen (None), nothing is."""
+    band = [[0.001, 0.001, None], [0.001, 0.05, None]]
+    (drawn,) = maps({"model": {"terms": [TERM], "band": [band]}})
+    sure = {(cell["column"], cell["row"]): cell["sure"] for cell in drawn["cells"]}
+    assert sure[COLUMNS - 1, ROWS - 1]
+    assert not sure[0, ROWS - 1]
+    assert not any(sure[i, 0] for i in range(COLUMNS))

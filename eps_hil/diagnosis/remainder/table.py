@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.remainder.sight import Sight
 
 Floats = npt.NDArray[np.float64]
@@ -21,6 +22,8 @@ _PENALTIES = (1e-5, 1e-3, 1e-1, 10.0)
 _NO_AXIS = ("time_s", "motor_angle_rad")
 _BEST = 6
 _RIDGE = 1e-6
+_NEAR = 5
+"""Samples that a knot needs near it for its value to be known at all."""
 Ranges = Mapping[str, tuple[float, float]]
 
 
@@ -74,6 +77,32 @@ def tables(fitted: Sight, kept: Sight, *, maps: bool = True) -> list[Table]:
     over_two = [_table(fitted, kept, key, pair, SIDE) for key, pair in _pairs(best, axes)]
     found = [*curves[:1], *sorted(over_two, key=lambda one: -one.judged - one.fitted)[:1]]
     return sorted(found, key=lambda one: -one.judged)
+
+
+def band(sight: Sight, entry: Mapping[str, Any]) -> list[Any]:
+    """95 % half widths of a table's values, in their shape; None at knots that nothing was near.
+
+    ``sight`` is of the model with it. As smooth as the least penalty makes it, so rather too wide.
+    """
+    knots, names = entry["knots"], entry["inputs"]
+    x, left = _columns(sight, (entry["where"], entry["how"]), names, knots)
+    near = np.sum(x != 0.0, axis=0) >= _NEAR
+    sizes = [len(axis) for axis in knots]
+    root = np.sqrt(_PENALTIES[0] * float(np.sum(x**2)) / x.shape[1])
+    smooth = root * _second(sizes)
+    groups = [
+        np.concatenate([one[sight.rows], np.max(one) + 1 + np.arange(len(smooth))])
+        for one in (sight.block, sight.problem.stretch)
+    ]
+    every = np.vstack([x, smooth]), np.append(left, np.zeros(len(smooth)))
+    half = half_widths(*every, groups)
+    told = [
+        float(f"{one:.3g}") if seen and np.isfinite(one) else None
+        for one, seen in zip(half.tolist(), near, strict=True)
+    ]
+    if len(sizes) == 1:
+        return told
+    return [told[k : k + sizes[1]] for k in range(0, len(told), sizes[1])]
 
 
 def _pairs(
@@ -145,10 +174,15 @@ def _hats(values: Floats, knots: Sequence[float]) -> Floats:
 
 def _bends(sizes: Sequence[int]) -> Floats:
     """Sum of squared second differences along each axis, as a quadratic form."""
-    found = np.zeros((int(np.prod(sizes)),) * 2)
+    second = _second(sizes)
+    return np.asarray(second.T @ second)
+
+
+def _second(sizes: Sequence[int]) -> Floats:
+    """Second differences of a table's values (in a row) along each axis, a row each."""
+    found = []
     for axis, size in enumerate(sizes):
-        second = np.diff(np.eye(size), 2, axis=0)
-        each = np.asarray(second.T @ second, dtype=np.float64)
+        each = np.asarray(np.diff(np.eye(size), 2, axis=0), dtype=np.float64)
         parts = [each if k == axis else np.eye(n) for k, n in enumerate(sizes)]
-        found += parts[0] if len(parts) == 1 else np.kron(*parts)
-    return found
+        found.append(parts[0] if len(parts) == 1 else np.kron(*parts))
+    return np.vstack(found)

@@ -13,6 +13,8 @@ from eps_hil.diagnosis.mismatch.locate import BINS, Region, interval
 from eps_hil.diagnosis.mismatch.regions import operating_region
 from eps_hil.diagnosis.remainder.find import Remainder
 from eps_hil.diagnosis.remainder.intervals import parameters
+from eps_hil.diagnosis.remainder.sight import Sight
+from eps_hil.diagnosis.remainder.table import band
 from eps_hil.diagnosis.remainder.words import PLAIN, formula, resembles, sentence
 
 Floats = npt.NDArray[np.float64]
@@ -41,7 +43,7 @@ def modelled(unknown: Mapping[str, Any], found: Remainder, remainder_of: Problem
         "parameters": parameters(remainder_of, found.model, entries),
         "where": where,
         "curve": _curve(found, remainder_of, where[0]["signal"]) or unknown["curve"],
-        "model": content(found),
+        "model": {**content(found), **_bands(found, remainder_of)},
         "resembles": [
             {"what": name, "why": next(one["why"] for one in like if one["what"] == name)}
             for name in names
@@ -69,6 +71,14 @@ def content(found: Remainder) -> dict[str, Any]:
         "range": ranges,
         "terms": [dict(entry) for entry in entries],
     }
+
+
+def _bands(found: Remainder, problem: Problem) -> dict[str, Any]:
+    """``band``: of each term that is a curve or map, how sure its values are; None for a law."""
+    if not any("values" in entry for entry in found.entries):
+        return {}
+    sight = Sight(problem, found.model)
+    return {"band": [band(sight, one) if "values" in one else None for one in found.entries]}
 
 
 def _curve(found: Remainder, problem: Problem, signal: str) -> list[list[float]]:
