@@ -176,6 +176,8 @@ class Service:
         late_ns = time.time_ns() - core.sync_t_ns
         for older in range(core.skipped - skipped + 1):
             self._lateness.add(late_ns + older * self._period_ns, self._period_ns)
+        if self._publishing:
+            self._periodic.answered()
 
     def _send(self, frame: Frame) -> bool:
         return self._link.send(frame)
@@ -183,11 +185,12 @@ class Service:
     # What may be late.
 
     def _periodic_of(self, parts: Parts) -> Iterator[Coroutine[Any, Any, None]]:
-        every, publish = self._periodic.every, parts.config.publish
+        every, between = self._periodic.every, self._periodic.between
+        publish = parts.config.publish
         yield every("no input", parts.config.service.no_input_period_s, self._watch)
         if parts.verdict is not None:
-            yield every("verdict", publish.verdict_period_s, self._tell_verdict)
-        yield every("health", publish.health_period_s, self._tell_health)
+            yield between("verdict", publish.verdict_period_s, self._tell_verdict)
+        yield between("health", publish.health_period_s, self._tell_health)
         if self._levels.period_s < math.inf:
             yield every("levels on the bus", self._levels.period_s, self._tell_levels)
         if self._show is not None:

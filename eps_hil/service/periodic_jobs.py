@@ -15,17 +15,39 @@ class PeriodicJobs:
         self._say = say
         self._failing: set[str] = set()
         self.failures: Counter[str] = Counter()
+        self._due: dict[str, Callable[[], None]] = {}
 
     async def every(self, what: str, period_s: float, act: Callable[[], None]) -> None:
         """``act`` every ``period_s`` until cancelled; an error is said once until it works."""
         while True:
             await asyncio.sleep(period_s)
-            try:
-                act()
-            except Exception as error:  # whatever it is, the estimates are worth more
-                self._failed(what, error)
-            else:
-                self._worked(what)
+            self._do(what, act)
+
+    async def between(self, what: str, period_s: float, act: Callable[[], None]) -> None:
+        """As :meth:`every`, but just after an answer, where no frame has to wait for it.
+
+        Where no answer comes for a period it is done all the same.
+        """
+        while True:
+            await asyncio.sleep(period_s)
+            if what in self._due:
+                self._do(what, act)
+            self._due[what] = act
+
+    def answered(self) -> None:
+        """Do what waited for this moment."""
+        if self._due:
+            due, self._due = self._due, {}
+            for what, act in due.items():
+                self._do(what, act)
+
+    def _do(self, what: str, act: Callable[[], None]) -> None:
+        try:
+            act()
+        except Exception as error:  # whatever it is, the estimates are worth more
+            self._failed(what, error)
+        else:
+            self._worked(what)
 
     async def keep(self, what: str, job: Callable[[], Coroutine[Any, Any, None]]) -> None:
         """A job with a loop of its own; begun again after an error."""
