@@ -52,11 +52,12 @@ def bridge(
 
     ``pos``, ``neg``: T_fs (Nm) of either direction; that of ``way`` is the one that counts.
 
-    A rotor at rest on both sides of a gap, its angle changed by less than the bristle can bend,
-    has kept its bristle. Without an angle it may have moved and come back: no further than the
-    acceleration that counts as rest (SP_B of eq. 4a) takes it, a path of SP_B T²/8. A rotor that
-    slid on, its angle measured and its speed changed by no more than noise (SP_A) and SP_B T,
-    has taken the bristle along by that angle, and the same path is all that it may have hidden.
+    A rotor at rest on both sides of a gap (one that turns round is not, by eq. 4a), its angle
+    changed by less than the bristle can bend, has kept its bristle. Without an angle it may have
+    moved and come back: no further than the acceleration that counts as rest (SP_B of eq. 4a) takes
+    it, a path of SP_B T²/8. A rotor that slid on, its angle measured and its speed changed by no
+    more than noise (SP_A) and SP_B T, has taken the bristle along by that angle, and the same path
+    is all that it may have hidden.
 
     Creep that is no more than the angle's noise is followed from where it was, noise filtered.
     More of it bends the bristle at once: were the rotor then judged as moving, it would leave
@@ -75,7 +76,8 @@ def bridge(
     change = u.motor_angle_rad - s.last_angle if c.angle_seen else 0.0
     gap_s = s.held_steps * c.step_s
     hidden = 0.125 * c.limiter_acceleration * gap_s * gap_s
-    rested = abs(s.speed) < c.limiter_speed and abs(speed) < c.limiter_speed
+    turning = abs(s.acceleration) > c.limiter_acceleration
+    rested = max(abs(s.speed), abs(speed)) < c.limiter_speed and not turning
     steady = abs(speed - s.speed) < c.limiter_speed + c.limiter_acceleration * gap_s
     if c.angle_seen and rested:
         hidden = 0.0

@@ -286,12 +286,13 @@ def _judge_frozen(w: Watch, p: Limits, i: int, on: bool) -> None:
     moved, rested = 0.0, 0.0
     if on and w.learnt[i] >= _LEARNT and w.same[i] >= p.frozen_samples:
         moved = w.same[i] * math.log(max(w.repeats[i], 1e-3))
-    if on and w.rested[i] >= _LEARNT and w.still[i] >= p.frozen_samples:
-        turns = min(w.turns[i], _TURNS)
+    if on and w.rested[i] >= _LEARNT:
+        turns, run = min(w.turns[i], _TURNS), w.still[i]
         equal = 1.0 - turns
         if turns > _MOSTLY_NOISE and i <= _SENSOR:  # what is equal there is so for all its noise
             equal = min(equal, max(w.equals[i] * _WHITE_TURNS / turns, _EQUAL_NOISE))
-        rested = w.still[i] * math.log(equal)
+            run += w.same[i]  # noise does not end because the rotor moves
+        rested = run * math.log(equal) if run >= p.frozen_samples else 0.0
     w.frozen[i] = 1 if min(moved, rested) < _NO_ACCIDENT else 0
 
 

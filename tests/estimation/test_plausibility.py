@@ -474,3 +474,16 @@ def test_a_jump_just_before_a_hole_is_no_slope_within_it(
     trace = estimate(holes, reference_model)
     assert told(trace, 9030, 9400) & Reason.INCONSISTENT
     assert told(trace, 11_400, 12_400) == Reason.FINE
+
+
+def test_noise_that_ends_as_the_rotor_begins_to_move_is_a_frozen_torque(
+    reference_model: Model,
+) -> None:
+    """What moving samples look like is not learnt yet; what noise is, is known from the rest."""
+    limits = limits_of(reference_model, EstimatorSettings(), angle_seen=True)
+    watch, rng = new_watch(), np.random.default_rng(2)
+    for k in range(400):
+        value = 0.1 + 4e-3 * rng.standard_normal() if k < 380 else 0.1
+        watch[0].moving = int(k >= 370)
+        judge_sample(watch, limits, 0, (k + 1) * 10**6, value)
+        assert bool(watch[0].frozen[0]) == (k >= 390) or 380 < k < 390

@@ -196,6 +196,24 @@ def test_a_jump_of_time_starts_anew(reference_model: Model, jump_s: int) -> None
     assert np.all(again.valid[800:])
 
 
+def test_a_rotor_that_turns_round_as_a_gap_begins_did_not_rest(reference_model: Model) -> None:
+    """Its speed passes zero there, and it may have swung through the whole gap."""
+    t_ns = np.arange(1000, dtype=np.int64) * MS
+    speed = np.maximum(-20.0 + 0.3 * np.arange(1000), -20.0) * (t_ns < 70 * MS)
+    columns = {
+        "motor_torque_nm": np.full(1000, 0.2),
+        "torque_sensor_nm": np.zeros(1000),
+        "motor_speed_rad_s": speed,
+        "motor_angle_rad": np.cumsum(speed) * 1e-3,
+    }
+    kept = (t_ns < 68 * MS) | (t_ns > 260 * MS)
+    held = {name: Series(t_ns[kept], v[kept]) for name, v in columns.items()}
+    settings = EstimatorSettings(plausibility=PlausibilitySettings(enabled=False))
+    stream = StreamEstimator(reference_model, settings, sample_periods_s(held))
+    trace = live(stream, held)
+    assert not np.any(trace.valid[trace.t_ns > 300 * MS])
+
+
 @pytest.mark.parametrize(("moved_rad", "known"), [(0.0, True), (0.03, False)])
 def test_a_clock_set_back_keeps_the_bristle_of_a_resting_rotor(
     reference_model: Model, moved_rad: float, known: bool
