@@ -67,10 +67,14 @@ TRUE: Mapping[str, True_] = {
     "alien_travel_drag": True_((_SPEED, _PLACE), name="position-dependent damping"),
     "alien_unbalance": True_((_SPEED, _ANGLE), name="unbalance"),
     "alien_weakening": True_((_SPEED, _TORQUE), name="field weakening"),
+    "last_column_rub": True_((_SENSOR,)),
+    "last_fading_cogging": True_((_ANGLE, _SPEED)),
+    "last_power_limit": True_((_TORQUE, _SPEED)),
+    "last_screw_travel": True_((_FORCE, _PLACE)),
     "late_braking_loss": True_((_TORQUE, _SPEED)),
     "late_film": True_(("since_reversal_s", _SPEED)),
     "late_film_peak": True_((_SPEED,)),
-    "late_iron_loss": True_((_TORQUE, _SPEED)),
+    "late_iron_loss": True_((_TORQUE, _SPEED), name="iron losses of the motor"),
     "late_magnet": True_(("time_s", _TORQUE)),
     "late_nut_loss": True_((_FORCE, _SPEED)),
     "late_one_way_gain": True_((_TORQUE,)),
@@ -149,8 +153,9 @@ def _signals(term: Mapping[str, Any]) -> set[str]:
     """What a term depends on, the factor that its place brings along included."""
     found = set()
     for name in term["inputs"]:
-        stem = name.removesuffix("_power_sign")
-        if stem != name:
+        stem = name.removeprefix("abs_")
+        if "_power_" in stem:
+            stem = stem.split("_power_")[0]
             found |= {{"motor": _TORQUE, "load": _FORCE}.get(stem, _SENSOR), _SPEED}
         else:
             found.add(_told(name))

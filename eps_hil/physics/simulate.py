@@ -41,6 +41,16 @@ class Drive(NamedTuple):
     use: added.InUse
 
 
+class Past(NamedTuple):
+    """What was measured before a simulation begins, shape (m,); ``inputs`` (m, 3) as driven."""
+
+    time_s: Floats
+    speed_rad_s: Floats
+    angle_rad: Floats
+    inputs: Floats
+    """Motor torque, torsion-bar torque, rack force."""
+
+
 @dataclass(frozen=True, slots=True)
 class Motion:
     """What the model does, at the instants of its inputs; all shape (n,)."""
@@ -106,25 +116,37 @@ def simulate(
     speed_rad_s: float = 0.0,
     angle_rad: float = 0.0,
     bristle_rad: float = 0.0,
+    past: Past | None = None,
 ) -> Motion:
     """Run the model, effects included, from the given state; all arrays shape (n,).
 
     ``motor_torque_nm`` (rotor) and ``torque_sensor_nm`` (column) are what is reported, at its
     physical instants; ``time_s`` counts from the start of the recording (warm-up needs it). Inputs
-    are straight lines between samples; each interval is cut into steps of 50 µs or less.
+    are straight lines between samples; each interval is cut into steps of 50 µs or less. What
+    effects remember is what ``past`` left; without one, nothing has happened before.
     """
     inputs = np.column_stack([motor_torque_nm, torque_sensor_nm, rack_force_n])
     out = np.empty((len(time_s), 4))
     start = np.array([speed_rad_s, angle_rad, bristle_rad])
-    joint = joint_of(model)
+    joint, drive = joint_of(model), drive_of(model)
+    if past is not None and drive.use.memory:
+        _remember(drive, *past)
     if joint is None:
-        _integrate(drive_of(model), time_s, inputs, start, np.empty(3), out)
+        _integrate(drive, time_s, inputs, start, np.empty(3), out)
         out[:, 3] = out[:, 1]
     else:
         from eps_hil.physics.two_masses import integrate
 
-        integrate(drive_of(model), joint, time_s, inputs, start, np.empty(3), out)
+        integrate(drive, joint, time_s, inputs, start, np.empty(3), out)
     return Motion(out[:, 0], out[:, 1], out[:, 2], out[:, 3])
+
+
+@kernel
+def _remember(drive: Drive, time_s: Floats, speed: Floats, angle: Floats, inputs: Floats) -> None:
+    """Moves what effects remember on along a measured motion."""
+    for k in range(len(time_s) - 1):
+        u = instant(drive, time_s[k], speed[k], angle[k], inputs[k])
+        added.advance(drive.effects, u, time_s[k + 1] - time_s[k])
 
 
 @kernel

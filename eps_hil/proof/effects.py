@@ -381,15 +381,36 @@ _LATER = (
     ),
 )  # fmt: skip
 
+_LAST = (
+    _plain("last_column_rub", "last_column_rub", "per_nm", 1e-3, 0.05, alien=True),
+    _plain("last_screw_travel", "last_screw_travel", "share", 0.02, 0.5, alien=True, signed=True,
+           twins=("rack_ratio",)),
+    _plain(
+        "last_fading_cogging", "last_fading_cogging_nm", "amplitude_nm", 0.01, 0.4,
+        draw=lambda r: {
+            "order": float(r.choice([4, 6, 8])), "speed_rad_s": float(r.uniform(8, 20))
+        },
+        shape_fields={
+            "order": "last_fading_cogging_order", "speed_rad_s": "last_fading_cogging_speed"
+        },
+        alien=True, twins=("cogging_torque",),
+    ),
+    _plain(
+        "last_power_limit", "last_power_limit", "per_w", 1e-3, 0.3,
+        draw=lambda r: {"from_w": float(r.uniform(1, 4))},
+        shape_fields={"from_w": "last_power_limit_w"}, alien=True,
+    ),
+)  # fmt: skip
+
 CATALOGUED = {
     e.id: e for e in (*_FRICTION, *_RIPPLES, *_PLACES, *_INSTRUMENTS, *_PARAMETERS, *_CHAIN)
 }
 """Effects of CONTRACT 8 that the plant can hide, by id."""
 ALIENS = {e.id: e for e in _ALIENS}
 """Physics that no catalogue entry describes, by a name of our own."""
-LATER = {e.id: e for e in _LATER}
+LATER = {e.id: e for e in (*_LATER, *_LAST)}
 """Families that were written last, before any diagnosis had seen them."""
-NAMELESS = {e.id: e for e in (*_ALIENS, *_NAMELESS, *_LATER)}
+NAMELESS = {e.id: e for e in (*_ALIENS, *_NAMELESS, *_LATER, *_LAST)}
 """All of it: what has to be modelled although it has no name."""
 
 

@@ -62,6 +62,7 @@ def pressed(
     ``recent``: mean |ω| (rad/s); ``turned``: time since the rotor last turned round (s).
     """
     more = h.alien_guide * abs(hand) + h.alien_speed_memory * recent
+    more += h.last_column_rub * hand * hand  # what the hand bends grows with what it presses
     if shaft * speed < 0.0:  # the load drives the motor: the other flanks rub
         more += h.alien_driven_loss * abs(shaft)
     if load > h.alien_thrust_from_n:
@@ -152,6 +153,11 @@ def beside_friction(
     if h.late_worn_tooth_nm != 0.0:
         worn = math.exp(-((place / h.late_worn_tooth_wide_m) ** 2))
         torque += h.late_worn_tooth_nm * worn * math.sin(h.late_worn_tooth_order * angle)
+    if h.last_screw_travel != 0.0:  # a screw that is worth less at one end
+        torque += h.last_screw_travel * (place / 0.01) * load / d.rack_rad_per_m
+    if h.last_fading_cogging_nm != 0.0:  # a cogging that the inverter compensates at speed
+        left = math.exp(-abs(speed) / h.last_fading_cogging_speed)
+        torque += h.last_fading_cogging_nm * left * math.sin(h.last_fading_cogging_order * angle)
     return torque + h.late_wet_drag * wet
 
 
@@ -177,6 +183,9 @@ def on_the_shaft(
         torque *= 1.0 - h.late_braking_loss
     if h.late_iron_loss != 0.0:
         torque /= 1.0 + h.late_iron_loss * abs(torque * speed)
+    if h.last_power_limit != 0.0:  # what the battery gives is limited
+        over = max(torque * speed - h.last_power_limit_w, 0.0)
+        torque /= 1.0 + h.last_power_limit * over
     if h.late_magnet_loss != 0.0:
         torque *= 1.0 - h.late_magnet_loss * (1.0 - math.exp(-t / h.late_magnet_s))
     return torque * (1.0 - h.alien_heat_loss * heat)

@@ -126,6 +126,13 @@ class Hidden(NamedTuple):
     late_iron_loss: float = 0.0
     late_magnet_loss: float = 0.0
     late_magnet_s: float = 10.0
+    last_column_rub: float = 0.0
+    last_screw_travel: float = 0.0
+    last_fading_cogging_nm: float = 0.0
+    last_fading_cogging_order: float = 8.0
+    last_fading_cogging_speed: float = 12.0
+    last_power_limit: float = 0.0
+    last_power_limit_w: float = 4.0
 
 
 class Chain(NamedTuple):

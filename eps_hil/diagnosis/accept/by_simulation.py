@@ -103,13 +103,7 @@ def _least(cost: "_Cost", model: Model, names: Sequence[str]) -> dict[str, float
 
 
 def pieces(problem: Problem, model: Model) -> list[Piece]:
-    """What is simulated, of each length at most ``MOST_S``.
-
-    What a law remembers at the start of a recording is nothing; later only a whole run knows it.
-    """
-    remembers = any(
-        memory != "none" for entry in model.effects for memory in entry.get("memory", ())
-    )
+    """What is simulated, of each length at most ``MOST_S``."""
     found: list[Piece] = []
     for kind, length in enumerate(LENGTHS_S):
         these: list[Piece] = []
@@ -117,7 +111,7 @@ def pieces(problem: Problem, model: Model) -> list[Piece]:
         for k, one in enumerate(problem.recordings):
             speed = np.abs(one.motion(model).speed_rad_s)
             bad = _bad(one)
-            starts = range(0, 1 if remembers else len(speed), n)
+            starts = range(0, len(speed), n)
             for start in starts:
                 moving = np.flatnonzero(speed[start : start + n] >= _STARTS_RAD_S * one.size.angle)
                 first = start + (int(moving[0]) if start and len(moving) else 0)

@@ -17,7 +17,7 @@ from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.friction import friction_law, static_level_nm
 from eps_hil.physics.model import Model
 from eps_hil.physics.simulate import Motion as Simulated
-from eps_hil.physics.simulate import simulate
+from eps_hil.physics.simulate import Past, simulate
 
 if TYPE_CHECKING:
     from eps_hil.diagnosis.accept.proof_of_fit import Holdout
@@ -164,12 +164,25 @@ def _words(entry: Mapping[str, Any]) -> str:
 def simulated(motion: Measured, model: Model, part: slice) -> Simulated:
     """``part`` of a recording simulated freely from its first measured state.
 
-    The bristle begins as it is while sliding at the measured speed.
+    The bristle begins as it is while sliding at the measured speed, and what a law remembers as the
+    recording before it leaves it.
     """
     model = with_model_effects(model)
     law, speed = friction_law(model.friction), float(motion.speed_rad_s[part][0])
     level = static_level_nm(speed, float(motion.rack_force_n[part][0]), law)
     return _run(motion, model, part, float(np.sign(speed) * level / law.sigma0_nm_per_rad))
+
+
+def past_of(motion: Measured, first: int) -> Past:
+    """The recording before sample ``first``, which a simulation begins at."""
+    inputs = np.column_stack([getattr(motion, name)[: first + 1] for name in _DRIVEN])
+    before = slice(0, first + 1)
+    return Past(
+        np.array(motion.time_s[before]),
+        np.array(motion.speed_rad_s[before]),
+        np.array(motion.angle_rad[before]),
+        inputs,
+    )
 
 
 def _whole(motion: Measured, model: Model) -> Simulated:
@@ -182,6 +195,7 @@ def _whole(motion: Measured, model: Model) -> Simulated:
 
 
 def _run(motion: Measured, model: Model, part: slice, bristle_rad: float) -> Simulated:
+    past = past_of(motion, part.start) if part.start else None
     return simulate(
         model,
         motion.time_s[part],
@@ -191,6 +205,7 @@ def _run(motion: Measured, model: Model, part: slice, bristle_rad: float) -> Sim
         speed_rad_s=float(motion.speed_rad_s[part][0]),
         angle_rad=float(motion.angle_rad[part][0]),
         bristle_rad=bristle_rad,
+        past=past,
     )
 
 

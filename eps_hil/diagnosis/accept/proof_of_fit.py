@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.accept.free_run import free_run
+from eps_hil.diagnosis.accept.free_run import free_run, past_of
 from eps_hil.diagnosis.balance.problem import Problem, sliding
 from eps_hil.diagnosis.data.prepare import STEP_S, Prepared
 from eps_hil.diagnosis.data.quality import Quality
@@ -210,6 +210,7 @@ def free_runs(
             speed_rad_s=float(speed),
             angle_rad=float(motion.angle_rad[first]),
             bristle_rad=float(np.sign(speed) * level / law.sigma0_nm_per_rad),
+            past=past_of(motion, first),
         ).speed_rad_s
 
     starts = starts[:: 1 + len(starts) // MOST_RUNS]

@@ -20,6 +20,8 @@ Floats = npt.NDArray[np.float64]
 KNOTS, SIDE = 20, 8
 _PENALTIES = (1e-5, 1e-3, 1e-1, 10.0)
 _NO_AXIS = ("time_s", "motor_angle_rad")
+_PRODUCTS = ("motor_power_w", "abs_motor_power_w")
+"""A curve over these only: a map over both factors holds them."""
 _BEST = 6
 _RIDGE = 1e-6
 _NEAR = 5
@@ -72,7 +74,8 @@ def tables(fitted: Sight, kept: Sight, *, maps: bool = True) -> list[Table]:
     )
     if not maps:
         return curves[:1]
-    axes = list(dict.fromkeys(one.inputs[0] for one in curves))[:_BEST]
+    axes = list(dict.fromkeys(one.inputs[0] for one in curves if one.inputs[0] not in _PRODUCTS))
+    axes = axes[:_BEST]
     best = list(dict.fromkeys((one.where, one.how) for one in curves))[:3]
     over_two = [_table(fitted, kept, key, pair, SIDE) for key, pair in _pairs(best, axes)]
     found = [*curves[:1], *sorted(over_two, key=lambda one: -one.judged - one.fitted)[:1]]

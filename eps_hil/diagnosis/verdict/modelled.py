@@ -144,6 +144,8 @@ def _sides(
 
 def _signal(name: str) -> str:
     """The recorded signal that an input is made of."""
+    if name.endswith("motor_power_w"):
+        return "motor_torque_nm"
     if name.endswith("_power_sign"):
         made = {"motor": "motor_torque_nm", "load": "rack_force_n"}
         return made.get(name.removesuffix("_power_sign"), "torque_sensor_nm")

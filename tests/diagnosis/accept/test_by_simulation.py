@@ -6,10 +6,9 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-import pytest
 
 from eps_hil.diagnosis.accept.by_simulation import refined_by_simulation
-from eps_hil.diagnosis.accept.free_run import free_run
+from eps_hil.diagnosis.accept.free_run import free_run, simulated
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
@@ -72,16 +71,21 @@ def test_what_only_the_fitted_recordings_want_is_left_out(
     assert refined_by_simulation(problem, given, judged, own=False) is given
 
 
-@pytest.mark.parametrize("memory", ["none", "lag"])
-def test_what_remembers_is_simulated_from_its_beginning_only(
-    record: Callable[..., Any], reference_model: Model, other_rig: ModuleType, memory: str
+def test_a_piece_begins_with_what_a_law_remembers_there(
+    record: Callable[..., Any], reference_model: Model, other_rig: ModuleType
 ) -> None:
-    from eps_hil.diagnosis.accept.by_simulation import pieces
-
-    law = {**BRAKE, "size": 0.001, "memory": [memory, "none"]}
-    law |= {"memory_1": 0.2, "form": "dynamic"} if memory == "lag" else {}
-    fitted = rig(record, other_rig, 0.05, 5)
-    problem = Problem([one.prepared for one in fitted], reference_model)
-    found = pieces(problem, replace(reference_model, effects=(law,)))
-    later = [one for one in found if one.first > 0]
-    assert bool(later) == (memory == "none")
+    """A drag that follows the heat of motion: from any sample on, a piece is the whole run's."""
+    law = {**BRAKE, "size": 2e-5, "form": "dynamic", "memory": ["none", "heat"], "memory_2": 5.0,
+           "shapes": ["linear", "linear"]}  # fmt: skip
+    del law["width_2"]
+    model = replace(reference_model, effects=(law,))
+    (one,) = rig(record, other_rig, 0.05, 5)
+    motion = one.prepared.motion(model)
+    whole = simulated(motion, model, slice(0, None))
+    ran = motion._replace(speed_rad_s=whole.speed_rad_s, angle_rad=whole.angle_rad)
+    first = next(k for k in range(5000, 6000) if abs(whole.speed_rad_s[k]) > 20.0)
+    piece = simulated(ran, model, slice(first, first + 500)).speed_rad_s
+    cold = replace(model, effects=())
+    off = simulated(ran, cold, slice(first, first + 500)).speed_rad_s - piece
+    error = piece - whole.speed_rad_s[first : first + 500]
+    assert np.sqrt(np.mean(error**2)) < 0.02 * np.sqrt(np.mean(off**2))

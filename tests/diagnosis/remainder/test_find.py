@@ -132,3 +132,25 @@ def test_where_nothing_is_missing_nothing_is_modelled(
         for seed in (3, 4)
     )
     assert find(fitted, kept, reference_model, np.zeros((len(fitted.scale), 0))) is None
+
+
+def test_a_map_s_band_holds_what_made_it(eddy: tuple[Problem, Problem]) -> None:
+    """Half widths of the right size where samples are; None where there are none."""
+    from eps_hil.diagnosis.remainder.table import band
+
+    problem, _ = eddy
+    knots = [np.linspace(-60.0, 60.0, 7).tolist(), [-0.5, 0.0, 0.5]]
+    entry = {
+        "effect": "empirical", "form": "map", "where": "rotor", "how": "sum",
+        "inputs": ["motor_speed_rad_s", "rack_position_m"], "memory": ["none", "none"],
+        "knots": knots, "values": np.zeros((7, 3)).tolist(),
+    }  # fmt: skip
+    sight = Sight(problem, problem.model)
+    half = band(sight, entry)
+    assert np.shape(half) == (7, 3)
+    middle = [row[1] for row in half]
+    assert all(one is None or one > 0.0 for one in middle)
+    assert middle[3] is not None
+    assert middle[3] < 0.06  # of a brake whose peak is 0.06 Nm
+    far = {**entry, "knots": [np.linspace(500.0, 560.0, 7).tolist(), [-0.5, 0.0, 0.5]]}
+    assert band(sight, far)[3:] == [[None] * 3] * 4
