@@ -37,8 +37,11 @@ INPUTS = (
     "motor_power_sign",
     "load_power_sign",
     "torque_sensor_power_sign",
+    "motor_power_w",
+    "abs_motor_power_w",
 )
-"""Signals of CONTRACT 2, their sizes (abs_…), and whether a torque drives (1) or brakes (-1)."""
+"""Signals of CONTRACT 2, their sizes (abs_…), whether a torque drives (1) or brakes (-1), and the
+motor's power."""
 SHAPES = (
     "one",
     "linear",

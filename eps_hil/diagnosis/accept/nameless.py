@@ -104,7 +104,7 @@ def _modelled(
     start = augmented_by(problem, selection.found, named)
     bare = Sight(kept, start)
     refitted = _refitted(problem, selection, named)
-    moving = [name for name in _moving(refitted[0]) if name not in (OFFSET, HOLD)]
+    moving = [name for name in _moving() if name != HOLD]
     again: Remainder | None = None
     for free in ((), moving):  # beside the refit as it stands, then together with it
         one = beside(*refitted, free)
@@ -142,10 +142,15 @@ def _columns(found: Fit, findings: Sequence[int]) -> Floats:
 def _refitted(
     problem: Problem, selection: Selection, findings: Sequence[int]
 ) -> tuple[Model, Floats]:
-    """The model with its own numbers fitted beside the findings, and all their sensitivities."""
+    """The model with its own numbers fitted beside the findings, and all their sensitivities.
+
+    Without a constant torque, which would be an effect that nobody names: the levels of both
+    directions are free.
+    """
     found = selection.found
     entries = [found.entries[k] for k in findings]
     own = {**ALL, **{name: value for name, value in found.own.items() if name in ALL}}
+    own.pop(OFFSET)
     if any(entry["effect"] == HOLD for entry in entries):
         own.pop(HOLD)
     free = fit(problem, entries, own=own)
@@ -153,17 +158,16 @@ def _refitted(
     return model, free.jacobian
 
 
-def _moving(model: Model) -> list[str]:
+def _moving() -> list[str]:
     """Numbers of the model's own beside a law; of the others sliding says nothing more."""
-    done = {"sigma0_nm_per_rad", "sigma1_nm_s_per_rad"}
-    done |= {OFFSET} if any(entry["effect"] == OFFSET for entry in model.effects) else set()
+    done = {"sigma0_nm_per_rad", "sigma1_nm_s_per_rad", OFFSET}
     return [name for name in ALL if name not in done]
 
 
 def _settled(problem: Problem, model: Model, kept: Problem) -> Model:
     """The model's own numbers once more, now beside the laws, where hold-outs agree."""
     beside = replace(problem, model=model)
-    own = dict.fromkeys(_moving(model), 0.0)
+    own = dict.fromkeys(_moving(), 0.0)
     free = fit(beside, [], own=own)
     moved = augmented_by(beside, free, (), moved=True)
     before, after = (np.sum(kept.residual(one)[kept.sliding] ** 2) for one in (model, moved))

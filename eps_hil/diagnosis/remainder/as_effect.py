@@ -33,6 +33,8 @@ _INPUTS: Mapping[str, tuple[str, str]] = {
     "motor_power_sign": (f"_sign(u.motor_torque_nm) * {_TURNING}", "1"),
     "load_power_sign": (f"-_sign(u.rack_force_n) * {_TURNING}", "1"),
     "torque_sensor_power_sign": (f"_sign(u.torque_sensor_nm) * {_TURNING}", "1"),
+    "motor_power_w": ("u.motor_torque_nm * u.speed_rad_s", "W"),
+    "abs_motor_power_w": ("abs(u.motor_torque_nm * u.speed_rad_s)", "W"),
 }
 """How a kernel reads an input, and its unit."""
 _SHAPES: Mapping[str, str] = {

@@ -5,7 +5,7 @@ any shape (and memory), by itself, as a relative change, or times a second input
 drag (speed), a flank's friction (torque, load) or a centrifugal force (speed squared).
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -19,6 +19,8 @@ Floats = npt.NDArray[np.float64]
 
 ORDERS = np.arange(0.05, 40.01, 0.05)
 MOST_ORDERS = 3
+MOST_LOCAL = 6
+"""Sines that are strong in one place only, of each place where they act."""
 _FILTER_HZ, _FEWEST, _APART = 30.0, 100, 0.15
 _LAGS_S = (0.05, 0.2, 0.8, 3.0, 12.0)
 _HEATS_S = (1.5, 4.0, 10.0, 25.0, 60.0)
@@ -266,31 +268,71 @@ def _at(one: Input, sight: Sight) -> Floats:
 
 
 def _waves(sight: Sight, left: Floats, law: Law) -> list[Law]:
-    """Sines of the rotor's angle at the orders that stand out of what is left."""
-    effect = columns_of(law, sight)
-    if "motor_angle_rad" not in sight.inputs or effect is None:
+    """``law`` times sines of the rotor's angle at the orders that stand out of what is left.
+
+    Where it has no second input of its own, also sines that are strong in one place only.
+    """
+    own = columns_of(law, sight)
+    if "motor_angle_rad" not in sight.inputs or own is None:
         return []
+    alone = [replace(law, inputs=(one,)) for one in _stretches(sight)] if not law.inputs else []
+    power = _spectrum(sight, left, [own, *(columns_of(one, sight) for one in alone)])
+    found = [_with_sine(law, order) for order, _ in _peaks(power[0])]
+    local = [
+        (worth, _with_sine(one, order))
+        for one, seen in zip(alone, power[1:], strict=True)
+        for order, worth in _peaks(seen)
+    ]
+    return found + [one for _, one in sorted(local, key=lambda pair: -pair[0])[:MOST_LOCAL]]
+
+
+def _stretches(sight: Sight) -> list[Input]:
+    """Parts of the travel, as many and as wide as between them hold any place on it."""
+    if "rack_position_m" not in sight.inputs:
+        return []
+    low, high = np.percentile(sight.inputs["rack_position_m"][sight.rows], [2, 98]).tolist()
+    return [
+        Input(
+            "rack_position_m",
+            "gaussian",
+            numbers={"centre": low + at * (high - low), "width": width * (high - low)},
+        )
+        for width, centres in ((0.1, (0.1, 0.3, 0.5, 0.7, 0.9)), (0.25, (0.2, 0.5, 0.8)))
+        for at in centres
+    ]
+
+
+def _spectrum(sight: Sight, left: Floats, effects: Sequence[Floats | None]) -> Floats:
+    """Energy of ``left`` (n,) that a sine of each order times each effect takes, (k, orders)."""
     rows = sight.rows
     angle = sight.inputs["motor_angle_rad"][rows]
     angle = angle - np.mean(angle)
     rate = sight.inputs["abs_motor_speed_rad_s"][rows]
-    scaled = effect[:, 0] / sight.scale[rows]
-    seen = left[rows] / sight.scale[rows] * scaled
-    power = np.zeros(len(ORDERS))
+    columns = [np.zeros(len(rows)) if one is None else one[:, 0] for one in effects]
+    scaled = np.column_stack(columns) / sight.scale[rows, None]
+    seen = scaled * (left[rows] / sight.scale[rows])[:, None]
+    power = np.zeros((len(columns), len(ORDERS)))
     for k, order in enumerate(ORDERS):
         slow = rate * order < 2 * np.pi * _FILTER_HZ
-        norm = float(np.sum(scaled[slow] ** 2))
-        if np.count_nonzero(slow) > _FEWEST and norm > 0.0:
-            power[k] = abs(np.exp(-1j * order * angle[slow]) @ seen[slow]) ** 2 / norm
-    found: list[float] = []
+        if np.count_nonzero(slow) > _FEWEST:
+            norm = np.sum(scaled[slow] ** 2, axis=0)
+            found = np.abs(np.exp(-1j * order * angle[slow]) @ seen[slow]) ** 2
+            power[:, k] = found / np.maximum(norm, 1e-300) * (norm > 0.0)
+    return power
+
+
+def _peaks(power: Floats) -> list[tuple[float, float]]:
+    """The highest peaks of a spectrum over ``ORDERS`` that stand apart: (order, energy)."""
+    found: list[tuple[float, float]] = []
     for k in np.argsort(-power):
         order = float(ORDERS[k])
         if len(found) == MOST_ORDERS or power[k] <= 0.0:
             break
-        if all(abs(order - other) > _APART * max(order, 1.0) for other in found):
-            found.append(order)
-    return [
-        replace(law, inputs=(*law.inputs, Input("motor_angle_rad", "sine", numbers={"order": order,
-                                                                                "phase": 0.0})))
-        for order in found
-    ]  # fmt: skip
+        if all(abs(order - other) > _APART * max(order, 1.0) for other, _ in found):
+            found.append((order, float(power[k])))
+    return found
+
+
+def _with_sine(law: Law, order: float) -> Law:
+    sine = Input("motor_angle_rad", "sine", numbers={"order": order, "phase": 0.0})
+    return replace(law, inputs=(*law.inputs, sine))

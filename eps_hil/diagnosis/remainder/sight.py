@@ -24,7 +24,13 @@ STEP = THIN * STEP_S
 """Between thinned samples, s."""
 TURNING_RAD_S = 0.5
 _SIGNALS = ("torque_sensor_nm", "rack_force_n")
-_OF_MOTOR = ("motor_torque_nm", "abs_motor_torque_nm", "motor_power_sign")
+_OF_MOTOR = (
+    "motor_torque_nm",
+    "abs_motor_torque_nm",
+    "motor_power_sign",
+    "motor_power_w",
+    "abs_motor_power_w",
+)
 
 
 @dataclass(frozen=True)
@@ -95,6 +101,8 @@ class Sight:
         turning = speed / np.hypot(speed, TURNING_RAD_S)
         rows["motor_power_sign"] = np.sign(rows["motor_torque_nm"]) * turning
         rows["abs_motor_torque_nm"] = np.abs(rows["motor_torque_nm"])
+        rows["motor_power_w"] = rows["motor_torque_nm"] * speed
+        rows["abs_motor_power_w"] = np.abs(rows["motor_power_w"])
         for name in there:
             rows[f"abs_{name}"] = np.abs(rows[name])
         if "rack_force_n" in there:

@@ -19,6 +19,8 @@ SYMBOLS: Mapping[str, str] = {
     "motor_power_sign": "sign(T_em·ω)",
     "load_power_sign": "sign(-F·ω)",
     "torque_sensor_power_sign": "sign(T_sen·ω)",
+    "motor_power_w": "T_em·ω",
+    "abs_motor_power_w": "|T_em·ω|",
 }
 _PLACES: Mapping[tuple[str, str], str] = {
     ("rotor", "sum"): "T_f + ({})",
@@ -149,6 +151,11 @@ _KNOWN: Sequence[tuple[str, str, Callable[[Entry], bool]]] = (
      lambda e: _at(e, "motor", "rotor") and _has(e, _TORQUE, memory=_WAYS)),
     ("position-dependent damping", "a drag that changes over the travel",
      lambda e: _at(e, "rotor", "friction") and _has(e, _SPEED, ("linear",)) and _has(e, _PLACE)),
+    ("iron losses of the motor", "motor torque falls with the power that it turns over",
+     lambda e: _at(e, "motor") and e.get("how") == "factor"
+     and e["inputs"][0] == "abs_motor_power_w"),
+    ("damage in one place", "a ripple of the teeth or balls over a part of the travel",
+     lambda e: _at(e, "rotor") and _has(e, _PLACE, ("gaussian",)) and _has(e, _ANGLE, ("sine",))),
     ("eddy-current brake", "a drag that has a peak over speed",
      lambda e: _at(e, "rotor") and _has(e, _SPEED, ("rational",))),
     ("thrust bearing under load", "friction grows beyond a force, in one direction of it",

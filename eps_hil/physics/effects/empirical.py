@@ -68,6 +68,10 @@ def _raw(code: float, u: Instant) -> float:  # noqa: PLR0911, PLR0912 (a table o
         return abs(u.rack_force_n)
     if kind == 10:
         return u.time_s
+    if kind == 15:
+        return u.motor_torque_nm * u.speed_rad_s
+    if kind == 16:
+        return abs(u.motor_torque_nm * u.speed_rad_s)
     turning = u.speed_rad_s / math.sqrt(
         u.speed_rad_s * u.speed_rad_s + _TURNING_RAD_S * _TURNING_RAD_S
     )
