@@ -102,7 +102,7 @@ def _run(path: Path, given: dict[str, Any], **more: Any) -> Any:
     )
 
 
-def _expected(model: Model, given: dict[str, Any], **start: float) -> dict[str, Any]:
+def _expected(model: Model, given: dict[str, Any], **start: Any) -> dict[str, Any]:
     worked_in = with_model_effects(model)
     late = max(-worked_in.delays_s.motor_torque, 0.0)
     t = given["time_s"]
