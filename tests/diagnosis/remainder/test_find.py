@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -135,22 +136,34 @@ def test_where_nothing_is_missing_nothing_is_modelled(
 
 
 def test_a_map_s_band_holds_what_made_it(eddy: tuple[Problem, Problem]) -> None:
-    """Half widths of the right size where samples are; None where there are none."""
-    from eps_hil.diagnosis.remainder.table import band
+    """The brake's own torque lies within fitted value and half width; None where no samples are."""
+    from eps_hil.diagnosis.remainder.table import _columns, band
 
     problem, _ = eddy
-    knots = [np.linspace(-60.0, 60.0, 7).tolist(), [-0.5, 0.0, 0.5]]
-    entry = {
+    speeds, places = [-30.0, -20.0, -10.0, 0.0, 10.0, 20.0, 30.0], [-0.012, 0.0, 0.012]
+    entry: dict[str, Any] = {
         "effect": "empirical", "form": "map", "where": "rotor", "how": "sum",
         "inputs": ["motor_speed_rad_s", "rack_position_m"], "memory": ["none", "none"],
-        "knots": knots, "values": np.zeros((7, 3)).tolist(),
+        "knots": [speeds, places],
+        "range": {"motor_speed_rad_s": [-30.0, 30.0], "rack_position_m": [-0.012, 0.012]},
     }  # fmt: skip
-    sight = Sight(problem, problem.model)
-    half = band(sight, entry)
-    assert np.shape(half) == (7, 3)
-    middle = [row[1] for row in half]
-    assert all(one is None or one > 0.0 for one in middle)
-    assert middle[3] is not None
-    assert middle[3] < 0.06  # of a brake whose peak is 0.06 Nm
-    far = {**entry, "knots": [np.linspace(500.0, 560.0, 7).tolist(), [-0.5, 0.0, 0.5]]}
-    assert band(sight, far)[3:] == [[None] * 3] * 4
+    x, left = _columns(
+        Sight(problem, problem.model), ("rotor", "sum"), entry["inputs"], entry["knots"]
+    )
+    fitted = -np.linalg.lstsq(x, left, rcond=1e-6)[0].reshape(7, 3)
+    entry["values"] = fitted.tolist()
+    with_it = replace(problem.model, effects=(*problem.model.effects, entry))
+    half = band(Sight(problem, with_it), entry)
+    ratio = np.array(speeds) / 30.0
+    brake = 2.0 * 0.06 * ratio / (1.0 + ratio**2)
+    inside = [
+        abs(fitted[k, j] - brake[k]) <= half[k][j]
+        for k in range(7)
+        for j in range(3)
+        if half[k][j] is not None
+    ]
+    assert len(inside) >= 15
+    assert np.mean(inside) > 0.8
+    assert half[3][1] < 0.06  # slow and in the middle, where most samples are; the peak is 0.06 Nm
+    far = {**entry, "knots": [np.linspace(500.0, 560.0, 7).tolist(), places]}
+    assert band(Sight(problem, problem.model), far)[3:] == [[None] * 3] * 4
