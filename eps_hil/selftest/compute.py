@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numba
-
 from eps_hil.bus.codec import FrameEncoder
 from eps_hil.bus.database import find_message
 from eps_hil.selftest.check import Check, Verdict, graded
@@ -114,9 +112,10 @@ def judge_collections(found: Pauses) -> Check:
 
 
 def compiled_cache() -> Path:
-    """Where numba keeps machine code."""
-    config: Any = numba.config
-    return Path(str(config.CACHE_DIR or "__pycache__ beside each source file"))
+    """Where machine code is kept."""
+    from eps_hil.compiled import FOLDER
+
+    return Path("no folder") if FOLDER is None else FOLDER
 
 
 def judge_cache(folder: Path) -> Check:

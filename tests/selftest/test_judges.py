@@ -161,6 +161,7 @@ def test_step_and_pauses() -> None:
 
 def test_a_cache_that_cannot_be_written(tmp_path: Path) -> None:
     assert compute.judge_cache(tmp_path).verdict == Verdict.GOOD
+    assert compute.judge_cache(compute.compiled_cache()).verdict == Verdict.GOOD
     missing = compute.judge_cache(tmp_path / "none")
     assert missing.verdict == Verdict.LIMITED
     assert "XDG_CACHE_HOME" in missing.remedy
