@@ -25,6 +25,7 @@ import numba
 
 _KEPT_FOLDERS = 4
 _LONGEST_WAIT_S, _LOOK_S = 300.0, 0.02
+_BACKGROUND_NICE = 5
 """For code that another process compiles: then it is compiled here too."""
 _PACKAGE = Path(__file__).resolve().parent
 _COMPILED = b"eps_hil.compiled import", b"# frozen into compiled code"
@@ -247,6 +248,7 @@ class _Kept:
     """A function's code on disk: of several processes that want it at once, one compiles.
 
     The others wait for it; a process that dies lets go. A folder that knows no locks has none.
+    Nobody waits for a process in the background, which may stand still on a busy machine.
     """
 
     def __init__(self, cache: Any, place: Path) -> None:
@@ -263,7 +265,10 @@ class _Kept:
             return found
         with contextlib.suppress(OSError, ImportError):
             self._lock = _locked(self._place)
-        return self._cache.load_overload(signature, context)
+        found = self._cache.load_overload(signature, context)
+        if found is None and os.nice(0) >= _BACKGROUND_NICE:
+            self.let_go()
+        return found
 
     def let_go(self) -> None:
         """Let others in."""

@@ -5,6 +5,7 @@ import json
 import os
 import pkgutil
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -138,7 +139,7 @@ def test_numba_that_finds_no_folder_compiles_anew(read_only_install: Path, tmp_p
 
 
 COUNTED = """
-import sys, time
+import os, sys, time
 import eps_hil.compiled
 from numba.core import event
 from eps_hil.kernel import dressed
@@ -150,6 +151,7 @@ class Slow(event.Listener):  # as long as a kernel takes
     def on_end(self, ended):
         if "fails" in sys.argv: raise ValueError
 
+if "behind" in sys.argv: os.nice(5)
 event.register("numba:compile", Slow())
 try:
     assert dressed(2.0) == 4.0
@@ -188,6 +190,21 @@ def test_who_is_killed_or_fails_while_it_compiles_keeps_nobody_waiting(
         with started(read_only_install, tmp_path) as last:
             assert last.communicate(timeout=60)[0] == "compiles\ndone\n"
         failed.kill()
+
+
+def test_nobody_waits_for_a_process_in_the_background(
+    read_only_install: Path, tmp_path: Path
+) -> None:
+    with started(read_only_install, tmp_path, "behind") as behind:
+        assert behind.stdout is not None
+        assert behind.stdout.readline() == "compiles\n"
+        behind.send_signal(signal.SIGSTOP)
+        with started(read_only_install, tmp_path) as other:
+            try:
+                assert other.communicate(timeout=60)[0] == "compiles\ndone\n"
+            finally:
+                other.kill()
+                behind.kill()
 
 
 def owns(kind: Any) -> bool:
