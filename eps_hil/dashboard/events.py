@@ -14,7 +14,7 @@ _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?![\w.])")
 
 @dataclass(slots=True)
 class Event:
-    """A problem in words as it was last said, from when to when (s since the epoch; None: still).
+    """The latest words for a problem, from when to when (s since the epoch; None: still).
 
     ``times``: how often it came within that.
     """

@@ -185,7 +185,7 @@ class Listener:
 
 def stand_back() -> None:
     """This process interrupts nobody: what wakes up keeps whoever runs running (SCHED_BATCH)."""
-    if hasattr(os, "SCHED_BATCH"):  # may be refused in a container; then as it was
+    if hasattr(os, "SCHED_BATCH"):  # a container may refuse it: the policy then stays
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 

@@ -142,7 +142,7 @@ def darkened(colour: str) -> str:
 
 
 def test_pictures_in_the_dark() -> None:
-    """What Matplotlib drew is darkened by the style sheet and stays as clear as it was."""
+    """The style sheet darkens Matplotlib pictures and keeps their contrast."""
     back, page = darkened("#ffffff"), schemes(REPORT)["dark"]["back"]
     assert apart(back, page) < 8.0, "no window of another shade"
     assert contrast(darkened("#000000"), back) > TEXT
