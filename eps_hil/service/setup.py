@@ -54,8 +54,8 @@ class Parts:
     estimator: StreamEstimator
     core: ServiceCore
     silent: FrameEncoder | None
-    """Encodes the same message where nothing is estimated, with a counter of its own: the
-    counter of the estimates must not depend on how often a timer of ours fired."""
+    """The core's own encoder, for where nothing is estimated: a receiver's end-to-end check knows
+    one counter of the message."""
     health: FrameEncoder | None
     levels: FrictionLevelKeeper
     level_frames: FrameEncoder | None
@@ -119,12 +119,12 @@ def prepare(config: ServiceConfig, file: str | Path) -> Parts:
         decoder=decoder,
         estimator=estimator,
         core=core,
-        silent=encoders[1],
-        health=encoders[2],
+        silent=encoders[0],
+        health=encoders[1],
         levels=levels,
-        level_frames=encoders[3],
-        suggestion_frames=encoders[4],
-        verdict=encoders[5],
+        level_frames=encoders[2],
+        suggestion_frames=encoders[3],
+        verdict=encoders[4],
         sync_period_s=sync_period_s,
         health_modulo=totals_modulo(find_message(database, config.publish.health_message or "")),
         commands=commands,
@@ -177,10 +177,10 @@ Encoders = tuple[FrameEncoder | None, ...]
 
 
 def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: str) -> Encoders:
-    """Of estimates, silence, health, levels, suggestions, verdict; None for what is not sent."""
+    """Of estimates, health, levels, suggestions, verdict; None for what is not sent."""
     publish, adaptation = config.publish, config.adaptation
     if not publish.enabled:
-        return (None,) * 6
+        return (None,) * 5
 
     def encoder(name: str | None, place: str, needed: tuple[str, ...]) -> FrameEncoder | None:
         if name is None:
@@ -209,7 +209,6 @@ def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: 
         encoder(adaptation.suggestion_message, "adaptation.suggestion_message", _SUGGESTED),
     )  # fmt: skip
     return (
-        encoder(publish.message, "publish.message", _PUBLISHED),
         encoder(publish.message, "publish.message", _PUBLISHED),
         encoder(publish.health_message, "publish.health_message", ()),
         *told,

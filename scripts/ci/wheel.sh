@@ -93,7 +93,7 @@ say "diagnose, convert"
 can=(--dbc dbc/eps_rig.dbc --signals configs/eps_rig_signals.yaml)
 log diagnose "${eps[@]}" diagnose --model configs/reference_rig.yaml --recording bus.log \
     "${can[@]}" --report page.html --json diagnosis.json
-head -n 3 "$work/diagnose.txt"
+head -n 6 "$work/diagnose.txt"
 grep -q 'dropped_frames' diagnosis.json && fail "the diagnosis tells of frames that nobody lost"
 log convert "${eps[@]}" convert bus.log rig.csv "${can[@]}"
 log compare "${eps[@]}" compare rig.csv --model configs/reference_rig.yaml --figure force.png

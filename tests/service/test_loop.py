@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from itertools import dropwhile
+from itertools import dropwhile, pairwise
 from pathlib import Path
 
 import pytest
@@ -252,6 +252,9 @@ def test_publishes_what_a_replay_gives_bit_for_bit(
     rest = iter([_numbers(receiver, Frame(0, 0x120, data)) for data in again])
     sent = [_numbers(receiver, Frame(0, 0x120, data)) for data in live]
     assert all(any(frame == other for other in rest) for frame in sent)
+    # One counter, also where nothing is estimated: before the first frame and after the last.
+    assert len(bench.tap.estimates()) > len(live)
+    assert _jumped(receiver, bench.tap.estimates()) % 16 == summary.skipped % 16
     assert verdicts(receiver, bench.tap.sent[-1:])[0][0] == Status.OFF
 
 
@@ -653,9 +656,15 @@ def test_nothing_is_sent_while_the_controller_is_bus_off(
     assert "error active" in said[1]
 
 
+def _jumped(receiver: Receiver, frames: list[Frame]) -> int:
+    """How many frames a receiver misses by their counter (0..15)."""
+    counters = [int(receiver.read(frame)["Counter"]) for frame in frames]
+    return sum((b - a - 1) % 16 for a, b in pairwise(counters))
+
+
 def _numbers(receiver: Receiver, frame: Frame) -> tuple[float, ...]:
     told = receiver.read(frame)
-    return told["RackForceEstimate"], told["FrictionTorque"], told["Counter"]
+    return told["RackForceEstimate"], told["FrictionTorque"]
 
 
 def _silent(receiver: Receiver, frame: Frame) -> bool:
