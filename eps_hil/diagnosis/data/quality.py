@@ -114,11 +114,28 @@ class Quality:
 
     @property
     def lost(self) -> tuple[int, float]:
-        """(lost frames of the input that lost most, the largest share that any of them lost)."""
-        inputs = self.inputs
-        counts = [one.lost_frames for one in inputs]
-        shares = [one.lost_frames / max(one.frames + one.lost_frames, 1) for one in inputs]
+        """(lost frames of the input that lost most, the largest share that any of them lost).
+
+        A hole in all inputs at once is a pause of the recording and counts as no loss.
+        """
+        counts = [self._lost_by(one) for one in self.inputs]
+        frames = [one.frames for one in self.inputs]
+        shares = [lost / max(many + lost, 1) for lost, many in zip(counts, frames, strict=True)]
         return max(counts, default=0), max(shares, default=0.0)
+
+    def _lost_by(self, one: Channel) -> int:
+        """Without those of holes that every input has: there the rig or the logger paused."""
+        missing = [round((end - start) * one.rate_hz) - 1 for start, end in self._pauses()]
+        return max(one.lost_frames - sum(max(many, 0) for many in missing), 0)
+
+    def _pauses(self) -> list[tuple[float, float]]:
+        """Gaps that all inputs share, where there are several."""
+        inputs = self.inputs
+        common = list(inputs[0].gaps) if len(inputs) > 1 else []
+        for one in inputs[1:]:
+            pairs = [(max(a, c), min(b, d)) for a, b in common for c, d in one.gaps]
+            common = [(a, b) for a, b in pairs if b - a > GAP_S]
+        return common
 
     @property
     def inputs(self) -> tuple[Channel, ...]:

@@ -216,6 +216,22 @@ def test_rows_lost_count_once_whatever_the_signals_rates() -> None:
     assert share == pytest.approx(1 / 15, rel=0.02)
 
 
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_hole_in_all_inputs_is_a_pause_and_in_one_a_loss(alone: bool) -> None:
+    """A rig that was held up for 0.3 s sent nothing meanwhile, so nothing was lost."""
+    t_ns = np.round(T * 1e9).astype(np.int64)
+    keep = (T < 7.0) | (T > 7.3)
+    whole = {"motor_torque_nm": torque(), "motor_speed_rad_s": 9.0 * np.cos(2.5 * T)}
+    holed = {
+        name: Series(t_ns[keep], value[keep]) if k == 0 or not alone else Series(t_ns, value)
+        for k, (name, value) in enumerate(whole.items())
+    }
+    look = look_at("r", holed)
+    assert look.channels[0].lost_frames == 301
+    assert look.lost[0] == (301 if alone else 0)
+    assert (finding([look]) is not None) == alone
+
+
 def test_stamps_in_whole_milliseconds_lose_no_frame() -> None:
     """A signal every 2.4 ms, as a robot's table has it: 2 and 3 ms apart, none missing."""
     stamps = np.round(2.37e-3 * np.arange(20_000), 3)
