@@ -293,10 +293,12 @@ def _say(content: Mapping[str, Any]) -> None:
     typer.echo(f"  sensor noise alone: torque_nrmse {holdout['noise_floor']['torque_nrmse']:.4g}")
     joint = content["kinematics"]
     seen = any(one.get("seen_in") == "kinematics" for one in content["findings"])
-    if seen and "holdout_left_rad" in joint:
-        typer.echo(f"  on hold-outs, rotor against rack: {1e3 * joint['holdout_rms_rad']:.3g} mrad "
-                   f"before, {1e3 * joint['holdout_left_rad']:.3g} mrad after; sensor noise alone "
-                   f"{1e3 * joint['noise_rad']:.3g} mrad")  # fmt: skip
+    if seen and "rms_left_rad" in joint:
+        kept = "holdout_left_rad" in joint
+        of = ("holdout_rms_rad", "holdout_left_rad") if kept else ("rms_rad", "rms_left_rad")
+        before, after, noise = (1e3 * joint[one] for one in (*of, "noise_rad"))
+        typer.echo(f"  {'on hold-outs, ' if kept else ''}rotor against rack: {before:.3g} mrad "
+                   f"before, {after:.3g} mrad after; sensor noise alone {noise:.3g}")  # fmt: skip
 
 
 def _advise(result: "Diagnosis", path: Path) -> None:

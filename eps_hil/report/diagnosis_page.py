@@ -333,15 +333,20 @@ def _measures(content: Mapping[str, Any]) -> list[dict[str, Any]]:
     seen = content.get("kinematics", {})
     there = diagnosis_kinematics.IN_ROTOR_AND_RACK
     shown = any("seen_in" in one and one["effect"] in there for one in content["findings"])
-    if shown and "holdout_rms_rad" in seen:
+    if shown and "rms_left_rad" in seen:
+        kept = "holdout_left_rad" in seen
+        before, after = (
+            ("holdout_rms_rad", "holdout_left_rad") if kept else ("rms_rad", "rms_left_rad")
+        )
         rows.append(
             {
                 "name": "kinematics",
                 "title": "rotor angle against rack position, rms",
+                "of": ", hold-outs" if kept else ", whole recordings",
                 "unit": "mrad",
                 "more_is_better": False,
-                "before": 1e3 * seen["holdout_rms_rad"],
-                "after": 1e3 * seen["holdout_left_rad"],
+                "before": 1e3 * seen[before],
+                "after": 1e3 * seen[after],
                 "floor": 1e3 * seen["noise_rad"],
             }
         )
