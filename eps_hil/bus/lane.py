@@ -20,8 +20,8 @@ class Lane:
 
     __slots__ = (
         "behind_since", "counter", "cycle", "in_a_row", "in_time", "joined", "late_first",
-        "late_last", "late_low", "late_run", "late_total", "near_since", "patience", "phase",
-        "repeated", "stamp", "stray", "strayed", "t",
+        "late_last", "late_low", "late_run", "late_total", "near_since", "passed", "patience",
+        "phase", "repeated", "row_since", "stamp", "stray", "strayed", "t",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -37,7 +37,9 @@ class Lane:
         self.phase: int | None = None  # counter less cycle, where the line was left with it known
         self.behind_since: int | None = None  # stamp since when it alone is late
         self.patience = 0  # for how long it is then taken to wait
+        self.passed = 0  # stamp since when another is earlier than the line was
         self.near_since = 0  # stamp since when its relation to the others is a guess by time
         self.stray = -1  # the last counter that could not be
         self.strayed = 0  # its stamp
         self.in_a_row = 0
+        self.row_since = 0  # stamp of the first of these

@@ -208,11 +208,14 @@ class SampleClock:
         follows = counter == (at.stray + 1) % self.counter_modulo
         at.in_a_row = at.in_a_row + 1 if follows and at.in_a_row else 1
         at.stray = counter
+        if at.in_a_row == 1:
+            at.row_since = t_ns
         if at.in_a_row < _IN_A_ROW:
             at.strayed = t_ns
             return Instant(self._forward(at, t_ns, t_ns), trusted=False)
         at.in_a_row = 0
-        if not self._others_in_time(at, t_ns):
+        waited = 2 * (t_ns - at.row_since) < _IN_A_ROW * self.period_ns
+        if waited or not self._others_in_time(at, t_ns):
             return self._restart(at, t_ns, counter, skip, silence)
         at.joined, at.phase = False, None
         return self._join(at, t_ns, counter, skip) or Instant(t_ns, trusted=False)
@@ -226,6 +229,7 @@ class SampleClock:
         for lane in self._lanes.values():
             young = min(t_ns - at.near_since, t_ns - lane.near_since) < _YOUNG_NS
             lane.patience = _PASSED_NS if young else _DOUBT_NS
+            lane.passed = t_ns
 
     def _late(
         self, at: Lane, t_ns: int, counter: int, skip: int, cycles: int, late: int
@@ -234,7 +238,9 @@ class SampleClock:
         if self._others_in_time(at, t_ns):
             if at.behind_since is None or not t_ns - at.behind_since > at.patience:
                 if at.behind_since is None:
-                    at.behind_since, at.patience = t_ns, _DOUBT_NS
+                    at.behind_since = t_ns
+                    if not 0 <= t_ns - at.passed <= _DOUBT_NS:
+                        at.patience = _DOUBT_NS
                 t = self._place(at, t_ns, counter, at.cycle + cycles)
                 return Instant(t, cycles - 1, trusted=late < _WAITED * self._unit_ns)
             at.joined, at.phase, at.behind_since = False, None, None
@@ -275,6 +281,8 @@ class SampleClock:
             lane.joined = False
             lane.late_total = lane.late_run = lane.late_last = 0
             lane.behind_since, lane.patience = None, _DOUBT_NS
+            if silence > self.silence_ns:  # the sender may have begun anew, each counter by itself
+                lane.near_since = t_ns
         self._origin, self._anchor, self._level = t_ns - waited, 0, 0
         self._block_start, self._low_cycle, self._low = 0, 0, 0
         self.lows.clear()
