@@ -136,6 +136,5 @@ def _filled(path: Path, store: Store) -> Store:
             path, "", "holds none of the page's signals", f"it draws {', '.join(NAMES)}"
         )
     for track in store.tracks.values():
-        if np.isnan(track.value).all():
-            track.clear()
+        track.begin_with_a_value()  # a service that waited for its rig published no estimate
     return store

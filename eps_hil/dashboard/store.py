@@ -67,6 +67,11 @@ class Track:
         new_t[: len(t_ns)], new_value[: len(t_ns)] = t_ns, value
         self._t_ns, self._value, self._begin, self._end = new_t, new_value, 0, len(t_ns)
 
+    def begin_with_a_value(self) -> None:
+        """Forget the samples without a value that come before the first with one."""
+        known = np.isfinite(self.value)
+        self._begin = self._begin + int(np.argmax(known)) if known.any() else self._end
+
     def clear(self) -> None:
         """Forget everything."""
         self._begin = self._end = 0
