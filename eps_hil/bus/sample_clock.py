@@ -96,6 +96,7 @@ class SampleClock:
         self._lanes: dict[str, Lane] = {}
         self.last: Lane | None = None
         self._paused = False  # whether the sender was silent before the line began
+        self._later = (0, 0)  # stamp at which the line went to later instants, and by how much
         self._origin = 0
         self._slope = 0.0  # ns per cycle against the nominal period
         self._anchor, self._level = 0, 0
@@ -201,7 +202,9 @@ class SampleClock:
     def _early(self, at: Lane, t_ns: int, counter: int, skip: int) -> Instant:
         """A frame before its time: the stamps' clock was set, or the counter cannot be."""
         silence = t_ns - _heard(at)
-        if skip == 1 or not 0 <= silence <= self.silence_ns:
+        since, by = self._later  # it may be the line of frames that waited: others did, too
+        burst = 0 <= t_ns - since <= by and self._due(at.cycle + skip) - t_ns <= by
+        if skip == 1 or burst or not 0 <= silence <= self.silence_ns:
             found = self._restart(at, t_ns, counter, skip, silence)
             self._be_patient(at, t_ns)
             return found
@@ -266,7 +269,12 @@ class SampleClock:
         last = self.last
         again = last is not None
         if at.joined:
-            self.moved_ns += t_ns - waited - self._due(at.cycle + max(skip, 1))
+            moved = t_ns - waited - self._due(at.cycle + max(skip, 1))
+            self.moved_ns += moved
+            since, by = self._later
+            if moved > 0 or not 0 <= t_ns - since <= by:
+                since, by = t_ns, 0
+            self._later = since, by + moved
         self._paused = last is None or t_ns - _heard(last) > self.silence_ns
         phase = at.counter - at.cycle if at.joined else at.phase
         known = phase is not None and at.in_time >= _RELATED
