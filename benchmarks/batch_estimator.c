@@ -78,17 +78,16 @@ long estimate(const double *c, const int64_t **t, const double **v, const int64_
         double load = force + slope * (c[OBS_LAG] + c[STEP]);
         double sigma = sqrt(c[GAIN_W] * var_w + c[GAIN_T] * var_t);
         int resting = fabs(omega) < fmax(c[DEAD], c[DEAD_SIGMA] * sigma);
-        double travel = 0.5 * (w + speed) * c[STEP], slip, kept = angle - held;
+        double travel = 0.5 * (w + speed) * c[STEP], slip, from = held;
         if (!resting) angle += travel;
         angle += c[ANGLE_LP] * (a - angle);
         if (resting) {
-            double before = held, gap = 3.0 * sqrt(c[ANGLE_LP] / (2.0 - c[ANGLE_LP]) * var_a);
+            double gap = 3.0 * sqrt(c[ANGLE_LP] / (2.0 - c[ANGLE_LP]) * var_a);
             held = fmin(fmax(held, angle - gap), angle + gap);
-            travel = held - before, slip = fabs(travel);
         } else {
             held = angle;
-            slip = fabs(travel) + fabs(kept), travel += kept;
         }
+        travel = held - from, slip = fabs(travel);
         double moving = resting ? 0.0 : w;
         acc += c[ACC_LP] * ((w - speed) / c[STEP] - acc);
         speed = w;

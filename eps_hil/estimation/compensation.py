@@ -154,18 +154,17 @@ def _follow(c: Constants, s: Moment, u: Inputs, travel: float, resting: bool) ->
     bend = angle - 2.0 * s.angle_before + s.angle_earlier
     s.angle_earlier, s.angle_before = s.angle_before, angle
     s.angle_noise = _noise(c, s.angle_noise, bend, u.angle_noise)
-    kept = s.angle - s.held
+    before = s.held
     if not resting:
         s.angle += travel
     s.angle += c.angle_low_pass * (angle - s.angle)
     if resting:
-        before = s.held
         left = c.angle_low_pass / (2.0 - c.angle_low_pass)  # variance that the low-pass leaves
         gap = CREEP_SIGMA * math.sqrt(left * s.angle_noise)
         s.held = min(max(s.held, s.angle - gap), s.angle + gap)
         return s.held - before
     s.held = s.angle
-    return kept
+    return s.held - before
 
 
 @kernel
@@ -180,7 +179,7 @@ def _path(c: Constants, s: Moment, u: Inputs, resting: bool) -> tuple[float, flo
     s.last_angle = u.motor_angle_rad
     if c.angle_seen:
         went = _follow(c, s, u, travel, resting)
-        return (went, abs(went)) if resting else (travel + went, abs(travel) + abs(went))
+        return went, abs(went)
     if not resting:
         kept = s.path
         s.path = 0.0

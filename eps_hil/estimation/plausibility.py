@@ -124,6 +124,8 @@ class Watch:
     unsure: int
     missed_now: int
     started: int
+    # Whether speed and angle part at this step.
+    parted: int
     # Angle less the speed's path, and what scales its tolerance; the angle of the step before.
     slip: float
     path: float
@@ -322,6 +324,7 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     if not p.on:
         return 0, False
     w = watch[0]
+    w.parted = 0
     if missing != 0:
         w.slip, w.path, w.gain = 0.0, 0.0, 0.0
         w.slow, w.turned, w.slow_gain = 0.0, 0.0, 0.0
@@ -348,6 +351,7 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     if p.angle_seen and jumped_alone(w, p, u):
         w.stalled, w.missed, off = p.stalled_steps, 1, True
     if off:
+        w.parted = 1
         reason |= _INCONSISTENT
         now = True
     for i in range(COUNT):

@@ -171,6 +171,18 @@ def roll_back(e: Carried, kept: Kept) -> None:
 
 
 @kernel
+def move_by_angle(e: Carried, angle_rad: float, step_s: float) -> None:
+    """What is rolled back because speed and angle part moved as the angle did since.
+
+    The speed there may be wrong already, and a rotor that rests would seem to have moved.
+    """
+    s = e.moment[0]
+    if s.running == HELD and s.held_steps > 0:
+        s.speed = (angle_rad - s.last_angle) / (s.held_steps * step_s)
+        s.acceleration = 0.0
+
+
+@kernel
 def begin_anew(e: Carried, effects: Added) -> None:
     """The state before the first step once more, for what a jump of time or nonsense spoilt.
 

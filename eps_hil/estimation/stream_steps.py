@@ -20,6 +20,7 @@ from eps_hil.estimation.state import (
     Records,
     begin_anew,
     keep,
+    move_by_angle,
     new_carried,
     new_kept,
     roll_back,
@@ -226,6 +227,8 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         doubt, now_seen = judge_step(m.watch, timing.limits, inputs, seen, reason)
         if now_seen and m.carried.moment[0].running == RUNS:
             roll_back(m.carried, m.kept)
+            if m.watch[0].parted:
+                move_by_angle(m.carried, inputs.motor_angle_rad, c.step_s)
         reason = step(c, x, m.carried, inputs, reason | (doubt if now_seen else 0))
         seen_since = m.watch[0].unsure == 0 or m.watch[0].started != 0
         sound = (reason | doubt) & ~_SOUND == 0 and seen_since

@@ -37,6 +37,8 @@ _ROLLED_BACK = 2
 """Steps for which a doubt of something past is a doubt of now, so that the state is rolled back."""
 _BACK = 0.4
 """Share of an unexplained torque that may be left when it has jumped back."""
+_OWN_SIGMA = 2.0
+"""Deviations of the torque's own course within which what a spike leaves may be that course."""
 
 Floats = npt.NDArray[np.float64]
 
@@ -173,12 +175,18 @@ def _edge(w: "Watch", p: "Limits", u: Inputs) -> tuple[float, float]:
 
 @kernel
 def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> None:
-    """Take a jump that nothing followed out of the ring; ``level`` (Nm) is what is left of it."""
+    """Take a jump that nothing followed out of the ring; ``level`` (Nm) is what is left of it.
+
+    What is left of a jump that went back, or of a spike, may be what the course did meanwhile: it
+    is not doubted for long.
+    """
     n, k = p.window, w.steps - 1
     first, since = k - n, k - n - w.edge_at
+    vague = False
     if 0 < since <= n + p.edge:  # perhaps the end of a spike: what is left is of before it
         level += base - w.edge_nm - since * slope
         first, base = w.edge_at, w.edge_nm
+        vague = level * level <= _OWN_SIGMA**2 * w.swing
         if abs(level) * p.ratio < _KEPT * UNEXPLAINED_N:
             level = 0.0
     for j in range(1, k - first + 1):
@@ -189,8 +197,9 @@ def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> 
         level * old < 0.0 and abs(w.unexplained_nm) < _BACK * abs(old)
     ):
         forget_unexplained(w)
+    vague = vague or (level * old < 0.0 and abs(w.unexplained_nm) < abs(old))
     w.slope_nm = slope
-    w.quiet, w.missed = 0, 0
+    w.quiet, w.missed = 0, 1 if vague else 0
     if w.unsure > 0:  # it may as well be the end of what was wrong since nobody looked
         w.missed, w.stalled, w.told = 1, p.stalled_steps, _ROLLED_BACK
     else:
@@ -209,7 +218,7 @@ def latched(w: "Watch", p: "Limits") -> int:
     """Inconsistent while a jump that nothing followed stays, or is too near in the past.
 
     So is a signal that stood still: it may be late since. Where inputs were missing the torque may
-    have jumped back unseen: then it is not doubted for long.
+    have jumped back unseen, or its jump back was not seen well: then it is not doubted for long.
     """
     w.quiet += 1
     if w.stalled > 0:

@@ -11,6 +11,7 @@ from eps_hil.estimation.plausibility import judge_sample, judge_step, limits_of,
 from eps_hil.estimation.settings import EstimatorSettings, PlausibilitySettings
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.stream import Trace
+from eps_hil.estimation.torque_jumps import _found, latched
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -258,6 +259,40 @@ def test_a_speed_that_tells_of_a_way_that_no_angle_shows_is_told(
     assert wrong_and_valid_ms(trace, right) <= 20
     assert wrong_and_valid_ms(believed, right) > 100, "nothing to tell"
     assert told(trace, since + 700, since + 2000) == told(right, since + 700, since + 2000)
+
+
+def test_a_speed_that_was_wrong_in_motion_leaves_less_behind(
+    reference_model: Model, steps_truth: Any
+) -> None:
+    """The angle corrects the bristle's path in motion too; before, 595 N were left."""
+    right, most = estimate(series_of(steps_truth), reference_model, OFF), 0.0
+    for since in range(3000, 18_000, 700):
+        series = series_of(steps_truth)
+        series[NAMES[2]].value[since : since + 300] += 1.0
+        trace = estimate(series, reference_model, OFF)
+        after = slice(*np.searchsorted(trace.t_ns, [(since + ms) * 10**6 for ms in (320, 420)]))
+        off = trace.rack_force_n[after] - right.rack_force_n[after]
+        most = max(most, float(np.abs(off).max()))
+    assert most < 350.0
+
+
+@pytest.mark.parametrize("of", ["a jump back", "a spike"])
+def test_what_is_left_of_a_jump_that_is_over_is_not_doubted_for_long(
+    reference_model: Model, of: str
+) -> None:
+    """Its size was taken from a course that bends: a rest of it may be nothing."""
+    p, watch = limits_of(reference_model, EstimatorSettings(), True), new_watch()
+    w = watch[0]
+    w.steps, w.missed_now, w.started = 1000, 0, 0
+    if of == "a spike":
+        w.edge_at, w.swing = 999 - p.window - 3, 0.03
+        _found(w, p, 0.0, 0.0, -0.05)
+    else:
+        _found(w, p, 0.0, 0.0, -0.15)
+        _found(w, p, 0.0, 0.0, 0.21)
+    doubted = [latched(w, p) != 0 for _ in range(p.consistent_steps)]
+    assert all(doubted[: p.stalled_steps])
+    assert not any(doubted[p.stalled_steps + 1 :])
 
 
 @pytest.mark.parametrize("after_ms", [0, 4, 12])
