@@ -1,4 +1,4 @@
-"""Where a result comes from: tool version, date, command, input files with SHA-256, machine.
+"""Where a result comes from: version of tool and catalogue, date, command, input files with SHA-256, machine.
 
 The command line says which files it names (:func:`begin`); every page and every JSON file of a
 verb then carries :func:`content`. A program that calls the library has no command: null.
@@ -43,6 +43,7 @@ def content() -> dict[str, Any]:
     return {
         "tool": "eps_hil",
         "version": VERSION,
+        "catalogue": _catalogue(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": command,
         "files": [{"path": str(path), "sha256": _sha256(path)} for path in files],
@@ -54,6 +55,14 @@ def content() -> dict[str, Any]:
             "python": sys.version.split()[0],
         },
     }
+
+
+def _catalogue() -> str:
+    """The catalogue's version: first digits of SHA-256 over the files of its effects."""
+    digest = hashlib.sha256()
+    for path in sorted((Path(__file__).parent / "physics" / "effects").glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 def _is_file(path: Path) -> bool:

@@ -37,6 +37,21 @@ def test_a_verbs_json_names_its_inputs(tmp_path: Path, sweep_truth: Any) -> None
     assert set(made["machine"]) == {"name", "system", "processor", "cores", "python"}
 
 
+def test_the_catalogues_version_follows_its_effects(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "physics" / "effects"
+    folder.mkdir(parents=True)
+    (folder / "mine.py").write_text("A = 1\n")
+    before = provenance.content()["catalogue"]
+    assert re.fullmatch("[0-9a-f]{12}", before)
+    assert provenance.content()["catalogue"] == before
+    monkeypatch.setattr(provenance, "__file__", str(tmp_path / "provenance.py"))
+    one = provenance.content()["catalogue"]
+    (folder / "mine.py").write_text("A = 2\n")
+    assert len({before, one, provenance.content()["catalogue"]}) == 3
+
+
 def test_several_files_and_words_that_are_none(tmp_path: Path) -> None:
     a, b = tmp_path / "a.log", tmp_path / "b.log"
     a.write_text("a")

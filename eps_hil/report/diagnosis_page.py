@@ -104,6 +104,21 @@ def named(effect: str) -> str:
     return title if title.partition(" ")[0] in _NAMES else title[0].lower() + title[1:]
 
 
+def _split(diagnosis: Diagnosis) -> str:
+    """What was fitted and what was kept from it, in words; one recording gives both in turn."""
+    short = _short(diagnosis)
+    fitted = [one.name for one in diagnosis.problem.recordings]
+    kept = [one.prepared.name for one in diagnosis.judged]
+    said = []
+    for names, part in ((fitted, "first two thirds"), (kept, "last third")):
+        halved = [short[name] for name in names if name in fitted and name in kept]
+        whole = [short[name] for name in names if name not in fitted or name not in kept]
+        said.append(
+            ", ".join([*whole, *([f"the {part} of {' and of '.join(halved)}"] * bool(halved))])
+        )
+    return f"Fitted: {said[0]}. Kept from the fit: {said[1]}."
+
+
 def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
     content, model = diagnosis.content, diagnosis.problem.model
     fitted, held_out = diagnosis_evidence.fitted(diagnosis), diagnosis_evidence.held_out(diagnosis)
@@ -124,8 +139,7 @@ def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
         "placebos": content["fit"].get("placebo", []),
         "ratio": ratio,
         "short": _short(diagnosis),
-        "fitted_names": [one.name for one in diagnosis.problem.recordings],
-        "holdout_names": [one.prepared.name for one in diagnosis.judged],
+        "split": _split(diagnosis),
         "flags": _flags(content),
         "sliding_s": 8e-3 * int(fitted.sliding.sum()),
         "regions": diagnosis_maps.regions(fitted, content.get("location", {}).get("cells", [])),

@@ -63,7 +63,7 @@ def _footer() -> str:
     made = provenance.content()
     machine = made["machine"]
     lines = [
-        f"eps_hil {made['version']}, {made['date']}",
+        f"eps_hil {made['version']}, catalogue {made['catalogue']}, {made['date']}",
         made["command"] or "called from a program",
         *(f"{file['path']}: SHA-256 {file['sha256'] or 'not readable'}" for file in made["files"]),
         f"{machine['name']}: {machine['system']}, {machine['cores']} cores, "

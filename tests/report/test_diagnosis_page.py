@@ -4,8 +4,8 @@ import json
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from types import ModuleType, SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -222,6 +222,27 @@ def test_page_of_a_signal_that_is_late(explained: Diagnosis) -> None:
     assert "12 ms later than the model file says" in checked.text
     assert "Blue: with the findings." in checked.text
     assert "corrected in all that follows" in checked.text
+
+
+@pytest.mark.parametrize(
+    ("fitted", "kept", "said"),
+    [
+        (["a/r.log"], ["a/r.log"],
+         "Fitted: the first two thirds of r.log. Kept from the fit: the last third of r.log."),
+        (["a/r.log", "a/s.log"], ["a/t.log"], "Fitted: r.log, s.log. Kept from the fit: t.log."),
+    ],
+)  # fmt: skip
+def test_parts_of_one_recording_are_told_apart(
+    fitted: list[str], kept: list[str], said: str
+) -> None:
+    def names(of: list[str]) -> list[Any]:
+        return [SimpleNamespace(name=one, prepared=SimpleNamespace(name=one)) for one in of]
+
+    problem = SimpleNamespace(recordings=names(fitted))
+    assert (
+        diagnosis_page._split(cast(Diagnosis, SimpleNamespace(problem=problem, judged=names(kept))))
+        == said
+    )
 
 
 def test_thinned_keeps_peaks() -> None:
