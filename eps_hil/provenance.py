@@ -1,4 +1,4 @@
-"""Where a result comes from: version of tool and catalogue, date, command, input files with SHA-256, machine.
+"""Where a result comes from: tool, catalogue, date, command, input files with SHA-256, machine.
 
 The command line says which files it names (:func:`begin`); every page and every JSON file of a
 verb then carries :func:`content`. A program that calls the library has no command: null.

@@ -73,7 +73,7 @@ def test_a_page_ends_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     page.write(path, "<html><body><p>text</p></body></html>")
     text = path.read_text(encoding="utf-8")
     assert text.endswith("</footer>\n</body></html>")
-    assert f"eps_hil {__version__}, 20" in text
+    assert re.search(rf"eps_hil {re.escape(__version__)}, catalogue [0-9a-f]{{12}}, 20", text)
     assert "&lt;b&gt;.csv: SHA-256 " in text
     assert "<b>" not in text
     assert re.search(r"\d+ cores, Python 3\.", text)
