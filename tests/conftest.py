@@ -93,6 +93,12 @@ def other_rig() -> ModuleType:
 
 
 @pytest.fixture(scope="session")
+def closed_loop_rig() -> ModuleType:
+    """A third one, under its own controller."""
+    return _module("closed_loop_rig", "diagnosis")
+
+
+@pytest.fixture(scope="session")
 def sweep_truth(independent_rig: ModuleType) -> object:
     """The 540 N rms sweep of the independent rig."""
     force = independent_rig.sweep()

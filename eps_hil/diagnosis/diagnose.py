@@ -87,6 +87,7 @@ from eps_hil.diagnosis.search import (
 from eps_hil.diagnosis.search import holdouts as kept_holdouts
 from eps_hil.diagnosis.verdict.content import content_of, without_nan
 from eps_hil.diagnosis.verdict.finding import more_masses
+from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -183,18 +184,13 @@ def _found(
     def under(load: Load | None) -> Diagnosis:
         return _under(load, model, ready, spare, say, without)
 
-    first = under(load)
     if load is None:
-        return first
+        return under(load)
     base = load.in_model(model)
-    if load.form == "arbitrary":  # which explains whatever there is
+    if load.form == "arbitrary":
         loose = may_be_free(load, every, model)
-        form = replace(FREE if loose else load.followed(), doubtful=True)
-        told = _refitted(under(form), form, form.in_model(model), learnt)
-        believed = told.content["verdict"] == "explained" or _follows(
-            told, held=not loose and load.stiffness_n_per_m < 0.0
-        )
-        return told if believed else replace(first, content=under_any_force(first.content))
+        return _under_any(load, under, model, learnt, loose=loose)
+    first = under(load)
     if not first.content["findings"]:
         return _with_load(first, load, _as_told(load, first, learnt), base)
     better = load_of(learnt, first.model)  # beside the friction that was found it is another one
@@ -207,7 +203,43 @@ def _found(
         free = under(FREE)  # friction that grows with a load that is none looks like many things
         if _price(free) < _price(first):
             return free
-    return _with_load(first, fitted, load, base)
+    told = _with_load(first, fitted, load, base)
+    if not _worse_under_load(told):
+        return told
+    bare = _under(fitted, model, ready, spare, say, catalogue())
+    return _with_load(bare, fitted, load, base)
+
+
+def _under_any(
+    load: Load,
+    under: Callable[[Load], Diagnosis],
+    model: Model,
+    learnt: Sequence[Prepared],
+    *,
+    loose: bool,
+) -> Diagnosis:
+    """The diagnosis under a force that may be arbitrary, and explain whatever there is.
+
+    As one that follows the motion (``loose``: or none), where that is believed.
+    """
+    form = replace(FREE if loose else load.followed(), doubtful=True)
+    told = _refitted(under(form), form, form.in_model(model), learnt)
+    if told.content["verdict"] == "explained":
+        return told
+    if _follows(told, held=not loose and load.stiffness_n_per_m < 0.0):
+        return told
+    ripples = under(load)
+    return replace(ripples, content=under_any_force(ripples.content))
+
+
+def _worse_under_load(told: Diagnosis) -> bool:
+    """Whether hold-outs are worse by the written file, whose load was fitted beside what was found.
+
+    Then what was found had only taken over what the load does.
+    """
+    figures = told.content["fit"]["holdout"]
+    before, after = (figures[one]["torque_nrmse"] for one in ("baseline", "augmented"))
+    return bool(told.content["findings"] and after > before)
 
 
 def _slides(recordings: Sequence[Prepared], samples: npt.NDArray[np.bool_]) -> None:

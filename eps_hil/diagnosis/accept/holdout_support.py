@@ -9,7 +9,7 @@ import numpy as np
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout, rack_force_error_n
 from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Selection, timed
-from eps_hil.diagnosis.balance.baseline import HOLD
+from eps_hil.diagnosis.balance.baseline import HOLD, STIFFNESS, is_free
 from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, deviation, fit, matters
 from eps_hil.diagnosis.balance.problem import SLIDING_RAD_S, Problem, clipped, knee, plain, term_of
 from eps_hil.diagnosis.mismatch.curve import winds
@@ -234,12 +234,13 @@ def augmented_by(
 ) -> Model:
     """The model with the findings; what else was fitted (how a torque is held) goes with them.
 
-    But for the numbers that stand for something else, as a load that nobody measured. Without
-    findings nothing does, unless ``moved``.
+    But for the numbers that stand for something else, as a load that nobody measured, and for a
+    bristle that no name is given to. Without findings nothing does, unless ``moved``.
     """
     if not findings and not moved:
         return problem.model
     entries = [_entry(plain(found.entries[k])) for k in findings]
+    but = but if is_free(found.own) else {*but, STIFFNESS}
     own = {name: value for name, value in found.own.items() if name not in but}
     return _late_enough(problem.with_entries(entries, _entry(own)))
 

@@ -13,8 +13,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.balance.baseline import HOLD, HOLD_S, OFFSET, SIDES, TIMING, levels_of
-from eps_hil.diagnosis.balance.fit import Fit, ablated, fit, matters, own_column
+from eps_hil.diagnosis.balance.baseline import (
+    HOLD,
+    HOLD_S,
+    OFFSET,
+    SIDES,
+    STIFFNESS,
+    TIMING,
+    levels_of,
+)
+from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, ablated, fit, matters, own_column
 from eps_hil.diagnosis.balance.probes import Candidate, neutral_value, probe_step
 from eps_hil.diagnosis.balance.problem import Problem, huber
 from eps_hil.diagnosis.mismatch.curve import has_curve
@@ -117,7 +125,9 @@ def numbers_off(
         ]
         if small:
             left = [e for e in one.entries if e not in small]
-            one = fit(problem, left, own={**TIMING, **one.own}, like=one)
+            soft = any(e["effect"] == BRISTLE for e in small)
+            free_still = {STIFFNESS: 0.0} if soft else {}  # or others would stand in for it
+            one = fit(problem, left, own={**TIMING, **one.own, **free_still}, like=one)
         fits.append((one.cost + price * (len(one.entries) + len(free)), one))
     best = min(fits, key=lambda pair: pair[0])[1]
     considered = any(one.effect.id == HOLD for one in pool)

@@ -80,11 +80,13 @@ def threshold(problem: Problem, residual: Floats, of_excess: float) -> float:
     """Gain that counts beside what the residual still holds.
 
     ``of_excess`` is the share of the energy beyond the sensor noise that it must explain: an
-    effect that leaves most of the mismatch standing has the wrong name.
+    effect that leaves most of the mismatch standing has the wrong name. What sampling hides is no
+    effect.
     """
     energy = clipped(residual, knee(residual)) ** 2
     excess = float(np.sum(energy[problem.sliding] - 1.0))
-    return max(LEAST_GAIN, LEAST_SHARE * float(np.sum(energy)), of_excess * excess)
+    share = LEAST_SHARE * float(np.sum(energy))
+    return max(LEAST_GAIN, share, of_excess * excess, problem.hidden)
 
 
 def penalised(one: Fit) -> float:

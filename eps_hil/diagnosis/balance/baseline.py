@@ -17,7 +17,10 @@ from eps_hil.physics.model import Friction, Model
 Width = Callable[[Model, Size], float]
 
 OFFSET, HOLD, SPRING = "motor_torque_offset", "motor_torque_delay", "unmodelled_spring"
-_SPRING_NM_PER_RAD = 1e-3
+STIFFNESS = "sigma0_nm_per_rad"
+GRAVITY = ("gravity_sin", "gravity_cos")
+"""A weight on a turning joint: torques that follow the sine and the cosine of its angle."""
+_LEARNT, _SPRING_NM_PER_RAD = "empirical", 1e-3
 OFFSET_NM = 0.02
 HOLD_S = 0.4e-3
 """A torque held for a sample of 1 ms is half of it late on the shaft, if it is held."""
@@ -82,6 +85,30 @@ def _raised(
     return turn
 
 
+def weight(torque_nm: float, phase_rad: float) -> dict[str, object]:
+    """A model file's entry of a torque that follows the sine of the angle: a weight's."""
+    return {
+        "effect": _LEARNT,
+        "form": "law",
+        "where": "rotor",
+        "how": "sum",
+        "inputs": ["motor_angle_rad"],
+        "memory": ["none"],
+        "shapes": ["sine"],
+        "size": torque_nm,
+        "order_1": 1.0,
+        "phase_1": phase_rad,
+    }
+
+
+def _hung(phase_rad: float) -> Callable[[Model, float, Size], Model]:
+    def turn(model: Model, value: float, size: Size) -> Model:
+        entry = weight(value * OFFSET_NM * size.torque, phase_rad)
+        return replace(model, effects=(*model.effects, entry))
+
+    return turn
+
+
 def _hold(model: Model, value: float, _size: Size = ORDINARY) -> Model:
     late = model.delays_s.motor_torque - value * HOLD_S
     return replace(model, delays_s=replace(model.delays_s, motor_torque=late))
@@ -108,7 +135,7 @@ KNOBS: Sequence[Knob] = (
     _friction("viscous_neg_nm_s_per_rad", _DRAG),
     _friction("load_pos_nm_per_n", _LOAD),
     _friction("load_neg_nm_per_n", _LOAD),
-    _factor("sigma0_nm_per_rad", 0.4),
+    _factor(STIFFNESS, 0.4),
     _factor("sigma1_nm_s_per_rad", 0.5),
     Knob("inertia", _inertia),
     Knob(OFFSET, _raised(OFFSET, "offset_nm", lambda size: OFFSET_NM * size.torque)),
@@ -121,11 +148,14 @@ KNOBS: Sequence[Knob] = (
             lambda size: _SPRING_NM_PER_RAD * size.torque / size.angle,
         ),
     ),
+    Knob(GRAVITY[0], _hung(0.0)),
+    Knob(GRAVITY[1], _hung(0.5 * math.pi)),
     _difference("viscous_difference_nm_s_per_rad", _DRAG),
     _difference("load_difference_nm_per_n", _LOAD),
 )
-"""J, k0±, kω±, kr±, σ0, σ1, a constant torque, how the motor's torque is held. Then a spring, which
-only stands for a load that nobody measured, and differences, which only go with a name."""
+"""J, k0±, kω±, kr±, σ0, σ1, a constant torque, how the motor's torque is held. Then a spring and a
+weight, which only stand for a load that nobody measured, and differences, which only go with a
+name."""
 
 SIDES: Mapping[str, tuple[str, ...]] = {
     "viscous_friction": ("viscous_difference_nm_s_per_rad",),
@@ -139,19 +169,19 @@ Never both directions beside their name: a drag in the bristle less the same dra
 nothing but a lag of the bristle, which fits the form of any other friction a little better.
 """
 
-_BESIDE = (SPRING, *SIDES["viscous_friction"], *SIDES["load_dependent_friction"])
+_BESIDE = (SPRING, *GRAVITY, *SIDES["viscous_friction"], *SIDES["load_dependent_friction"])
 ALL: Mapping[str, float] = {knob.name: 0.0 for knob in KNOBS if knob.name not in _BESIDE}
 TIMING: Mapping[str, float] = {HOLD: 0.0}
 """Fitted even where nothing else is: how a torque is sampled is no finding, and no other effect."""
 
 _BY_NAME = {knob.name: knob for knob in KNOBS}
 
-_LEARNT, _LAW = "empirical", "law"
+_LAW = "law"
 _LAW_WIDTH = 0.3
 """What an error of usual size is of a learnt law's number: a share, or of a phase in rad."""
 _ORDER_WIDTH = 1e-3
 
-_TERMS = (OFFSET, SPRING)
+_TERMS = (OFFSET, SPRING, *GRAVITY)
 
 
 def levels_of(model: Model, size: Size = ORDINARY) -> dict[str, float]:

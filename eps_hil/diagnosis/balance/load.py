@@ -1,8 +1,9 @@
 """Recordings without a load cell: what the load was, as far as that can be known (DIAGNOSIS 7).
 
 A free rack, or one that works against a spring and a damper, follows its own motion: two numbers
-and a constant, which are fitted with the model's own. Any other force is known only as what the
-torque balance lacks; below a low frequency it is taken from there, and only ripples, which are
+and a constant, which are fitted with the model's own. So does a joint that lifts a weight, by the
+sine and the cosine of the angle, in the place of a spring. Any other force is known only as what
+the torque balance lacks; below a low frequency it is taken from there, and only ripples, which are
 faster, can be told from it.
 """
 
@@ -13,11 +14,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.balance.baseline import OFFSET, SPRING
+from eps_hil.diagnosis.balance.baseline import GRAVITY, OFFSET, SPRING
 from eps_hil.diagnosis.balance.load_written import SpringLoad, written
 from eps_hil.diagnosis.balance.problem import sliding
-from eps_hil.diagnosis.data.prepare import SLOW_HZ, TAKEN_UP, Prepared
-from eps_hil.identification.butterworth import low_pass
+from eps_hil.diagnosis.data.prepare import CUTOFF_HZ, SLOW_HZ, TAKEN_UP, Prepared
+from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 
@@ -39,6 +40,10 @@ LIKE_LOAD = (
 """What a load of unknown spring, damper and constant cannot be told from."""
 LIKE_ANY_LOAD = ("motor_torque_gain", "motor_torque_saturation")
 """A motor that holds against any force has a torque that is like it: less of both leaves less."""
+HUNG_RAD = 0.5, 2.0 * np.pi
+"""A joint's travel: less shows no sine, and what turns farther carries no weight about."""
+_BETTER = 0.9
+"""Of a spring's residual energy: what a weight has to leave less of, to be one."""
 _ROUNDS = 6
 _WRONG = 0.05
 """Of the noise: friction under another load that is worth another look."""
@@ -48,7 +53,10 @@ _LIKE_FRICTION_OF_A_SPRING, _OF_LOAD = "position_dependent_friction", "load_depe
 
 @dataclass(frozen=True)
 class Load:
-    """F = stiffness x + damping ẋ + constant, none, or an arbitrary force; SI units at the rack."""
+    """F = stiffness x + damping ẋ + constant, none, or an arbitrary force; SI units at the rack.
+
+    A spring's form is also that of a weight on a joint, whose torque follows the rotor's angle.
+    """
 
     form: Literal["spring", "free", "arbitrary"]
     stiffness_n_per_m: float
@@ -59,6 +67,14 @@ class Load:
     travel_m: float = 0.1
     speed_rad_s: float = 100.0
     """How far from its middle and how fast the rack went against it (at the rotor)."""
+    sine_nm: float = 0.0
+    cosine_nm: float = 0.0
+    """Of the rotor's angle, at the rotor: a weight, in the place of a spring."""
+
+    @property
+    def hangs(self) -> bool:
+        """Whether it is a weight's, not a spring's."""
+        return self.sine_nm != 0.0 or self.cosine_nm != 0.0
 
     def followed(self) -> "Load":
         """Of a force that may be arbitrary: the one that follows the motion, as far as it does."""
@@ -69,7 +85,8 @@ class Load:
         if self.form != "spring":
             return model
         numbers = (self.stiffness_n_per_m, self.damping_n_s_per_m, self.constant_n)
-        return written(model, SpringLoad(*numbers, self.travel_m, self.speed_rad_s))
+        hung = (self.sine_nm, self.cosine_nm)
+        return written(model, SpringLoad(*numbers, self.travel_m, self.speed_rad_s, *hung))
 
     @property
     def sentence(self) -> str:
@@ -84,10 +101,16 @@ class Load:
                 "The rack force was not measured; it is taken as none (a free rack): that explains "
                 f"more than a load would. {', '.join(LIKE_LOAD)} cannot be told from one."
             )
+        most = np.hypot(self.sine_nm, self.cosine_nm)
+        what, held = (
+            (f"a weight of {most:.3g} Nm on a joint", "an empirical sine")
+            if self.hangs
+            else (f"a spring of {self.stiffness_n_per_m:.3g} N/m", SPRING)
+        )
         return (
-            "The rack force was not measured; it is taken as a spring of "
-            f"{self.stiffness_n_per_m:.3g} N/m, a damper of {self.damping_n_s_per_m:.3g} N s/m and "
-            f"{self.constant_n:.3g} N, which a written model holds as {SPRING}, viscous_friction "
+            f"The rack force was not measured; it is taken as {what}, a damper of "
+            f"{self.damping_n_s_per_m:.3g} N s/m and {self.constant_n:.3g} N, which a written "
+            f"model holds as {held}, viscous_friction "
             f"and {OFFSET}, and the friction that grows with it as an empirical map. "
             f"{', '.join(not_told_apart(self))} cannot be told from such a load."
             + (" What stays unknown may be a load of another form." if self.doubtful else "")
@@ -133,11 +156,11 @@ def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[di
 
 
 def load_knobs(load: Load | None) -> Mapping[str, float]:
-    """The model's own numbers that stand for the load's, always free: a spring and a damper."""
+    """The model's own numbers that stand for the load's, always free: spring or weight, damper."""
     if load is None:
         return {}
     return {
-        SPRING: 0.0,
+        **dict.fromkeys(GRAVITY if load.hangs else (SPRING,), 0.0),
         "viscous_pos_nm_s_per_rad": 0.0,
         "viscous_neg_nm_s_per_rad": 0.0,
         OFFSET: 0.0,
@@ -151,41 +174,62 @@ def load_of(recordings: Sequence[Prepared], model: Model, *, level: bool = True)
     names have been looked for, what no name stands for has to be somewhere: then without.
     """
     bare = [one for one in recordings if "rack_force_n" not in one.raw]
-    numbers = np.zeros(4)
+    load, left = _fitted(bare, model, level=level, hung=False)
+    angles = [one.motion(model).angle_rad for one in bare]
+    travel = max(float(np.max(one)) for one in angles) - min(float(np.min(one)) for one in angles)
+    if not HUNG_RAD[0] < travel < HUNG_RAD[1]:
+        return load
+    weight, less = _fitted(bare, model, level=level, hung=True)
+    return weight if less < _BETTER * left else load
+
+
+def _fitted(
+    bare: Sequence[Prepared], model: Model, *, level: bool, hung: bool
+) -> tuple[Load, float]:
+    """A spring or a weight with a damper, and what it leaves of the sliding samples' energy."""
+    numbers = np.zeros(6)
+    free = [*([3, 4] if hung else [0]), 1, 2, 5]
     for _ in range(_ROUNDS):
         rows, left, sizes = [], [], []
         for one in bare:
-            filled = _filled(one, model, numbers[:3])
+            filled = _filled(one, model, numbers[:5])
             mask = sliding(filled, model)
             way = np.sign(one.motion(model).speed_rad_s)
             motion = (*_motion(one, model), way if level else np.zeros(len(way)))
-            columns = np.column_stack([one.thin(c) for c in motion])[mask]
+            columns = np.column_stack([one.thin(motion[k]) for k in free])[mask]
             rows.append(columns)
             loss = filled.left_over(model)[mask] * model.rack_to_rotor_ratio_rad_per_m
-            left.append(loss - numbers[3] * columns[:, 3])
+            left.append(loss - numbers[5] * columns[:, -1])
             sizes.append(np.full(int(np.sum(mask)), filled.floor_nm(model)))
         a, r = np.vstack(rows), np.concatenate(left)
         scale = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
         usual = 1.4826 * float(np.median(np.abs(r))) + 1e-300
         weight = np.minimum(1.0, 2.0 * usual / np.maximum(np.abs(r), 1e-300))
-        normal = (a / scale * weight[:, None]).T @ (a / scale) + 1e-9 * np.eye(4)
-        numbers = numbers + np.linalg.solve(normal, (a / scale * weight[:, None]).T @ r) / scale
-    excess = usual / model.rack_to_rotor_ratio_rad_per_m / float(np.mean(np.concatenate(sizes)))
-    k, c, f = (float(number) for number in numbers[:3])
+        normal = (a / scale * weight[:, None]).T @ (a / scale) + 1e-9 * np.eye(len(free))
+        step = np.linalg.solve(normal, (a / scale * weight[:, None]).T @ r) / scale
+        numbers[free] += step
+    ratio = model.rack_to_rotor_ratio_rad_per_m
+    excess = usual / ratio / float(np.mean(np.concatenate(sizes)))
+    k, c, f, sine, cosine = (float(number) for number in numbers[:5])
     motions = [one.motion(model) for one in bare]
     travel_m, speed = (
         max(float(np.max(np.abs(getattr(of, name)))) for of in motions)
         for name in ("position_m", "speed_rad_s")
     )
     form: Literal["arbitrary", "spring"] = "arbitrary" if excess > ARBITRARY_EXCESS else "spring"
-    return Load(form, k, c, f, travel_m=travel_m, speed_rad_s=speed)
+    rest = (travel_m, speed, sine / ratio, cosine / ratio)
+    load = Load(form, k, c, f, False, *rest)
+    return load, float(np.mean(np.minimum(np.abs(r), 2.0 * usual) ** 2))
 
 
 def may_be_free(load: Load, recordings: Iterable[Prepared], model: Model) -> bool:
     """Whether no force at all could be what was taken for this load: its spring hardly acts."""
     for one in recordings:
         if "rack_force_n" not in one.raw:
-            force = abs(load.stiffness_n_per_m) * float(np.std(one.motion(model).position_m))
+            position, _, _, *turned = _motion(one, model)
+            hung = model.rack_to_rotor_ratio_rad_per_m * np.array([load.sine_nm, load.cosine_nm])
+            pull = load.stiffness_n_per_m * position + hung @ np.array(turned)
+            force = float(np.std(pull))
             if force / model.rack_to_rotor_ratio_rad_per_m > ARBITRARY_EXCESS * one.floor_nm(model):
                 return False
     return True
@@ -213,11 +257,12 @@ def with_load(one: Prepared, model: Model, load: Load) -> Prepared:
     """The recording with that load as its rack force; itself if the force was measured."""
     if "rack_force_n" in one.raw:
         return one
+    ratio = model.rack_to_rotor_ratio_rad_per_m
     if load.form != "arbitrary":
         numbers = (load.stiffness_n_per_m, load.damping_n_s_per_m, load.constant_n)
-        return _filled(one, model, np.array(numbers))
-    empty = _filled(one, model, np.zeros(3))
-    ratio = model.rack_to_rotor_ratio_rad_per_m
+        hung = (ratio * load.sine_nm, ratio * load.cosine_nm)
+        return _filled(one, model, np.array([*numbers, *hung]))
+    empty = _filled(one, model, np.zeros(5))
     force = np.zeros(len(one.time_s))
     for _ in range(TAKEN_UP):  # friction depends on the force that is being looked for
         rest = _with_force(empty, force, model)
@@ -231,20 +276,25 @@ def with_load(one: Prepared, model: Model, load: Load) -> Prepared:
     return filled.changed(noise={**noise, "motor_speed_rad_s": one.noise["motor_speed_rad_s"]})
 
 
-def _motion(one: Prepared, model: Model) -> tuple[Floats, Floats, Floats]:
+def _motion(one: Prepared, model: Model) -> tuple[Floats, ...]:
+    """What a load's numbers are multiplied with: x, ẋ, 1, sine and cosine of the angle."""
     motion = one.motion(model)
     speed = motion.speed_rad_s / model.rack_to_rotor_ratio_rad_per_m
-    return motion.position_m, speed, np.ones(len(speed))
+    angle = motion.angle_rad
+    return motion.position_m, speed, np.ones(len(speed)), np.sin(angle), np.cos(angle)
 
 
 def _filled(one: Prepared, model: Model, numbers: Floats) -> Prepared:
     force = np.column_stack(_motion(one, model)) @ numbers
-    return _with_force(one, force, model)
+    strayed = 0.0 if "rack_position_m" in one.raw else one.strayed_rad
+    noise = abs(numbers[0]) * strayed / model.rack_to_rotor_ratio_rad_per_m
+    return _with_force(one, force, model, noise / np.sqrt(passed(CUTOFF_HZ, 0)))
 
 
-def _with_force(one: Prepared, force: Floats, model: Model) -> Prepared:
+def _with_force(one: Prepared, force: Floats, model: Model, noise_n: float = 0.0) -> Prepared:
+    """``noise_n``: white noise that leaves as much as where the spring is, is unsure."""
     late = model.delays_s.of("rack_force_n")
     reported = force if late == 0.0 else np.interp(one.time_s - late, one.time_s, force)
     raw = {**one.raw, "rack_force_n": np.asarray(reported)}
-    noise = {**one.noise, "rack_force_n": 0.0}
+    noise = {**one.noise, "rack_force_n": noise_n}
     return one.changed(raw=raw, noise=noise, load_is_assumed=True)

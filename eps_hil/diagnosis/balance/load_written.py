@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eps_hil.diagnosis.balance.baseline import OFFSET, SPRING
+from eps_hil.diagnosis.balance.baseline import OFFSET, SPRING, weight
 from eps_hil.diagnosis.data.intake import BELIEVABLE
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
@@ -25,7 +25,8 @@ _TURNING_RAD_S = 1e-6
 
 class SpringLoad(NamedTuple):
     """F = stiffness x + damping ẋ + constant at the rack (SI), and where the rack went against it:
-    how far from its middle, and how fast at the rotor.
+    how far from its middle, and how fast at the rotor. A weight on a joint follows the sine and the
+    cosine of the rotor's angle (Nm).
     """
 
     stiffness_n_per_m: float
@@ -33,14 +34,21 @@ class SpringLoad(NamedTuple):
     constant_n: float
     travel_m: float
     speed_rad_s: float
+    sine_nm: float = 0.0
+    cosine_nm: float = 0.0
+
+    @property
+    def weight_nm(self) -> float:
+        """The largest torque of the weight."""
+        return float(np.hypot(self.sine_nm, self.cosine_nm))
 
 
 def written(model: Model, load: SpringLoad) -> Model:
     """The model with the load, for recordings without a rack force; itself if no drive has such."""
-    most = abs(load.stiffness_n_per_m) * load.travel_m + abs(load.constant_n)
-    if most > BELIEVABLE["rack_force_n"]:
-        return model
     ratio = model.rack_to_rotor_ratio_rad_per_m
+    most = abs(load.stiffness_n_per_m) * load.travel_m + abs(load.constant_n)
+    if most + ratio * load.weight_nm > BELIEVABLE["rack_force_n"]:
+        return model
     numbers = {
         (SPRING, "stiffness_nm_per_rad"): load.stiffness_n_per_m / ratio**2,
         ("viscous_friction", "coefficient_nm_s_per_rad"): load.damping_n_s_per_m / ratio**2,
@@ -51,10 +59,15 @@ def written(model: Model, load: SpringLoad) -> Model:
     for one in springs:  # its stiffness takes the load's in, which is relaxed at zero
         pull = numbers[SPRING, "stiffness_nm_per_rad"] * float(one.get("middle_rad", 0.0))
         numbers[OFFSET, "offset_nm"] -= pull
+    if load.weight_nm > 0.0 and not springs:
+        del numbers[SPRING, "stiffness_nm_per_rad"]
     for (name, parameter), value in numbers.items():
         held = next((one for one in effects if one["effect"] == name), {"effect": name})
         total = float(f"{value + float(held.get(parameter, 0.0)):.6g}")
         effects = [*(one for one in effects if one is not held), {**held, parameter: total}]
+    if load.weight_nm > 0.0:
+        phase = float(np.arctan2(load.cosine_nm, load.sine_nm))
+        effects.append(weight(float(f"{load.weight_nm:.6g}"), float(f"{phase:.6g}")))
     effects += _rubbing(with_model_effects(model), load)
     return replace(model, effects=tuple(effects))
 
@@ -72,7 +85,9 @@ def _rubbing(model: Model, load: SpringLoad) -> list[Entry]:
     rate = v / model.rack_to_rotor_ratio_rad_per_m
     law = model.friction
     gain = np.where(v > 0.0, law.load_pos_nm_per_n, law.load_neg_nm_per_n)
-    level = gain * np.abs(k * x[:, None] + c * rate + f)
+    ratio = model.rack_to_rotor_ratio_rad_per_m
+    hangs = load.sine_nm * np.sin(ratio * x) + load.cosine_nm * np.cos(ratio * x)
+    level = gain * np.abs((k * x + ratio * hangs)[:, None] + c * rate + f)
     if float(np.max(level[1:-1])) <= _LEAST * max(law.offset_pos_nm, law.offset_neg_nm):
         return []
     return [

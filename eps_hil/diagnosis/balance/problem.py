@@ -98,6 +98,7 @@ class Problem:
         self.visited_m = float(low), float(high)
         self.farthest_m = float(np.percentile(np.abs(position), 99.5))
         self.extreme_m = float(np.max(np.abs(position)))
+        self._masks = masks
         self.sliding = np.concatenate(masks)
         self.scale = np.concatenate(floors)
         self.floor = float(np.median(self.scale[self.sliding])) if self.sliding.any() else 1.0
@@ -137,6 +138,18 @@ class Problem:
         parts = [left(one) for one in self.recordings] if few else each(left, self.recordings)
         residual = np.concatenate(parts) / self.scale
         return self.whitened(residual)
+
+    @property
+    def hidden(self) -> float:
+        """Energy, in noise variances, of what sampling at intervals leaves of the right model.
+
+        It is no noise: where it is most of the floor, a regressor may follow it.
+        """
+        told = 0.0
+        for one, mask in zip(self.recordings, self._masks, strict=True):
+            floor = np.hypot(one.floor_nm(self.model), one.unexplained_nm)
+            told += float(np.sum(mask)) * float(one.sampled_nm / floor) ** 2
+        return told
 
     def whitened(self, values: Floats) -> Floats:
         """Residuals (n,) or sensitivities (n, k) beside the remainder; themselves without one."""

@@ -57,6 +57,9 @@ longest that the shortest beside it has to be; differences that say anything."""
 _SAMPLED = 3e-4
 """Of the motor torque's rms: what the balance of a sampled recording leaves without any noise. A
 torque that steps, or friction that turns, between samples of 1 ms leaves nearly as much."""
+_STRAYED = 0.461
+"""∫(W − mean W)² dt over a Brownian bridge's or a random walk's unit time exceeds this in 5 of 100:
+Cramér's and von Mises' statistic."""
 _NEEDED = ("motor_torque_nm",)
 
 
@@ -226,13 +229,21 @@ class Prepared:
             + load**2 * self._noise_left("rack_force_n")
             + worked_in.inertia_kg_m2**2 * self._acceleration_variance()
         )
-        return max(float(np.sqrt(squared)), self._sampled_nm)
+        return max(float(np.sqrt(squared)), self.sampled_nm)
 
     @cached_property
-    def _sampled_nm(self) -> float:
+    def sampled_nm(self) -> float:
         """What sampling leaves of a recording without any noise, Nm: no floor is nothing."""
         torque = self.raw["motor_torque_nm"]
         return max(_SAMPLED * float(np.sqrt(np.mean(torque**2))), 1e-15)
+
+    @property
+    def strayed_rad(self) -> float:
+        """Rms error about its mean of an angle that is the sum of a noisy speed; 0 if measured."""
+        if "motor_angle_rad" in self.raw:
+            return 0.0
+        variance = _STRAYED * STEP_S**2 * len(self.time_s)
+        return self.noise["motor_speed_rad_s"] * float(np.sqrt(variance))
 
     @property
     def lost_path_rad(self) -> float:
