@@ -52,7 +52,7 @@ def load(
         ignore_unknown=ignore_unknown,
         channel=channel,
     )
-    return Recording(found.name, found.series, found.notes)
+    return Recording(found.name, found.series, found.notes, found.arrivals)
 
 
 def estimate(
@@ -80,7 +80,7 @@ def estimate(
         raise InputError("settings", "kind", wrong)
     try:
         within = [one for one in changes if batch.spans(read.series, one.t_ns)]
-        trace = batch.estimate(read.series, rig, chosen, changes=within)
+        trace = batch.estimate(read.series, rig, chosen, changes=within, arrivals=read.arrivals)
         latency_s = batch.latency_s(rig, chosen, batch.sample_periods_s(read.series))
     except ValueError as error:
         raise _refused(read, error) from None

@@ -89,10 +89,11 @@ class ClockState:
         at = clock.instant(int(rows.stamp[k]), int(rows.counter[k]), plan.name)
         self._load()
         if at is None:
-            rows.state[k] = instants.REPEATED
+            rows.state[k], rows.moved[k] = instants.REPEATED, clock.moved_ns
             return False
         rows.state[k] = instants.GOOD if at.trusted else instants.UNTRUSTED
         rows.t_ns[k], rows.lost[k] = at.t_ns, at.lost
+        rows.moved[k] = clock.moved_ns
         return at.restarted
 
     def _load(self) -> None:

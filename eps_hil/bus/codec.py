@@ -110,7 +110,8 @@ class FrameDecoder:
             return None
         from eps_hil.bus.column_decoder import ColumnDecoder  # compiles; nobody live needs it
 
-        return ColumnDecoder({key_of(*key): plan for key, plan in self._plans.items()})
+        plans = {key_of(*key): plan for key, plan in self._plans.items()}
+        return ColumnDecoder(plans, None if self._sync is None else key_of(*self._sync))
 
     def _add(
         self, database: Any, mapping: SignalMapping, message_name: str, names: Sequence[str]

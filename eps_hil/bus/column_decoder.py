@@ -21,6 +21,7 @@ from eps_hil.bus.frame_columns import FrameColumns
 from eps_hil.bus.growing import Growing
 from eps_hil.bus.message_decoder import STAMP_RESOLUTION_NS, MessageDecoder
 from eps_hil.bus.protection import CrcRule
+from eps_hil.series import Arrivals
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
@@ -32,10 +33,12 @@ class DecodedColumns:
     """``samples``: stamps (n,) and values (n,) of each signal, in the order of first occurrence.
 
     ``faults``: kind -> message -> how often, messages in the order in which it befell them.
+    ``arrivals``: of the sync message, where one is mapped.
     """
 
     samples: dict[str, tuple[Ints, Floats]]
     faults: dict[str, dict[str, int]]
+    arrivals: Arrivals | None = None
 
 
 @dataclass(slots=True)
@@ -75,14 +78,19 @@ class _Message:
         self.state = np.where(self.short | self.wrong, instants.BAD, instants.GOOD)
         self.t_ns = np.zeros(len(rows), np.int64)
         self.lost = np.zeros(len(rows), np.int64)
+        self.moved = np.zeros(len(rows), np.int64)
         self.restarted = np.zeros(0, np.int64)
 
 
 class ColumnDecoder:
-    """Decodes the messages in ``plans`` (by :func:`key_of`), whose decoders are fresh."""
+    """Decodes the messages in ``plans`` (by :func:`key_of`), whose decoders are fresh.
 
-    def __init__(self, plans: Mapping[int, MessageDecoder]) -> None:
-        self._plans = plans
+    ``sync``: the one that the estimator steps on.
+    """
+
+    def __init__(self, plans: Mapping[int, MessageDecoder], sync: int | None = None) -> None:
+        self._plans, self._sync = plans, sync
+        self._arrivals = [Growing(np.int64) for _ in Arrivals._fields]
         self._bits: dict[int, Mapping[str, Bits]] = {}
         self._before = 0
         self._columns: dict[str, _Column] = {}
@@ -114,6 +122,11 @@ class ColumnDecoder:
                 _find_instants(mine, state)
         for key, message in messages.items():
             self._collect(key, message)
+        if (sync := messages.get(-1 if self._sync is None else self._sync)) is not None:
+            there = sync.state != instants.REPEATED
+            found = (frames.t_ns[sync.rows], sync.t_ns, sync.moved)
+            for growing, more in zip(self._arrivals, found, strict=True):
+                growing.add(more[there])
         self._before += len(frames.key)
         return True
 
@@ -126,7 +139,8 @@ class ColumnDecoder:
             name: (column.t_ns.whole(), column.value.whole())
             for name, column in sorted(self._columns.items(), key=lambda one: one[1].first)
         }
-        return DecodedColumns(samples, faults)
+        arrivals = Arrivals(*(each.whole() for each in self._arrivals))
+        return DecodedColumns(samples, faults, None if self._sync is None else arrivals)
 
     def _collect(self, key: int, message: _Message) -> None:
         there = message.state != instants.REPEATED
@@ -214,10 +228,11 @@ def _find_instants(mine: Sequence[tuple[int, _Message]], clock: ClockState) -> N
         np.concatenate([each.state for each in together])[order].astype(np.int64),
         np.zeros(len(order), np.int64),
         np.zeros(len(order), np.int64),
+        np.zeros(len(order), np.int64),
     )
     restarted = clock.run(rows, data, order)
     for lane, each in mine:
         its = rows.lane == lane
         each.state, each.t_ns = rows.state[its], rows.t_ns[its]
-        each.lost = rows.lost[its]
+        each.lost, each.moved = rows.lost[its], rows.moved[its]
         each.restarted = np.flatnonzero(restarted[its])

@@ -45,7 +45,7 @@ LINE = np.dtype(
         (name, "i8")
         for name in (
             "period", "modulo", "scale", "unit", "origin", "anchor", "level", "block_start",
-            "low_cycle", "low", "last", "lows",
+            "low_cycle", "low", "last", "lows", "moved",
         )
     ]
     + [("slope", "f8")]
@@ -55,7 +55,8 @@ LINE = np.dtype(
 class Rows(NamedTuple):
     """Frames of the messages of one clock in order, each (n,).
 
-    ``lane``: its message; ``counter``: -1 without one; ``state`` and ``t_ns`` are what is found.
+    ``lane``: its message; ``counter``: -1 without one; what is found: ``state``, ``t_ns``, ``lost``
+    and ``moved``, ``SampleClock.moved_ns`` after it.
     """
 
     stamp: Ints
@@ -64,6 +65,7 @@ class Rows(NamedTuple):
     state: Ints
     t_ns: Ints
     lost: Ints
+    moved: Ints
 
 
 class Ring(NamedTuple):
@@ -162,6 +164,7 @@ def by_counter(
         i = rows.lane[k]
         lane = lanes[i]
         t, counter = rows.stamp[k], rows.counter[k]
+        rows.moved[k] = c.moved
         again = GOOD
         if rows.state[k] != BAD:
             again = _again(ring, i, t, counter, number[k], data, width)
@@ -198,8 +201,11 @@ def by_counter(
             c.block_start, c.low_cycle, c.low = cycle, cycle, residual
         elif residual - c.low < c.slope * (cycle - c.low_cycle):
             c.low_cycle, c.low = cycle, residual
-        if residual < c.level + c.slope * (cycle - c.anchor):
+        lower = residual - c.level - c.slope * (cycle - c.anchor)
+        if lower < 0.0:
             c.anchor, c.level = cycle, residual
+            c.moved += int(np.rint(lower))
+            rows.moved[k] = c.moved
         rows.t_ns[k] = _forward(c, lane, t, _due(c, cycle))
         rows.lost[k] = cycles - 1
     return _DONE

@@ -114,6 +114,7 @@ class SampleClock:
             "scale": self._scale, "unit": self._unit_ns, "origin": self._origin,
             "slope": self._slope, "anchor": self._anchor, "level": self._level,
             "block_start": self._block_start, "low_cycle": self._low_cycle, "low": self._low,
+            "moved": self.moved_ns,
         }  # fmt: skip
 
     def go_on(self, line: Mapping[str, Any], lows: Sequence[tuple[int, int]], last: str) -> None:
@@ -121,7 +122,7 @@ class SampleClock:
         self._origin, self._slope = line["origin"], line["slope"]
         self._anchor, self._level = line["anchor"], line["level"]
         self._block_start, self._low_cycle = line["block_start"], line["low_cycle"]
-        self._low = line["low"]
+        self._low, self.moved_ns = line["low"], line["moved"]
         self.lows.clear()
         self.lows.extend(lows)
         if self.last is not None:

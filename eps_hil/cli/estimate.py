@@ -95,7 +95,7 @@ def estimate(
     for path, recording in read_each(recordings, reading):
         if not results and chosen.kind == "observer":
             _first_answer.prepare(recording.series, len(recordings), effects=bool(rig.effects))
-        read = eps_hil.Recording(str(path), recording.series, recording.notes)
+        read = eps_hil.Recording(str(path), recording.series, recording.notes, recording.arrivals)
         found = eps_hil.estimate(read, rig, chosen, changes=changes)
         _say(path.name, found)
         results.append(found.content)

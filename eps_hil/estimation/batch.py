@@ -5,12 +5,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.estimation.age import run_aged
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator, Trace
 from eps_hil.estimation.stream_steps import merge
 from eps_hil.physics.model import Model
-from eps_hil.series import Series
+from eps_hil.series import Arrivals, Series
 
 
 def sample_periods_s(series: Mapping[str, Series]) -> dict[str, float]:
@@ -80,11 +81,13 @@ def estimate(
     settings: EstimatorSettings | None = None,
     periods_s: Mapping[str, float] | None = None,
     changes: Sequence[LevelChange] = (),
+    arrivals: Arrivals | None = None,
 ) -> Trace:
     """Rack force (N) and friction torque (Nm, at the rotor) for the signals of one recording.
 
     The result speaks of physical instants; instants before the first sample are left out.
-    ``changes`` are adapted friction levels that were taken over while it was recorded.
+    ``changes`` are adapted friction levels that were taken over while it was recorded. With
+    ``arrivals`` (of a CAN log) what waited is as little valid as live.
     ``ValueError`` if motor torque, or both speed and angle, are missing.
     """
     periods = dict(periods_s) if periods_s is not None else sample_periods_s(series)
@@ -94,7 +97,11 @@ def estimate(
             raise ValueError("the smoother knows no change of friction levels")
         trace = _smoothed(model, chosen, periods, series)
     else:
-        trace = StreamEstimator(model, chosen, periods).run(*events(series), changes)
+        stream = StreamEstimator(model, chosen, periods)
+        if arrivals is None:
+            trace = stream.run(*events(series), changes)
+        else:
+            trace = run_aged(stream, events(series), arrivals, changes)
     first = min(int(s.t_ns[0]) for name, s in series.items() if name in SIGNALS)
     there = trace.t_ns >= first
     begin = int(np.argmax(there)) if len(there) else 0

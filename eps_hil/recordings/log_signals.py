@@ -16,7 +16,7 @@ from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_frames
 from eps_hil.recordings.files import check_readable
 from eps_hil.recordings.log_columns import SUFFIXES, pieces_of
-from eps_hil.series import Series
+from eps_hil.series import Arrivals, Series
 
 if TYPE_CHECKING:
     from eps_hil.bus.column_decoder import DecodedColumns
@@ -43,10 +43,12 @@ def read_log(
     signals: Path | None,
     channel: str | None = None,
     on_progress: Callable[[float], None] | None = None,
+    arrivals: list[Arrivals] | None = None,
 ) -> tuple[dict[str, Series], tuple[str, ...]]:
     """Series of every mapped signal that occurs, and notes on what was lost or left out.
 
     A frame with a wrong CRC or length gives samples with the value NaN, here as live.
+    ``arrivals`` is appended to, where the mapping has a sync message.
     Raises :class:`InputError` for a broken log, mapping or DBC, and if no mapped frame occurs.
     """
     check_readable(path)
@@ -69,9 +71,11 @@ def read_log(
     if found is None:
         notes.clear()
         log = read_frames(path, ids=ids, channel=channel, notes=notes, on_progress=on_progress)
-        found_samples, faults = _one_by_one(decoder(), log)
-    else:
-        found_samples, faults = found.samples, found.faults
+        found = _one_by_one(decoder(), log)
+    found_samples, faults = found.samples, found.faults
+    if arrivals is not None and found.arrivals is not None:
+        kept = _advances(found.arrivals.sample_ns)
+        arrivals.append(Arrivals(*(each[kept] for each in found.arrivals)))
     if not found_samples:
         shown = ", ".join(f"0x{i:X}" for i in ids[:_MAX_SHOWN])
         more = ", ..." if len(ids) > _MAX_SHOWN else ""
@@ -101,14 +105,21 @@ def _columns(
     return columns.result()
 
 
-def _one_by_one(
-    decoder: FrameDecoder, frames: Iterable[Frame]
-) -> tuple[dict[str, Samples], dict[str, dict[str, int]]]:
-    """Samples by signal, and faults by kind and message."""
+def _one_by_one(decoder: FrameDecoder, frames: Iterable[Frame]) -> "DecodedColumns":
+    """Samples by signal, faults by kind and message, and arrivals."""
+    from eps_hil.bus.column_decoder import DecodedColumns
+
+    arrived: tuple[array[int], array[int], array[int]] = (array("q"), array("q"), array("q"))
     kept: dict[str, tuple[array[int], array[float]]] = {}
     faults = _Faults(decoder)
     for frame in frames:
-        for name, t_ns, value in decoder.decode(frame):
+        decoded = decoder.decode(frame)
+        if decoded and decoder.sync(frame):
+            for each, number in zip(
+                arrived, (frame.t_ns, decoded[0].t_ns, decoder.moved_ns), strict=True
+            ):
+                each.append(number)
+        for name, t_ns, value in decoded:
             times, values = kept.setdefault(name, (array("q"), array("d")))
             times.append(t_ns)
             values.append(value)
@@ -117,7 +128,8 @@ def _one_by_one(
         name: (np.frombuffer(times, np.int64), np.frombuffer(values, np.float64))
         for name, (times, values) in kept.items()
     }
-    return samples, faults.counts
+    arrivals = Arrivals(*(np.frombuffer(each, np.int64) for each in arrived))
+    return DecodedColumns(samples, faults.counts, arrivals)
 
 
 def _told(faults: Mapping[str, Mapping[str, int]]) -> list[str]:
@@ -161,12 +173,18 @@ def _absent(mapped: Mapping[str, object], samples: Mapping[str, Samples]) -> lis
     return [f"signals that never occur: {', '.join(absent)}"] if absent else []
 
 
+def _advances(t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Where instants are later than all before: a clock that restarted may step back."""
+    kept = np.ones(len(t_ns), bool)
+    if (t_ns[1:] <= t_ns[:-1]).any():
+        kept[1:] = t_ns[1:] > np.maximum.accumulate(t_ns)[:-1]
+    return kept
+
+
 def _series(
     name: str, t_ns: npt.NDArray[np.int64], value: npt.NDArray[np.float64], notes: list[str]
 ) -> Series:
-    kept = np.ones(len(t_ns), bool)
-    if (t_ns[1:] <= t_ns[:-1]).any():  # a clock that restarted may step back
-        kept[1:] = t_ns[1:] > np.maximum.accumulate(t_ns)[:-1]
+    kept = _advances(t_ns)
     if not kept.all():
         count = int(np.count_nonzero(~kept))
         notes.append(f"{name}: {count} samples do not advance in time: left out")

@@ -6,7 +6,7 @@ from pathlib import Path
 from eps_hil.errors import InputError
 from eps_hil.recordings.recording import Recording
 from eps_hil.recordings.table import VALID, Table, check_increasing, to_series
-from eps_hil.series import Series
+from eps_hil.series import Arrivals, Series
 
 TABLES = (".csv", ".parquet")
 CAN_LOGS = (".log", ".blf", ".asc", ".trc")
@@ -35,6 +35,7 @@ def read_recording(
     a canonical name, with a note. ``on_progress`` hears the fraction read of a long log.
     Raises :class:`InputError` for everything that is wrong with the file.
     """
+    arrivals: list[Arrivals] = []
     series, notes = read_columns(
         path,
         dbc=dbc,
@@ -43,11 +44,12 @@ def read_recording(
         ignore_unknown=ignore_unknown,
         channel=channel,
         on_progress=on_progress,
+        arrivals=arrivals,
     )
     only_signals = {name: one for name, one in series.items() if name != VALID}
     if not only_signals:
         raise InputError(path, "", "no signal has a value", "record at least one")
-    return Recording(Path(path).name, only_signals, notes)
+    return Recording(Path(path).name, only_signals, notes, arrivals[0] if arrivals else None)
 
 
 def read_columns(
@@ -59,8 +61,12 @@ def read_columns(
     ignore_unknown: bool = False,
     channel: str | None = None,
     on_progress: Progress | None = None,
+    arrivals: list[Arrivals] | None = None,
 ) -> tuple[Mapping[str, Series], tuple[str, ...]]:
-    """As :func:`read_recording`, with the column ``valid`` kept, for conversion."""
+    """As :func:`read_recording`, with the column ``valid`` kept, for conversion.
+
+    ``arrivals`` is appended to where the file holds frames.
+    """
     path = Path(path)
     if gaps not in GAPS:
         raise ValueError(f"gaps is one of {GAPS}, not {gaps!r}")
@@ -77,7 +83,14 @@ def read_columns(
     if suffix in CAN_LOGS or (suffix == ".mf4" and _has_bus_frames(path)):
         from eps_hil.recordings.log_signals import read_log
 
-        return read_log(path, dbc=dbc, signals=signals, channel=channel, on_progress=on_progress)
+        return read_log(
+            path,
+            dbc=dbc,
+            signals=signals,
+            channel=channel,
+            on_progress=on_progress,
+            arrivals=arrivals,
+        )
     if suffix == ".mf4":
         from eps_hil.recordings.mf4_file import read_mf4
 

@@ -1,15 +1,19 @@
 """A recording in memory: canonical signals, each on its own time base, whatever the file was."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from eps_hil.series import Series
+from eps_hil.series import Arrivals, Series
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Canonical signals of one file; ``notes`` says what the reader had to leave out or mend."""
+    """Canonical signals of one file; ``notes`` says what the reader had to leave out or mend.
+
+    ``arrivals``: of a CAN log, when the frames came that the estimator steps on.
+    """
 
     name: str
     series: Mapping[str, Series]
     notes: tuple[str, ...] = ()
+    arrivals: Arrivals | None = field(default=None, compare=False, repr=False)

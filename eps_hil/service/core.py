@@ -13,6 +13,7 @@ from typing import Protocol
 
 from eps_hil.bus.codec import Sample
 from eps_hil.bus.frame import Frame
+from eps_hil.estimation.age import AGE_LIMIT_S, AgeDoubt, ShiftDoubt, aged
 from eps_hil.estimation.stream import Estimate
 from eps_hil.estimation.validity import Reason, bits_on_the_bus
 from eps_hil.service.friction_levels import FrictionLevelKeeper
@@ -20,11 +21,6 @@ from eps_hil.service.friction_levels import FrictionLevelKeeper
 _FOREIGN_HOLD_NS = 1_000_000_000
 """How long after a frame of another transmitter the estimate stays invalid."""
 
-AGE_LIMIT_S = 0.02
-"""By how much an estimate may be older than its look-back and be called valid."""
-AGE_DOUBT_N = 50.0
-"""By how much the force may change in the time by which frames wait, or the clock was set."""
-_LATE_NS = 1_500_000  # a move of the line that counts
 _SETTLING = Reason.SETTLING | Reason.FRICTION_UNKNOWN
 _NOT_SETTLING = ~int(_SETTLING)
 _STALE = int(Reason.STALE)
@@ -89,71 +85,6 @@ def status_of(reason: Reason) -> Status:
     if not bits:
         return Status.VALID
     return Status.INVALID if bits & _NOT_SETTLING else Status.SETTLING
-
-
-def aged(estimate: Estimate, age_ns: int, look_back_ns: int, limit_ns: int) -> Estimate:
-    """The estimate, not valid where its age cannot be its look-back.
-
-    Older by more than the limit: it waited. Younger by as much: the clock was set meanwhile, and
-    what the age is nobody knows.
-    """
-    if abs(age_ns - look_back_ns) <= limit_ns:
-        return estimate
-    return estimate._replace(valid=False, reason=estimate.reason | Reason.STALE)
-
-
-class AgeDoubt:
-    """Whether the force may have changed by too much in the time that nobody is sure of.
-
-    Where the line of the samples' instants moves against the stamps, the clock was set or the
-    sender paused: the estimate's age is wrong by as much, until what was sampled before is out of
-    the ``look_back_ns``. Frames that only waited catch up, and move no line.
-    """
-
-    def __init__(self, look_back_ns: int) -> None:
-        self._look_back_ns = look_back_ns
-        self._late_ns, self._moved_ns, self._until_ns = 0, 0, 0
-        self._t_ns, self._force_n, self._rate = 0, 0.0, 0.0
-
-    def stale(self, estimate: Estimate, receive_ns: int, sample_ns: int) -> bool:
-        """For each new estimate: whether its instant is too uncertain. N per ns inside."""
-        since = estimate.t_ns - self._t_ns
-        if since > 0:
-            rate = abs(estimate.rack_force_n - self._force_n) / since
-            self._rate = max(rate, 0.9 * self._rate) if since < 10 * _LATE_NS else 0.0
-            self._t_ns, self._force_n = estimate.t_ns, estimate.rack_force_n
-        elif since < 0:
-            self._t_ns, self._rate = 0, 0.0
-        moved = self._late_ns - (receive_ns - sample_ns)
-        self._late_ns = receive_ns - sample_ns
-        if moved > _LATE_NS:
-            self._moved_ns, self._until_ns = moved, receive_ns + self._look_back_ns
-        if not 0 <= self._until_ns - receive_ns <= self._look_back_ns:
-            self._moved_ns = 0
-        return self._moved_ns * self._rate > AGE_DOUBT_N
-
-
-class ShiftDoubt:
-    """Whether the force is off because the line of the samples' instants moved a moment ago.
-
-    Until what was sampled before is out of the look-back, and out of the filters.
-    """
-
-    def __init__(self, look_back_ns: int, estimator: Estimator, moved_ns: int) -> None:
-        self._until_ns, self._since_ns, self._shift = 0, 0, 0.0
-        self._look_back_ns, self._estimator = look_back_ns, estimator
-        self._moved_ns = moved_ns
-
-    def stale(self, moved_ns: int, receive_ns: int) -> bool:
-        """For each sync frame; ``moved_ns`` as of the decoder."""
-        if moved_ns != self._moved_ns:
-            since, self._since_ns = receive_ns - self._since_ns, receive_ns
-            kept = 0.0 if not 0 <= since < self._look_back_ns else 1.0 - since / self._look_back_ns
-            self._shift = kept * self._shift + moved_ns - self._moved_ns
-            self._moved_ns = moved_ns
-            if self._estimator.force_of_shift_n(round(self._shift)) > AGE_DOUBT_N:
-                self._until_ns = receive_ns + 2 * self._look_back_ns
-        return 0 < self._until_ns - receive_ns <= 2 * self._look_back_ns
 
 
 def estimate_values(estimate: Estimate, status: Status, age_s: float) -> dict[str, float]:

@@ -12,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eps_hil.bus.frame import Frame
+from eps_hil.estimation.age import AgeDoubt, ShiftDoubt
 from eps_hil.estimation.stream import SIGNALS, Estimate
 from eps_hil.estimation.validity import Reason
 from eps_hil.service.config import ServiceConfig
-from eps_hil.service.core import AgeDoubt, ServiceCore, ShiftDoubt, Status, status_of
+from eps_hil.service.core import ServiceCore, Status, status_of
 from eps_hil.service.setup import Parts, prepare
 
 from .conftest import T0_NS, Receiver, TinyRig

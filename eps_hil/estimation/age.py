@@ -1,0 +1,166 @@
+"""How sure the age of an estimate is: what waited, and instants that moved against the stamps.
+
+Asked by the service's core frame by frame, and of a whole log afterwards.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.estimation.levels import LevelChange
+from eps_hil.estimation.stream import Estimate, StreamEstimator, Trace
+from eps_hil.estimation.validity import Reason
+from eps_hil.series import Arrivals
+
+AGE_LIMIT_S = 0.02
+"""By how much an estimate may be older than its look-back and be called valid."""
+AGE_DOUBT_N = 50.0
+"""By how much the force may change in the time by which frames wait, or the clock was set."""
+_LATE_NS = 1_500_000  # a move of the line that counts
+_RATE_MEMORY = 400  # sync frames after which nothing is left of a rate
+_STALE = int(Reason.STALE)
+
+Ints = npt.NDArray[np.int64]
+
+
+class Estimator(Protocol):
+    """What is needed of :class:`~eps_hil.estimation.stream.StreamEstimator`."""
+
+    def force_of_shift_n(self, shift_ns: int) -> float:
+        """By how much the force is off (N) once instants moved."""
+
+
+def aged(estimate: Estimate, age_ns: int, look_back_ns: int, limit_ns: int) -> Estimate:
+    """The estimate, not valid where its age cannot be its look-back.
+
+    Older by more than the limit: it waited. Younger by as much: the clock was set meanwhile, and
+    what the age is nobody knows.
+    """
+    if abs(age_ns - look_back_ns) <= limit_ns:
+        return estimate
+    return estimate._replace(valid=False, reason=estimate.reason | Reason.STALE)
+
+
+class AgeDoubt:
+    """Whether the force may have changed by too much in the time that nobody is sure of.
+
+    Where the line of the samples' instants moves against the stamps, the clock was set or the
+    sender paused: the estimate's age is wrong by as much, until what was sampled before is out of
+    the ``look_back_ns``. Frames that only waited catch up, and move no line.
+    """
+
+    def __init__(self, look_back_ns: int) -> None:
+        self._look_back_ns = look_back_ns
+        self._late_ns, self._moved_ns, self._until_ns = 0, 0, 0
+        self._t_ns, self._force_n, self._rate = 0, 0.0, 0.0
+
+    def stale(self, estimate: Estimate, receive_ns: int, sample_ns: int) -> bool:
+        """For each new estimate: whether its instant is too uncertain. N per ns inside."""
+        since = estimate.t_ns - self._t_ns
+        if since > 0:
+            rate = abs(estimate.rack_force_n - self._force_n) / since
+            self._rate = max(rate, 0.9 * self._rate) if since < 10 * _LATE_NS else 0.0
+            self._t_ns, self._force_n = estimate.t_ns, estimate.rack_force_n
+        elif since < 0:
+            self._t_ns, self._rate = 0, 0.0
+        moved = self._late_ns - (receive_ns - sample_ns)
+        self._late_ns = receive_ns - sample_ns
+        if moved > _LATE_NS:
+            self._moved_ns, self._until_ns = moved, receive_ns + self._look_back_ns
+        if not 0 <= self._until_ns - receive_ns <= self._look_back_ns:
+            self._moved_ns = 0
+        return self._moved_ns * self._rate > AGE_DOUBT_N
+
+
+class ShiftDoubt:
+    """Whether the force is off because the line of the samples' instants moved a moment ago.
+
+    Until what was sampled before is out of the look-back, and out of the filters.
+    """
+
+    def __init__(self, look_back_ns: int, estimator: Estimator, moved_ns: int) -> None:
+        self._until_ns, self._since_ns, self._shift = 0, 0, 0.0
+        self._look_back_ns, self._estimator = look_back_ns, estimator
+        self._moved_ns = moved_ns
+
+    def stale(self, moved_ns: int, receive_ns: int) -> bool:
+        """For each sync frame; ``moved_ns`` as of the decoder."""
+        if moved_ns != self._moved_ns:
+            since, self._since_ns = receive_ns - self._since_ns, receive_ns
+            kept = 0.0 if not 0 <= since < self._look_back_ns else 1.0 - since / self._look_back_ns
+            self._shift = kept * self._shift + moved_ns - self._moved_ns
+            self._moved_ns = moved_ns
+            if self._estimator.force_of_shift_n(round(self._shift)) > AGE_DOUBT_N:
+                self._until_ns = receive_ns + 2 * self._look_back_ns
+        return 0 < self._until_ns - receive_ns <= 2 * self._look_back_ns
+
+
+def run_aged(
+    stream: StreamEstimator,
+    events: tuple[npt.NDArray[np.int8], Ints, npt.NDArray[np.float64]],
+    arrivals: Arrivals,
+    changes: Sequence[LevelChange] = (),
+) -> Trace:
+    """As ``stream.run``, each estimate judged by the arrival of its sync frame, as live.
+
+    Where the sync samples are not those that arrived, nothing is known of their age.
+    """
+    signal, t_ns, value = events
+    syncs = np.flatnonzero(signal == -1)
+    receive, sample, moved = arrivals
+    if not np.array_equal(t_ns[syncs], sample):
+        return stream.run(signal, t_ns, value, changes)
+    look_back = round(stream.latency_s * 1e9)
+    shift = ShiftDoubt(look_back, stream, 0)
+    stale = np.zeros(len(syncs), bool)
+    cuts = [*np.flatnonzero(np.diff(moved, prepend=0)).tolist(), len(syncs)]
+    parts, since = [], 0
+    for cut, following in zip(cuts, [*cuts[1:], len(syncs)], strict=True):
+        until = len(signal) if cut == len(syncs) else int(syncs[cut]) + 1
+        parts.append(
+            stream.run(signal[since:until], t_ns[since:until], value[since:until], changes)
+        )
+        since, changes = until, ()
+        for k in range(cut, following):
+            stale[k] = shift.stale(int(moved[k]), int(receive[k]))
+            if not stale[k]:
+                break
+    trace = Trace(
+        np.concatenate([part.t_ns for part in parts]),
+        np.concatenate([part.rack_force_n for part in parts]),
+        np.concatenate([part.friction_torque_nm for part in parts]),
+        np.concatenate([part.reason for part in parts]),
+    )
+    half = stream.timing.step_ns // 2
+    of = np.searchsorted(sample, trace.t_ns + look_back - half)  # the sync frame of each row
+    newest = np.searchsorted(of, np.arange(len(syncs)), "right") - 1
+    there = (newest >= 0) & (of[np.maximum(newest, 0)] == np.arange(len(syncs)))
+    age = receive - trace.t_ns[np.maximum(newest, 0)]
+    stale |= there & (np.abs(age - look_back) > round(AGE_LIMIT_S * 1e9))
+    _look_back_doubt(stale, trace, np.maximum(newest, 0), arrivals, look_back)
+    trace.reason[stale[np.minimum(of, len(syncs) - 1)]] |= _STALE
+    return trace
+
+
+def _look_back_doubt(
+    stale: npt.NDArray[np.bool_], trace: Trace, newest: Ints, arrivals: Arrivals, look_back_ns: int
+) -> None:
+    """Ask :class:`AgeDoubt` around the moves of the line that count."""
+    late = arrivals.receive_ns - arrivals.sample_ns
+    done = 0
+    for k in np.flatnonzero(-np.diff(late) > _LATE_NS).tolist():
+        if k + 1 < done:
+            continue
+        doubt = AgeDoubt(look_back_ns)
+        for j in range(max(k - _RATE_MEMORY, 0), len(late)):
+            receive, row = int(arrivals.receive_ns[j]), int(newest[j])
+            told = Estimate(
+                int(trace.t_ns[row]), float(trace.rack_force_n[row]), 0.0, False, Reason.FINE
+            )
+            found = doubt.stale(told, receive, int(arrivals.sample_ns[j]))
+            stale[j] |= found
+            done = j
+            if j > k + 1 and receive - int(arrivals.receive_ns[k + 1]) > look_back_ns:
+                break

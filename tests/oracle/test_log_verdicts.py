@@ -1,0 +1,71 @@
+"""A log's estimates are as little valid as those that the service's core makes of its frames."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import eps_hil
+from eps_hil.bus.frame import Frame
+from eps_hil.estimation.validity import Reason
+from eps_hil.examples import CONFIGS
+from eps_hil.recordings import log_signals
+from eps_hil.rig.config import load_rig_setup
+from eps_hil.rig.process import RigSimulation
+from eps_hil.service.config import load_config
+from eps_hil.service.setup import prepare
+
+CONFIG = CONFIGS / "demo_udp.yaml"
+MS = 1_000_000
+T0_NS = 1_790_000_000_000_000_000
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Frame]:
+    """Five seconds of the rig."""
+    rig, made = RigSimulation(load_rig_setup(CONFIG, "weave")), []
+    for k in range(5000):
+        now = T0_NS + k * MS
+        for place, frame in enumerate(rig.step(now)):
+            made.append(replace(frame, t_ns=now + (place + 1) * 120_000))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("by_ms", "one_by_one"),
+    [(0.0, False), (8.8, False), (30.0, False), (8.8, True)],
+)
+def test_what_waited_is_told_of_a_log_too(
+    tmp_path: Path,
+    frames: list[Frame],
+    by_ms: float,
+    one_by_one: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The stamps jump in the fourth second."""
+    asked = load_config(CONFIG)
+    parts = prepare(replace(asked, service=replace(asked.service, start_wait_s=0.0)), CONFIG)
+    live: dict[int, Reason] = {}
+    log = tmp_path / "paused.log"
+    with log.open("w") as lines:
+        for each in frames:
+            if each.can_id not in parts.decoder.receive_ids:
+                continue
+            late = round(by_ms * MS) if each.t_ns > T0_NS + 4000 * MS else 0
+            frame = replace(each, t_ns=each.t_ns + late)
+            parts.core.on_frames([frame])
+            if parts.core.latest is not None:
+                live[parts.core.latest.t_ns] = parts.core.latest.reason
+            stamp = f"({frame.t_ns // 10**9}.{frame.t_ns % 10**9 // 1000:06d})"
+            lines.write(f"{stamp} can0 {frame.can_id:03X}#{frame.data.hex().upper()}\n")
+    if one_by_one:
+        monkeypatch.setattr(log_signals, "_columns", lambda *_: None)
+    read = eps_hil.load(log, dbc=asked.dbc, signals=asked.signals)
+    assert asked.model is not None
+    trace = eps_hil.estimate(read, str(asked.model), asked.estimator).trace
+    said = {t: Reason(int(bits)) for t, bits in zip(trace.t_ns.tolist(), trace.reason, strict=True)}
+    same = [t for t in said if t in live]
+    assert len(same) > 4900
+    assert [live[t] & Reason.STALE for t in same] == [said[t] & Reason.STALE for t in same]
+    stale = sum(bool(said[t] & Reason.STALE) for t in said)
+    assert stale == 0 if by_ms == 0.0 else stale > 3
