@@ -101,7 +101,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     i = instant_of(c, Physics(x.law, x.effects, x.use), s, r, u)
     b.extra[2] = s.local
     law = _law_in_use(x.law, r)
-    if x.use.position:
+    if x.use.position or x.use.load:
         law = in_mid_travel(law, s.local)
     known = Physics(law, x.effects, x.use)
     b.extra[1] = acting.torque_nm(x.effects, i, 0.0) if x.use.torque else 0.0

@@ -15,6 +15,8 @@ from eps_hil.physics.friction import (
     friction_torque_nm,
 )
 
+LEAST_OF_LOAD = 0.1
+"""Share of the rack force that arrives at the rotor, below which no law of it is believed."""
 CREEP_SIGMA = 3.0
 """Half width of the gap in which a resting rotor's angle is taken as noise."""
 
@@ -41,10 +43,14 @@ def instant_of(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> Instan
         u.torque_sensor_nm,
         c.ratio,
     )
-    if not x.use.position:
+    if not x.use.position and not x.use.load:
         return i
-    i = moved(i, i.speed_rad_s, acting.position_m(x.effects, i, i.position_m), load)
-    s.local = 1.0 / acting.load_nm(x.effects, i, 1.0)
+    if x.use.position:
+        i = moved(i, i.speed_rad_s, acting.position_m(x.effects, i, i.position_m), load)
+    if x.use.load:
+        here = i if c.known_force else moved(i, i.speed_rad_s, i.position_m, s.local * load)
+        whole, more = acting.load_nm(x.effects, here, 1.0), acting.load_nm(x.effects, here, 0.0)
+        s.local = 1.0 / max(whole - more, LEAST_OF_LOAD)
     if c.known_force:
         return i
     return moved(i, i.speed_rad_s, i.position_m, s.local * load)
@@ -52,12 +58,14 @@ def instant_of(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> Instan
 
 @kernel
 def drive_torque_nm(c: Constants, x: Physics, i: Instant, u: Inputs) -> float:
-    """T_1m of eq. 1a (Nm, at the rotor), with what is known to be wrong with its two sensors."""
+    """T_1m of eq. 1a (Nm, at the rotor), with what is known of its two sensors and the load."""
     motor, sensor = u.motor_torque_nm, u.torque_sensor_nm
     if x.use.motor:
         motor = acting.motor_nm(x.effects, i, motor)
     if x.use.sensor:
         sensor = acting.sensor_nm(x.effects, i, sensor)
+    if x.use.load:  # what of the load does not grow with it
+        motor -= acting.load_nm(x.effects, i, 0.0)
     return motor + c.sensor_to_rotor * sensor
 
 

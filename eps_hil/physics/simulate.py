@@ -4,7 +4,7 @@ Everything here is physical: instants, not stamps; sensor delays belong to who c
 speeds are at the rotor, the rack force at the rack (signs: CONTRACT 1).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,16 +39,6 @@ class Drive(NamedTuple):
     law: FrictionLaw
     effects: added.Added
     use: added.InUse
-
-
-class Past(NamedTuple):
-    """What was measured before a simulation begins, shape (m,); ``inputs`` (m, 3) as driven."""
-
-    time_s: Floats
-    speed_rad_s: Floats
-    angle_rad: Floats
-    inputs: Floats
-    """Motor torque, torsion-bar torque, rack force."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,21 +106,21 @@ def simulate(
     speed_rad_s: float = 0.0,
     angle_rad: float = 0.0,
     bristle_rad: float = 0.0,
-    past: Past | None = None,
+    memory: Floats | None = None,
 ) -> Motion:
     """Run the model, effects included, from the given state; all arrays shape (n,).
 
     ``motor_torque_nm`` (rotor) and ``torque_sensor_nm`` (column) are what is reported, at its
     physical instants; ``time_s`` counts from the start of the recording (warm-up needs it). Inputs
     are straight lines between samples; each interval is cut into steps of 50 µs or less. What
-    effects remember is what ``past`` left; without one, nothing has happened before.
+    effects remember is ``memory`` (of :func:`memories`); without one, nothing has happened before.
     """
     inputs = np.column_stack([motor_torque_nm, torque_sensor_nm, rack_force_n])
     out = np.empty((len(time_s), 4))
     start = np.array([speed_rad_s, angle_rad, bristle_rad])
     joint, drive = joint_of(model), drive_of(model)
-    if past is not None and drive.use.memory:
-        _remember(drive, *past)
+    if memory is not None:
+        drive.effects.state[:] = memory
     if joint is None:
         _integrate(drive, time_s, inputs, start, np.empty(3), out)
         out[:, 3] = out[:, 1]
@@ -141,10 +131,43 @@ def simulate(
     return Motion(out[:, 0], out[:, 1], out[:, 2], out[:, 3])
 
 
+def memories(
+    model: Model,
+    time_s: Floats,
+    inputs: Floats,
+    speed_rad_s: Floats,
+    angle_rad: Floats,
+    firsts: Sequence[int],
+) -> list[Floats | None]:
+    """What effects remember at each sample of ``firsts`` of a measured motion, arrays (n,).
+
+    ``inputs`` (n, 3): motor torque, torsion-bar torque, rack force, as :func:`simulate`. One way
+    through the motion for all of them; None where a model remembers nothing.
+    """
+    drive = drive_of(model)
+    if not drive.use.memory:
+        return [None] * len(firsts)
+    found: list[Floats | None] = [None] * len(firsts)
+    at = 0
+    for k in np.argsort(firsts, kind="stable").tolist():
+        _remember(drive, time_s, speed_rad_s, angle_rad, inputs, at, firsts[k])
+        at = firsts[k]
+        found[k] = drive.effects.state.copy()
+    return found
+
+
 @kernel
-def _remember(drive: Drive, time_s: Floats, speed: Floats, angle: Floats, inputs: Floats) -> None:
-    """Moves what effects remember on along a measured motion."""
-    for k in range(len(time_s) - 1):
+def _remember(
+    drive: Drive,
+    time_s: Floats,
+    speed: Floats,
+    angle: Floats,
+    inputs: Floats,
+    first: int,
+    last: int,
+) -> None:
+    """Moves what effects remember on along a measured motion, from one sample to another."""
+    for k in range(first, last):
         u = instant(drive, time_s[k], speed[k], angle[k], inputs[k])
         added.advance(drive.effects, u, time_s[k + 1] - time_s[k])
 

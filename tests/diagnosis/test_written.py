@@ -1,6 +1,7 @@
 """What a diagnosis reports of hold-outs is what the model file that it writes does with them."""
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from eps_hil.proof.plans import Plan
 from eps_hil.proof.programmes import programme
 from eps_hil.proof.truth import Floats
 from eps_hil.proof.world import World
+from eps_hil.report.diagnosis_page import render
 from eps_hil.series import Series
 
 Recordings = Mapping[str, Mapping[str, Series]]
@@ -64,6 +66,12 @@ def written(result: Diagnosis, folder: Path) -> Model:
     return load_model(path)
 
 
+def says_no_nan(result: Diagnosis) -> None:
+    """Neither the file nor the page, its pictures included."""
+    json.dumps(result.content, allow_nan=False)
+    assert not re.search(r"\b(nan|inf)\b", render(result, "rig.yaml"), re.IGNORECASE)
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("kind", KINDS)
@@ -75,7 +83,7 @@ def test_what_is_reported_is_what_was_written(
     result = diagnose(reference_model, fitted, kept, without=plan.withheld)
     model, told = written(result, tmp_path), result.content["fit"]["holdout"]
     assert result.model.effects, "nothing was found: this case holds nothing to write"
-    json.dumps(result.content, allow_nan=False)
+    says_no_nan(result)
     raw = Holdout(prepared("holdout", kept["holdout"], 0.0), kept["holdout"])
     again = measures([raw], model, model)
     for name in ("torque_nrmse", "speed_fit_percent"):
@@ -96,7 +104,7 @@ def as_simulated_and_estimated(
 ) -> dict[str, Any]:
     """The written file on the raw hold-out gives the figures that are reported."""
     model, told = written(result, folder), result.content["fit"]["holdout"]["augmented"]
-    json.dumps(result.content, allow_nan=False)
+    says_no_nan(result)
     again = measures([Holdout(prepared("holdout", kept, 0.0), kept)], model, model)
     assert again["speed_fit_percent"] == pytest.approx(told["speed_fit_percent"], rel=0.02)
     for name, value in told["free_run"].items():
@@ -216,7 +224,7 @@ def test_a_load_that_nobody_measured_acts_in_the_figures_as_it_is_written(
     result = diagnose(reference_model, {"a": first, "b": second}, {"kept": kept})
     model, told = written(result, tmp_path), result.content["fit"]["holdout"]["augmented"]
     assert model.effects, "neither a finding nor a load was written"
-    json.dumps(result.content, allow_nan=False)
+    says_no_nan(result)
     again = measures([Holdout(prepared("kept", kept, 0.0), kept)], model, model)
     for name in ("torque_nrmse", "speed_fit_percent"):
         assert again[name] == pytest.approx(told[name], rel=0.02), name

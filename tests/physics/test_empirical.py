@@ -44,7 +44,11 @@ BUSHING = {
     "effect": "empirical", "form": "dynamic", "where": "rotor", "inputs": ["motor_angle_rad"],
     "memory": ["hysteresis"], "memory_1": 2.0, "shapes": ["linear"], "size": 0.04,
 }  # fmt: skip
-ENTRIES = [FOLD_BACK, YOKE, DRAG, BUSHING]
+SCREW = {
+    "effect": "empirical", "form": "law", "where": "load", "how": "factor",
+    "inputs": ["motor_angle_rad"], "shapes": ["linear"], "size": 0.006,
+}  # fmt: skip
+ENTRIES = [FOLD_BACK, YOKE, DRAG, BUSHING, SCREW]
 
 
 def having(model: Model, *entries: dict[str, Any]) -> Model:
@@ -62,7 +66,7 @@ def moved(model: Model) -> Motion:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=["fold_back", "yoke", "drag", "bushing"])
+@pytest.mark.parametrize("entry", ENTRIES, ids=["fold_back", "yoke", "drag", "bushing", "screw"])
 def test_the_balance_of_what_was_simulated_with_it_is_even(
     entry: dict[str, Any], reference_model: Model
 ) -> None:
@@ -75,7 +79,7 @@ def test_the_balance_of_what_was_simulated_with_it_is_even(
     assert np.sqrt(np.mean(right**2)) < 0.1 * np.sqrt(np.mean(wrong**2))
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=["fold_back", "yoke", "drag", "bushing"])
+@pytest.mark.parametrize("entry", ENTRIES, ids=["fold_back", "yoke", "drag", "bushing", "screw"])
 def test_a_model_file_holds_it(
     entry: dict[str, Any], reference_model: Model, tmp_path: Path
 ) -> None:
@@ -172,7 +176,7 @@ def recording(model: Model) -> dict[str, Series]:
     }
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=["fold_back", "yoke", "drag", "bushing"])
+@pytest.mark.parametrize("entry", ENTRIES, ids=["fold_back", "yoke", "drag", "bushing", "screw"])
 def test_the_estimator_takes_it_out(entry: dict[str, Any], reference_model: Model) -> None:
     plain = replace(reference_model, delays_s=type(reference_model.delays_s)())
     with_it = having(plain, entry)

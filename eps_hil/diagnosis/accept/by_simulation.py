@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.accept.free_run import free_run, simulated
+from eps_hil.diagnosis.accept.free_run import free_run, memories_at, simulated
 from eps_hil.diagnosis.accept.proof_of_fit import CLEARLY, Holdout, rack_force_error_n
 from eps_hil.diagnosis.balance.baseline import ALL, HOLD, OFFSET, turned
 from eps_hil.diagnosis.balance.problem import Problem, huber, knee
@@ -197,10 +197,17 @@ class _Cost:
         return np.concatenate([balance, *runs])
 
     def _errors(self, model: Model) -> list[Floats]:
+        memory: dict[tuple[int, int], Floats | None] = {}
+        for k, motion in enumerate(self.motions):
+            firsts = sorted({one.first for one in self.pieces if one.recording == k})
+            kept = memories_at(motion, model, firsts)
+            memory |= {(k, first): one for first, one in zip(firsts, kept, strict=True)}
+
         def error(piece: Piece) -> Floats:
             motion = self.motions[piece.recording]
             part = slice(piece.first, piece.last)
-            run = simulated(motion, model, part).angle_rad - motion.angle_rad[part]
+            begun = memory[piece.recording, piece.first]
+            run = simulated(motion, model, part, begun).angle_rad - motion.angle_rad[part]
             return np.nan_to_num(run[::10], nan=1e9, posinf=1e9, neginf=-1e9)
 
         return each(error, self.pieces)

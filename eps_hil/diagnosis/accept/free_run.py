@@ -17,7 +17,7 @@ from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.friction import friction_law, static_level_nm
 from eps_hil.physics.model import Model
 from eps_hil.physics.simulate import Motion as Simulated
-from eps_hil.physics.simulate import Past, simulate
+from eps_hil.physics.simulate import memories, simulate
 
 if TYPE_CHECKING:
     from eps_hil.diagnosis.accept.proof_of_fit import Holdout
@@ -161,27 +161,30 @@ def _words(entry: Mapping[str, Any]) -> str:
     return f"what has no name, by {' and '.join(dict.fromkeys(entry['inputs']))}"
 
 
-def simulated(motion: Measured, model: Model, part: slice) -> Simulated:
+def simulated(
+    motion: Measured, model: Model, part: slice, memory: Floats | None = None
+) -> Simulated:
     """``part`` of a recording simulated freely from its first measured state.
 
-    The bristle begins as it is while sliding at the measured speed, and what a law remembers as the
-    recording before it leaves it.
+    The bristle begins as it is while sliding at the measured speed, and what a law remembers as
+    ``memory`` (of :func:`memories_at`) has it.
     """
     model = with_model_effects(model)
     law, speed = friction_law(model.friction), float(motion.speed_rad_s[part][0])
     level = static_level_nm(speed, float(motion.rack_force_n[part][0]), law)
-    return _run(motion, model, part, float(np.sign(speed) * level / law.sigma0_nm_per_rad))
+    bristle = float(np.sign(speed) * level / law.sigma0_nm_per_rad)
+    return _run(motion, model, part, bristle, memory)
 
 
-def past_of(motion: Measured, first: int) -> Past:
-    """The recording before sample ``first``, which a simulation begins at."""
-    inputs = np.column_stack([getattr(motion, name)[: first + 1] for name in _DRIVEN])
-    before = slice(0, first + 1)
-    return Past(
-        np.array(motion.time_s[before]),
-        np.array(motion.speed_rad_s[before]),
-        np.array(motion.angle_rad[before]),
-        inputs,
+def memories_at(motion: Measured, model: Model, firsts: Sequence[int]) -> list[Floats | None]:
+    """What the model's laws remember at samples of a recording; None where they remember nothing"""
+    return memories(
+        with_model_effects(model),
+        motion.time_s,
+        np.column_stack([getattr(motion, name) for name in _DRIVEN]),
+        motion.speed_rad_s,
+        motion.angle_rad,
+        firsts,
     )
 
 
@@ -194,8 +197,13 @@ def _whole(motion: Measured, model: Model) -> Simulated:
     return _run(motion, with_model_effects(model), slice(None), 0.0)
 
 
-def _run(motion: Measured, model: Model, part: slice, bristle_rad: float) -> Simulated:
-    past = past_of(motion, part.start) if part.start else None
+def _run(
+    motion: Measured,
+    model: Model,
+    part: slice,
+    bristle_rad: float,
+    memory: Floats | None = None,
+) -> Simulated:
     return simulate(
         model,
         motion.time_s[part],
@@ -205,7 +213,7 @@ def _run(motion: Measured, model: Model, part: slice, bristle_rad: float) -> Sim
         speed_rad_s=float(motion.speed_rad_s[part][0]),
         angle_rad=float(motion.angle_rad[part][0]),
         bristle_rad=bristle_rad,
-        past=past,
+        memory=memory,
     )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.accept.free_run import free_run, past_of
+from eps_hil.diagnosis.accept.free_run import free_run, memories_at
 from eps_hil.diagnosis.balance.problem import Problem, sliding
 from eps_hil.diagnosis.data.prepare import STEP_S, Prepared
 from eps_hil.diagnosis.data.quality import Quality
@@ -210,12 +210,13 @@ def free_runs(
             speed_rad_s=float(speed),
             angle_rad=float(motion.angle_rad[first]),
             bristle_rad=float(np.sign(speed) * level / law.sigma0_nm_per_rad),
-            past=past_of(motion, first),
+            memory=memory[first],
         ).speed_rad_s
 
     starts = starts[:: 1 + len(starts) // MOST_RUNS]
     if not starts:
         return np.zeros(0), np.zeros(0), np.zeros(0)
+    memory = dict(zip(starts, memories_at(motion, model, starts), strict=True))
     kept = np.concatenate([np.arange(first, first + n) for first in starts])
     return motion.time_s[kept], np.concatenate(each(run, starts)), motion.speed_rad_s[kept]
 

@@ -20,7 +20,8 @@ Floats = npt.NDArray[np.float64]
 ORDERS = np.arange(0.05, 40.01, 0.05)
 MOST_ORDERS = 3
 MOST_LOCAL = 6
-"""Sines that are strong in one place only, of each place where they act."""
+"""Sines that are strong in one part of the travel only, of each place where they act; as many
+whose strength fades with an amount."""
 _FILTER_HZ, _FEWEST, _APART = 30.0, 100, 0.15
 _LAGS_S = (0.05, 0.2, 0.8, 3.0, 12.0)
 _HEATS_S = (1.5, 4.0, 10.0, 25.0, 60.0)
@@ -36,6 +37,8 @@ _LAGGED = (
 _HEATED = ("motor_torque_nm", "motor_speed_rad_s")
 _WAYED = ("motor_angle_rad", "rack_force_n", "motor_torque_nm", "torque_sensor_nm")
 _FADING = ("exponential", "saturating", "rational")
+_AMOUNTS = ("abs_motor_speed_rad_s", "abs_motor_torque_nm", "abs_rack_force_n")
+"""With which the strength of a sine may fade."""
 _SIGNS = ("motor_power_sign", "load_power_sign", "torque_sensor_power_sign")
 _BASES: Mapping[tuple[str, str], tuple[tuple[str, str], ...]] = {
     ("rotor", "sum"): (
@@ -270,20 +273,24 @@ def _at(one: Input, sight: Sight) -> Floats:
 def _waves(sight: Sight, left: Floats, law: Law) -> list[Law]:
     """``law`` times sines of the rotor's angle at the orders that stand out of what is left.
 
-    Where it has no second input of its own, also sines that are strong in one place only.
+    Where it has no second input of its own, also sines that are strong in one part of the travel
+    only, or whose strength fades with an amount.
     """
     own = columns_of(law, sight)
     if "motor_angle_rad" not in sight.inputs or own is None:
         return []
-    alone = [replace(law, inputs=(one,)) for one in _stretches(sight)] if not law.inputs else []
-    power = _spectrum(sight, left, [own, *(columns_of(one, sight) for one in alone)])
+    kinds = [] if law.inputs else [_stretches(sight), _fading(sight)]
+    alone = [(k, replace(law, inputs=(one,))) for k, kind in enumerate(kinds) for one in kind]
+    power = _spectrum(sight, left, [own, *(columns_of(one, sight) for _, one in alone)])
     found = [_with_sine(law, order) for order, _ in _peaks(power[0])]
-    local = [
-        (worth, _with_sine(one, order))
-        for one, seen in zip(alone, power[1:], strict=True)
-        for order, worth in _peaks(seen)
-    ]
-    return found + [one for _, one in sorted(local, key=lambda pair: -pair[0])[:MOST_LOCAL]]
+    for kind in range(len(kinds)):
+        local = [
+            (worth, _with_sine(one, order))
+            for (of, one), seen in zip(alone, power[1:], strict=True)
+            for order, worth in (_peaks(seen) if of == kind else ())
+        ]
+        found += [one for _, one in sorted(local, key=lambda pair: -pair[0])[:MOST_LOCAL]]
+    return found
 
 
 def _stretches(sight: Sight) -> list[Input]:
@@ -300,6 +307,20 @@ def _stretches(sight: Sight) -> list[Input]:
         for width, centres in ((0.1, (0.1, 0.3, 0.5, 0.7, 0.9)), (0.25, (0.2, 0.5, 0.8)))
         for at in centres
     ]
+
+
+def _fading(sight: Sight) -> list[Input]:
+    """Strengths that fade with an amount, soon or late."""
+    found = []
+    for name in _AMOUNTS:
+        if name in sight.inputs:
+            low, high = np.percentile(sight.inputs[name][sight.rows], [2, 98]).tolist()
+            found += [
+                Input(name, "exponential", numbers={"centre": low, "width": share * (high - low)})
+                for share in (0.05, 0.15, 0.45)
+                if high > low
+            ]
+    return found
 
 
 def _spectrum(sight: Sight, left: Floats, effects: Sequence[Floats | None]) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from eps_hil.diagnosis.accept.by_simulation import refined_by_simulation
-from eps_hil.diagnosis.accept.free_run import free_run, simulated
+from eps_hil.diagnosis.accept.free_run import free_run, memories_at, simulated
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
@@ -84,7 +84,8 @@ def test_a_piece_begins_with_what_a_law_remembers_there(
     whole = simulated(motion, model, slice(0, None))
     ran = motion._replace(speed_rad_s=whole.speed_rad_s, angle_rad=whole.angle_rad)
     first = next(k for k in range(5000, 6000) if abs(whole.speed_rad_s[k]) > 20.0)
-    piece = simulated(ran, model, slice(first, first + 500)).speed_rad_s
+    *_, memory = memories_at(ran, model, [first - 2000, first])
+    piece = simulated(ran, model, slice(first, first + 500), memory).speed_rad_s
     cold = replace(model, effects=())
     off = simulated(ran, cold, slice(first, first + 500)).speed_rad_s - piece
     error = piece - whole.speed_rad_s[first : first + 500]

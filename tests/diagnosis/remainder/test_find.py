@@ -11,7 +11,7 @@ import pytest
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.remainder.find import Own, find, share_removed
-from eps_hil.diagnosis.remainder.grammar import Input, Law, columns_of
+from eps_hil.diagnosis.remainder.grammar import Input, Law, columns_of, laws
 from eps_hil.diagnosis.remainder.refine import refine
 from eps_hil.diagnosis.remainder.sight import Sight
 from eps_hil.diagnosis.remainder.table import tables
@@ -59,6 +59,37 @@ def test_screening_sees_what_the_simulator_does(law: Law, eddy: tuple[Problem, P
     change, column = change[sight.rows], column[:, 0] * law.size
     assert np.corrcoef(change, column)[0, 1] > 0.98
     assert np.std(change) == pytest.approx(np.std(column), rel=0.1)
+
+
+def test_a_ripple_that_fades_with_speed_is_tried(eddy: tuple[Problem, Problem]) -> None:
+    """Among the laws of the rotor is one of its order whose strength goes as its own."""
+    problem, _ = eddy
+    sight = Sight(problem, problem.model)
+    true = Law("rotor", "sum", (
+        Input("abs_motor_speed_rad_s", "exponential", numbers={"centre": 0.0, "width": 6.0}),
+        Input("motor_angle_rad", "sine", numbers={"order": 4.3, "phase": 0.0}),
+    ))  # fmt: skip
+    wanted = columns_of(true, sight)
+    assert wanted is not None
+    left = np.zeros(len(sight.residual))
+    left[sight.rows] = wanted[:, 0]
+
+    def share(law: Law) -> float:
+        """Of the ripple's energy that a law takes off."""
+        x = columns_of(law, sight)
+        assert x is not None
+        fitted = x @ np.linalg.lstsq(x, left[sight.rows], rcond=None)[0]
+        return 1.0 - float(np.sum((left[sight.rows] - fitted) ** 2) / np.sum(left**2))
+
+    waves = [
+        law
+        for group in laws(sight, left)
+        for law in group
+        if (law.where, law.how) == ("rotor", "sum") and law.inputs[-1].shape == "sine"
+    ]
+    fading = [law for law in waves if law.inputs[0].name == "abs_motor_speed_rad_s"]
+    assert max(map(share, fading)) > 0.95
+    assert max(share(law) for law in waves if law not in fading) < 0.9
 
 
 def test_numbers_are_refined_by_the_simulator(eddy: tuple[Problem, Problem]) -> None:
