@@ -99,8 +99,11 @@ def free_of(simulator: Simulator, names: Sequence[str]) -> list[Free]:
                 raise InputError(
                     "--free", text, "is no NAME=low:high", "give two numbers"
                 ) from None
+            if low >= high:
+                raise InputError("--free", text, f"has its bounds the wrong way round: {low:g} is "
+                                 f"not below {high:g}", f"say {name}=low:high")  # fmt: skip
         start = one.start if one.start is not None else 0.0
-        if not low < high or not low <= start <= high:
+        if not low <= start <= high:
             raise InputError("--free", text, f"starts at {start:g}, expected between {low:g} and "
                              f"{high:g}", "give NAME=low:high around it")  # fmt: skip
         if start == 0.0 and high - low > _UNBOUNDED:

@@ -29,6 +29,7 @@ from eps_hil.proof.seal import opaque_id, open_answers, seal
 from eps_hil.proof.states import State, two_states
 from eps_hil.proof.truth import Drive
 from eps_hil.proof.write import write_csv
+from eps_hil.recordings.files import make_folder
 
 LEVEL, SHARED = 0.6, 3.0
 """Effect-to-noise ratios of the change, and of what both states share."""
@@ -150,7 +151,7 @@ def _begin(out: Path, asked: Mapping[str, Any]) -> None:
         return
     if out.is_dir() and any(out.iterdir()):
         raise InputError(out, "--out", "is not empty", "name a folder that is new")
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out, "--out")
     path.write_text(json.dumps(asked, indent=1) + "\n")
 
 

@@ -23,6 +23,7 @@ from eps_hil.fmu.traces import read_values, traces_of
 from eps_hil.physics.model import Model, load_model
 from eps_hil.physics.simulate import simulate
 from eps_hil.recordings.foreign import Column, Columns
+from eps_hil.recordings.read import read_recording
 from eps_hil.series import Series
 
 pytest.importorskip("fmpy")
@@ -308,6 +309,15 @@ def test_what_an_fmu_lacks_is_named(drive: Path, tmp_path: Path, other_rig: Modu
     found = eps_hil.diagnose(path, MODEL, simulation=drive)
     assert [one.effect for one in found.findings] == ["stribeck"]
     assert found.findings[0].parameters["level_nm"]["value"] == pytest.approx(0.04, rel=0.15)
+    series = read_recording(path).series
+    (trace,) = traces_of(drive, {"a.csv": series}, MODEL)[0].values()
+    table = read_recording(Path(write(tmp_path / "trace.csv", trace))).series
+    by_table = eps_hil.diagnose(path, MODEL, simulation={"trace": table})
+    assert by_table.content["verdict"] == found.content["verdict"] == "explained"
+    assert [one.effect for one in by_table.findings] == ["stribeck"]
+    level, same = (one.findings[0].parameters["level_nm"] for one in (found, by_table))
+    assert same["value"] == pytest.approx(level["value"], rel=1e-3)
+    assert same["ci95"] == pytest.approx(level["ci95"], rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -317,12 +327,14 @@ def test_what_an_fmu_lacks_is_named(drive: Path, tmp_path: Path, other_rig: Modu
         (["identify", "R", "--free", "x"], "goes with --simulation"),
         (["identify", "R", "--simulation", "D", "--free", "inertia"], "did you mean 'inertia_kg"),
         (["identify", "R", "--simulation", "D", "--free", "inertia_kg_m2=1"], "no NAME=low:high"),
+        (["identify", "R", "--simulation", "D", "--free", "inertia_kg_m2=3:1"],
+         "has its bounds the wrong way round: 3 is not below 1"),
         (["identify", "R", "--simulation", "R", "--free", "a"], "only an FMU"),
         (["diagnose", "--recording", "R", "--simulation", "none.fmu"], "no such file"),
         (["diagnose", "--recording", "R", "--simulation", "D", "R"], "stands beside other traces"),
         (["diagnose", "--recording", "R", "--simulation-values", "R"], "and an FMU"),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_is_said_in_one_line(
     words: list[str],
     expected: str,

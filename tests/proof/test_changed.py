@@ -127,6 +127,8 @@ def test_it_is_sealed_before_it_is_asked_and_goes_on(
         prove_changes(out, 2, 4, ask=ask)
     with pytest.raises(InputError, match="is not empty"):
         prove_changes(tmp_path, 1, 4, ask=ask)
+    with pytest.raises(InputError, match="--out: cannot be made"):
+        prove_changes(answers / "none", 1, 4, ask=ask)
     answers.write_text(answers.read_text().replace('"seed": 1001000', '"seed": 1001009'))
     with pytest.raises(InputError, match="seal is broken"):
         prove_changes(out, 1, 4, ask=ask)
