@@ -13,7 +13,8 @@ from typing import Any
 
 from eps_hil.diagnosis.accept.proof_of_fit import measures
 from eps_hil.diagnosis.attribute.select import Say
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.beside_shared import alike, beside_shared, gain
+from eps_hil.diagnosis.diagnose import EMPIRICAL, Diagnosis, diagnose
 from eps_hil.diagnosis.direct.already import MEASURED_WHOLE
 from eps_hil.diagnosis.one_way import UNKNOWN, Finding, OneWay, Recordings, against, part
 from eps_hil.diagnosis.verdict.content import without_nan
@@ -47,13 +48,22 @@ def changes(model: Model, before: Recordings, after: Recordings, say: Say | None
     Of each state the last recording, or the last third of a single one, is kept from the fit.
     :class:`RecordingError` as for a diagnosis.
     """
-    first = diagnose(model, before, {}, part(say, 0.0, 0.2, "before"))
-    second = diagnose(model, after, {}, part(say, 0.2, 0.2, "after"))
-    ways = {"before": (first, after), "after": (second, before)}
+    # a model of what has no name is not needed where both states have some
+    first = diagnose(model, before, {}, part(say, 0.0, 0.2, "before"), (EMPIRICAL,))
+    second = diagnose(model, after, {}, part(say, 0.2, 0.2, "after"), (EMPIRICAL,))
+    unknown = [UNKNOWN in _every(one) for one in (first, second)]
+    if all(unknown) and alike(first, second):
+        return _beside_shared(first, second, model, before, say)
+    if unknown[0]:
+        first = diagnose(model, before, {}, part(say, 0.0, 0.2, "before"))
+    if unknown[1]:
+        second = diagnose(model, after, {}, part(say, 0.2, 0.2, "after"))
+    ways = {"before": (first, after, second), "after": (second, before, first)}
     word, turned = _simpler_first(first, second)
 
     def way(known: str, start: float) -> OneWay:
-        return against(ways[known][0], known, ways[known][1], part(say, start, 0.3, known))
+        told, other, alone = ways[known]
+        return against(told, known, other, part(say, start, 0.3, known), (model, alone))
 
     def told(one: OneWay, names: Collection[str]) -> Changes:
         if one.word == "before":
@@ -76,6 +86,18 @@ def changes(model: Model, before: Recordings, after: Recordings, say: Say | None
     return told(one, found & alone)
 
 
+def _beside_shared(
+    first: Diagnosis, second: Diagnosis, model: Model, before: Recordings, say: Say | None
+) -> Changes:
+    """In the way that gains more; of what has come and what has gone both are tried."""
+    came = beside_shared(first, "before", second, part(say, 0.4, 0.3, "before"))
+    went = beside_shared(second, "after", first, part(say, 0.7, 0.3, "after"))
+    there = [bool(_names(one)) for one in (came, went)]
+    if there[1] and (not there[0] or gain(went) > gain(came)):
+        return _backward(went, _names(went), first, model, before)
+    return _forward(came, _names(came), model, before)
+
+
 def _simpler_first(first: Diagnosis, second: Diagnosis) -> tuple[str, str]:
     """The state that needs less to explain it, and the other: what only that one has is found
     more surely than what it lacks.
@@ -85,7 +107,11 @@ def _simpler_first(first: Diagnosis, second: Diagnosis) -> tuple[str, str]:
 
 
 def _own(told: Diagnosis) -> set[str]:
-    return {str(one["effect"]) for one in told.content["findings"]} - {UNKNOWN}
+    return _every(told) - {UNKNOWN}
+
+
+def _every(told: Diagnosis) -> set[str]:
+    return {str(one["effect"]) for one in told.content["findings"]}
 
 
 def _names(way: OneWay) -> set[str]:

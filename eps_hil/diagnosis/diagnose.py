@@ -127,6 +127,8 @@ class Diagnosis:
     """``model`` without a load that nobody measured, which ``problem`` has as its rack force."""
     price: float = np.inf
     """What the hold-outs' residual and the numbers of the written model cost (``standing.py``)."""
+    ratio_is_measured: bool = False
+    """Whether rotor against rack has shown what the ratio is."""
 
 
 def diagnose(
@@ -447,6 +449,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         as_read,
         price=price(problem, selection, findings, judged, written, extra)
         + (wrong is not None) * price_of_one(problem, judged),
+        ratio_is_measured=look.ratio_is_measured,
     )
 
 

@@ -37,7 +37,7 @@ _GONE = 0.15
 """Of an effect's size before: less is nothing."""
 _NO_WORSE = 1.02
 """Times the residual of the other way of saying it."""
-_MORE = 2.0
+MORE = 2.0
 """Times the mean square that the known state leaves: less is no change of what has no name."""
 UNKNOWN, _EMPIRICAL = "unknown", "empirical"
 
@@ -62,15 +62,25 @@ class Share:
         return 1.0 - self.value > WIDE * float(np.hypot(self.half_width, self.here))
 
 
-def against(known: Diagnosis, word: str, other: Recordings, say: Say | None = None) -> "OneWay":
+def against(
+    known: Diagnosis,
+    word: str,
+    other: Recordings,
+    say: Say | None = None,
+    alone: tuple[Model, Diagnosis] | None = None,
+) -> "OneWay":
     """What the recordings ``other`` show against all that was found in ``known``.
 
-    ``word``: ``before`` or ``after``, which state the known one is.
+    ``word``: ``before`` or ``after``, which state the known one is. ``alone``: a diagnosis of
+    ``other`` by itself, and the model that it was made with.
     """
     baseline, limits = known.model, list[str]()
     for turn in range(_ROUNDS + 1):
         start = turn / (_ROUNDS + 1)
-        told = diagnose(baseline, other, {}, part(say, start, 0.2))
+        if alone is not None and baseline == alone[0]:
+            told = alone[1]  # nothing was found in the known state
+        else:
+            told = diagnose(baseline, other, {}, part(say, start, 0.2))
         moved = _renewed(told, baseline, other, part(say, start + 0.2, 0.1))
         figures = told.content["fit"]["holdout"]["baseline"]
         anew = moved is not None
@@ -210,8 +220,8 @@ class OneWay:
         if not all(UNKNOWN in {f["effect"] for f in one.content["findings"]} for one in states):
             return False
         if len(self.findings) > 1:  # what the names leave, not what the known model leaves
-            return beyond(self.other, "augmented") < _MORE * beyond(self.known, "augmented")
-        return beyond(self.other, "baseline") < _MORE * beyond(self.known, "augmented")
+            return beyond(self.other, "augmented") < MORE * beyond(self.known, "augmented")
+        return beyond(self.other, "baseline") < MORE * beyond(self.known, "augmented")
 
     def change(self, k: int) -> dict[str, Any]:
         """In which way finding ``k`` makes the other state differ from the known one."""

@@ -18,7 +18,8 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve, cholesky
+from scipy.linalg.lapack import dtrtri
 
 from eps_hil.diagnosis.balance.coordinates import coordinates_of
 from eps_hil.diagnosis.balance.problem import SLIDING_RAD_S, Problem, huber
@@ -212,17 +213,17 @@ def _updated(
         root, part = np.sqrt(variance[group[use]]), gram[np.ix_(use, use)]
         inner = part * (root[:, None] * root[None, :] / noise)
         inner[np.diag_indices(len(inner))] += 1.0
-        factor = cho_factor(inner, lower=True, check_finite=False)
-        mean = root * cho_solve(factor, root * slope[use], check_finite=False) / noise
+        factor = cholesky(inner, lower=True, check_finite=False)
+        mean = root * cho_solve((factor, True), root * slope[use], check_finite=False) / noise
         explained = float(slope[use] @ mean)
-        bent = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
+        bent = 2.0 * float(np.sum(np.log(np.diag(factor))))
         before, log = log, -0.5 * (count * np.log(noise) + bent + (energy - explained) / noise)
         weights = np.zeros(len(group))
         weights[use] = mean
         found = Evidence(log, np.where(live, variance, 0.0), float(np.sqrt(noise)), weights)
         if abs(log - before) < _SETTLED:
             break
-        told = 1.0 - np.diag(cho_solve(factor, np.eye(len(use)), check_finite=False))
+        told = 1.0 - np.sum(dtrtri(factor, lower=1)[0] ** 2, axis=0)  # less the inverse's diagonal
         number = np.bincount(group[use], told, groups)
         square = np.bincount(group[use], mean**2, groups)
         variance = np.where(number > 1e-9, square / np.maximum(number, 1e-9), 0.0)

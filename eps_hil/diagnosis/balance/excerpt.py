@@ -6,6 +6,7 @@ and half at even distances; what it finds is then fitted and judged on all of it
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -97,7 +98,7 @@ def _window(one: Prepared, first: int) -> Prepared:
 
 def _over(problem: Problem, cuts: Sequence[Cut]) -> Problem:
     windows = [_window(*cut) for cut in cuts]
-    part = Problem(windows, problem.model, problem.tied, problem.either_sign)
+    part = replace(problem, recordings=windows, remainder=None)
     part.visited_m = problem.visited_m
     part.farthest_m, part.extreme_m = problem.farthest_m, problem.extreme_m
     return part

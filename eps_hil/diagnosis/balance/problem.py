@@ -131,11 +131,9 @@ class Problem:
         torques smaller also makes their noise smaller, and is no better for it.
         """
 
-        def left(one: Prepared) -> Floats:
-            return one.left_over(model) * (one.floor_nm(self.model) / one.floor_nm(model))
-
         few = len(self.scale) < _MANY
-        parts = [left(one) for one in self.recordings] if few else each(left, self.recordings)
+        of = [(one, model) for one in self.recordings]
+        parts = [self.left(*one) for one in of] if few else each(lambda one: self.left(*one), of)
         residual = np.concatenate(parts) / self.scale
         return self.whitened(residual)
 
@@ -150,6 +148,10 @@ class Problem:
             floor = np.hypot(one.floor_nm(self.model), one.unexplained_nm)
             told += float(np.sum(mask)) * float(one.sampled_nm / floor) ** 2
         return told
+
+    def left(self, one: Prepared, model: Model) -> Floats:
+        """What the model leaves of one recording, Nm, in proportion to the model's own noise."""
+        return one.left_over(model) * (one.floor_nm(self.model) / one.floor_nm(model))
 
     def whitened(self, values: Floats) -> Floats:
         """Residuals (n,) or sensitivities (n, k) beside the remainder; themselves without one."""
