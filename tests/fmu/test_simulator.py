@@ -311,8 +311,8 @@ def test_what_an_fmu_lacks_is_named(drive: Path, tmp_path: Path, other_rig: Modu
     assert found.findings[0].parameters["level_nm"]["value"] == pytest.approx(0.04, rel=0.15)
     series = read_recording(path).series
     (trace,) = traces_of(drive, {"a.csv": series}, MODEL)[0].values()
-    table = read_recording(Path(write(tmp_path / "trace.csv", trace))).series
-    by_table = eps_hil.diagnose(path, MODEL, simulation={"trace": table})
+    read = read_recording(Path(write(tmp_path / "trace.csv", trace))).series
+    by_table = eps_hil.diagnose(path, MODEL, simulation={"trace": read})
     assert by_table.content["verdict"] == found.content["verdict"] == "explained"
     assert [one.effect for one in by_table.findings] == ["stribeck"]
     level, same = (one.findings[0].parameters["level_nm"] for one in (found, by_table))
