@@ -6,8 +6,9 @@
 DATA holds what others published, none of it part of this project: `emps/DATA_EMPS.mat`
 (nonlinearbenchmark.org), `hsm150/` (malik-robert/HSM150-data), `openarm/` (captures of
 YIZHIXIAOCANGSHU/Friction-Identification-for-Manipulators_usb2fdcan, named
-RUN_group_0N_motor_0N.npz) and `nnfm/` (the folder "Comparative data" of longshike/NNFM-…, flat).
-Machines whose files are not there are left out.
+RUN_group_0N_motor_0N.npz), `openarm350/` (real_friction_identification_joint_N.npz of
+YIZHIXIAOCANGSHU/Friction-Identification-for-Manipulators) and `nnfm/` (the folder
+"Comparative data" of longshike/NNFM-…, flat). Machines whose files are not there are left out.
 
 Each gets the model file that one would write from the documentation: the reference rig's with an
 inertia and a friction read off a plot, to one digit, and no load cell. The regression is linear,
@@ -18,6 +19,7 @@ diagnosis' gain in rms torque error over the regression's.
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -129,6 +131,19 @@ def openarm(motor: int) -> Callable[[Path], Machine]:
     return load
 
 
+def arm(joint: int) -> Callable[[Path], Machine]:
+    """A joint that lifts the arm, samples held; its last third judges."""
+
+    def load(folder: Path) -> Machine:
+        d = np.load(folder / "openarm350" / f"real_friction_identification_joint_{joint}.npz")
+        t = d["time"] - d["time"][0]
+        keep = np.concatenate([[True], np.diff(t) > 0])
+        q, w, torque = (d[name][keep, joint - 1] for name in ("q", "qd", "tau_measured"))
+        return Machine([Recording(t[keep], q, torque, w)], [], hanging(0.05), 0.05)
+
+    return load
+
+
 def robot(fit: Sequence[str], kept: Sequence[str], slow: float) -> Callable[[Path], Machine]:
     """A joint of an arm, gravity and inertia taken out by those who recorded it."""
 
@@ -176,6 +191,8 @@ MACHINES: Mapping[str, Callable[[Path], Machine]] = {
     "openarm_1": openarm(1),
     "openarm_3": openarm(3),
     "openarm_5": openarm(5),
+    "arm_1": arm(1),
+    "arm_2": arm(2),
     "franka_2": robot(["case3_slow.csv", "case3_high.csv"], ["case3_middle.csv"], 0.02),
     "franka_7": robot(["case4_slow.csv", "case4_high.csv"], ["case4_middle.csv"], 0.01),
     "fairino_3": robot(
@@ -322,7 +339,9 @@ def judged(name: str, machine: Machine, work: Path, more: Sequence[str]) -> dict
         "--recording", *map(str, fit), "--holdout", *map(str, kept),
         "--json", str(work / "told.json"), "--write-model", str(work / "better.yaml"), *more,
     ]  # fmt: skip
+    since = os.times().children_user
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    took = os.times().children_user - since
     (work / "said.txt").write_text(ran.stdout + ran.stderr)
     if ran.returncode:
         return {"machine": name, "refused": ran.stderr.strip().splitlines()[-1:]}
@@ -356,6 +375,7 @@ def judged(name: str, machine: Machine, work: Path, more: Sequence[str]) -> dict
         "regression_nm": other,
         "share": (was - now) / (was - other) if was > other else float("nan"),
         "verdict": told["verdict"],
+        "seconds": took,
         "names": [
             f"{one['effect']}"
             + (f" {one['model']['law'] or one['model']['form']}" if one.get("model") else "")
@@ -387,7 +407,8 @@ def main() -> None:
                 continue
             print(
                 f"{name:10} {one['before_nm']:9.4g} -> {one['diagnosed_nm']:9.4g} Nm, regression "
-                f"{one['regression_nm']:9.4g}, share {one['share']:5.2f}  {one['verdict']}: "
+                f"{one['regression_nm']:9.4g}, share {one['share']:5.2f}, {one['seconds']:.0f} "
+                f"processor s  {one['verdict']}: "
                 f"{'; '.join(one['names'])}",
                 flush=True,
             )
