@@ -140,6 +140,7 @@ def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
         "ratio": ratio,
         "short": _short(diagnosis),
         "split": _split(diagnosis),
+        "judged_names": [one.prepared.name for one in diagnosis.judged],
         "flags": _flags(content),
         "sliding_s": 8e-3 * int(fitted.sliding.sum()),
         "regions": diagnosis_maps.regions(fitted, content.get("location", {}).get("cells", [])),
