@@ -31,6 +31,15 @@ def single(world: World, name: str, seed: int) -> Outcome:
     return run(world, [] if name == NO_FAULT else [KINDS[name]], seed, random)
 
 
+def torques_late(world: World, late_ms: int, seed: int) -> Outcome:
+    """Torques of ``late_ms`` ago under new counters, at a random moment."""
+
+    def torque_values_late(scene: Scene, since: int, until: int) -> tuple[str, int]:
+        return in_nodes.torques_of_before(scene, since, until, late_ms)
+
+    return run(world, [Kind(torque_values_late, 200, 1000)], seed, np.random.default_rng(seed))
+
+
 def sequence(world: World, seed: int) -> Outcome:
     """Two to five faults of random kinds, one after the other or into each other."""
     random = np.random.default_rng(seed)

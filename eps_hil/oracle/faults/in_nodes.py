@@ -106,7 +106,12 @@ def offset_on_a_signal(scene: Scene, since: int, until: int) -> tuple[str, int]:
 
 def torque_values_late(scene: Scene, since: int, until: int) -> tuple[str, int]:
     """The ECU sends old torques under new counters: nothing on the bus looks late."""
-    layout, late = scene.layout(TORQUES), int(scene.pick(10, 60))
+    return torques_of_before(scene, since, until, int(scene.pick(10, 60)))
+
+
+def torques_of_before(scene: Scene, since: int, until: int, late: int) -> tuple[str, int]:
+    """The same, by ``late`` ms."""
+    layout = scene.layout(TORQUES)
     old: list[bytes] = []
 
     def older(lay: Layout, data: bytes) -> bytes:
