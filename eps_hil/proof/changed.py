@@ -29,7 +29,6 @@ from eps_hil.proof.seal import opaque_id, open_answers, seal
 from eps_hil.proof.states import State, two_states
 from eps_hil.proof.truth import Drive
 from eps_hil.proof.write import write_csv
-from eps_hil.recordings.files import make_folder
 
 LEVEL, SHARED = 0.6, 3.0
 """Effect-to-noise ratios of the change, and of what both states share."""
@@ -151,7 +150,11 @@ def _begin(out: Path, asked: Mapping[str, Any]) -> None:
         return
     if out.is_dir() and any(out.iterdir()):
         raise InputError(out, "--out", "is not empty", "name a folder that is new")
-    make_folder(out, "--out")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"cannot be made: {error.strerror}"
+        raise InputError(out, "--out", problem, "name a folder that can be written") from None
     path.write_text(json.dumps(asked, indent=1) + "\n")
 
 
