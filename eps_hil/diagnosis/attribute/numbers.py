@@ -125,7 +125,8 @@ def numbers_off(
         ]
         if small:
             left = [e for e in one.entries if e not in small]
-            soft = any(e["effect"] == BRISTLE for e in small)
+            seen = any("motor_angle_rad" in made.raw for made in problem.recordings)
+            soft = not seen and any(e["effect"] == BRISTLE for e in small)
             free_still = {STIFFNESS: 0.0} if soft else {}  # or others would stand in for it
             one = fit(problem, left, own={**TIMING, **one.own, **free_still}, like=one)
         fits.append((one.cost + price * (len(one.entries) + len(free)), one))
