@@ -187,6 +187,8 @@ def _path(c: Constants, s: Moment, u: Inputs, resting: bool) -> tuple[float, flo
     s.last_angle = u.motor_angle_rad
     if c.angle_seen:
         went = _follow(c, s, u, travel, resting)
+        if not c.use_dead_zone:  # as published: the speed alone
+            went = travel
         return went, abs(went)
     if not resting:
         kept = s.path
