@@ -82,10 +82,10 @@ def _rubbing(model: Model, load: SpringLoad) -> list[Entry]:
     x = np.array(sorted(places))
     forward = np.array([_TURNING_RAD_S, 0.5 * speed, speed])
     v = np.concatenate([-forward[::-1], forward])
-    rate = v / model.rack_to_rotor_ratio_rad_per_m
+    ratio = model.rack_to_rotor_ratio_rad_per_m
+    rate = v / ratio
     law = model.friction
     gain = np.where(v > 0.0, law.load_pos_nm_per_n, law.load_neg_nm_per_n)
-    ratio = model.rack_to_rotor_ratio_rad_per_m
     hangs = load.sine_nm * np.sin(ratio * x) + load.cosine_nm * np.cos(ratio * x)
     level = gain * np.abs((k * x + ratio * hangs)[:, None] + c * rate + f)
     if float(np.max(level[1:-1])) <= _LEAST * max(law.offset_pos_nm, law.offset_neg_nm):

@@ -21,6 +21,8 @@ Floats = npt.NDArray[np.floating[Any]]
 Flags = npt.NDArray[np.bool_]
 Runs = npt.NDArray[np.int64]
 """(first, last + 1) of stretches of equal samples, shape (m, 2)."""
+Gaps = tuple[tuple[float, float], ...]
+"""(from, to) on the recording's own time, s."""
 
 GAP = 5.0
 """So many usual steps without a good sample (none at all, or NaN) are a gap…"""
@@ -118,23 +120,18 @@ class Quality:
 
         A hole in all inputs at once is a pause of the recording and counts as no loss.
         """
-        counts = [self._lost_by(one) for one in self.inputs]
+        pauses = self._pauses()
+        counts = [_lost_beside(one, pauses) for one in self.inputs]
         frames = [one.frames for one in self.inputs]
         shares = [lost / max(many + lost, 1) for lost, many in zip(counts, frames, strict=True)]
         return max(counts, default=0), max(shares, default=0.0)
 
-    def _lost_by(self, one: Channel) -> int:
-        """Without those of holes that every input has: there the rig or the logger paused."""
-        missing = [round((end - start) * one.rate_hz) - 1 for start, end in self._pauses()]
-        return max(one.lost_frames - sum(max(many, 0) for many in missing), 0)
-
-    def _pauses(self) -> list[tuple[float, float]]:
+    def _pauses(self) -> Gaps:
         """Gaps that all inputs share, where there are several."""
         inputs = self.inputs
-        common = list(inputs[0].gaps) if len(inputs) > 1 else []
+        common = inputs[0].gaps if len(inputs) > 1 else ()
         for one in inputs[1:]:
-            pairs = [(max(a, c), min(b, d)) for a, b in common for c, d in one.gaps]
-            common = [(a, b) for a, b in pairs if b - a > GAP_S]
+            common = _shared(common, one.gaps)
         return common
 
     @property
@@ -248,6 +245,26 @@ def _lost(seconds: Floats, usual: float) -> int:
         beat += step * (1.0 + missing + _FOLLOWED * beside)
         step *= 1.0 + 0.25 * _FOLLOWED**2 * beside
     return max(int(lost), 0)
+
+
+def _shared(first: Gaps, second: Gaps) -> Gaps:
+    """Where both have a gap, each list in order of time."""
+    found, i, j = [], 0, 0
+    while i < len(first) and j < len(second):
+        start, end = max(first[i][0], second[j][0]), min(first[i][1], second[j][1])
+        if end - start > GAP_S:
+            found.append((start, end))
+        if first[i][1] < second[j][1]:
+            i += 1
+        else:
+            j += 1
+    return tuple(found)
+
+
+def _lost_beside(one: Channel, pauses: Gaps) -> int:
+    """Without those of holes that every input has: there the rig or the logger paused."""
+    missing = sum(max(round((end - start) * one.rate_hz) - 1, 0) for start, end in pauses)
+    return max(one.lost_frames - missing, 0)
 
 
 def _gaps(seconds: Floats, good: Flags) -> tuple[tuple[float, float], ...]:

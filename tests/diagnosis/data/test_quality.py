@@ -232,6 +232,22 @@ def test_a_hole_in_all_inputs_is_a_pause_and_in_one_a_loss(alone: bool) -> None:
     assert (finding([look]) is not None) == alone
 
 
+def test_thousands_of_holes_are_compared_in_order() -> None:
+    """One input misses every second hole of the other."""
+    seconds = np.arange(0.0, 400.0, 1e-3)
+    step = np.floor(seconds / 0.1).astype(int)
+    rng = np.random.default_rng(2)
+    series = {}
+    for name, often in (("motor_torque_nm", 1), ("motor_speed_rad_s", 2)):
+        hole = (seconds % 0.1 > 0.05) & (step % often == 0)
+        t_ns = np.round(seconds[~hole] * 1e9).astype(np.int64)
+        series[name] = Series(t_ns, rng.standard_normal(len(t_ns)))
+    look = look_at("r", series)
+    assert [len(one.gaps) for one in look.channels] == [4000 - 1, 2000]
+    lost = look.channels[0].lost_frames
+    assert look.lost[0] == pytest.approx(lost / 2, rel=0.02)
+
+
 def test_stamps_in_whole_milliseconds_lose_no_frame() -> None:
     """A signal every 2.4 ms, as a robot's table has it: 2 and 3 ms apart, none missing."""
     stamps = np.round(2.37e-3 * np.arange(20_000), 3)
