@@ -223,7 +223,8 @@ def _updated(
         found = Evidence(log, np.where(live, variance, 0.0), float(np.sqrt(noise)), weights)
         if abs(log - before) < _SETTLED:
             break
-        told = 1.0 - np.sum(dtrtri(factor, lower=1)[0] ** 2, axis=0)  # less the inverse's diagonal
+        inverse = dtrtri(factor, lower=1)[0] if len(use) else factor  # LAPACK takes no empty one
+        told = 1.0 - np.sum(inverse**2, axis=0)  # less the diagonal of inner's inverse
         number = np.bincount(group[use], told, groups)
         square = np.bincount(group[use], mean**2, groups)
         variance = np.where(number > 1e-9, square / np.maximum(number, 1e-9), 0.0)

@@ -8,7 +8,7 @@ import pytest
 
 from eps_hil.diagnosis.attribute.beside import LEAST, _Search
 from eps_hil.diagnosis.balance.baseline import ALL, TIMING
-from eps_hil.diagnosis.balance.discrepancy import Basis, Discrepancy, Whitening
+from eps_hil.diagnosis.balance.discrepancy import Basis, Discrepancy, Whitening, _updated
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem, knee
 from eps_hil.diagnosis.data.prepare import prepare
@@ -70,3 +70,14 @@ def test_a_law_that_stands_in_for_an_unknown_one_is_worth_nothing(
     bare = fit(problem, [], own=TIMING)
     assert bare.cost - fit(problem, [DRAG], own=TIMING).cost > 1000.0
     assert search_on(problem, DRAG, TIMING) < LEAST
+
+
+def test_noise_alone_is_noise_and_nothing_is_said_on_the_terminal(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Where no curve is alive the linear algebra has nothing to do, and must not complain."""
+    group = np.array([0, 0, 1])
+    found = _updated(1e3 * np.eye(3), np.zeros(3), 1e3, 1e3, group, (np.zeros(2), 1.0))
+    assert found.variance.tolist() == [0.0, 0.0]
+    assert found.sigma == pytest.approx(1.0)
+    assert capfd.readouterr() == ("", "")
