@@ -1,17 +1,16 @@
 """How often a diagnosis names known physics beside physics that no catalogue holds.
 
-    python benchmarks/beside_unknown.py [--seed 1] [--each 1] [--keep DIR] [KIND ...]
+    python benchmarks/beside_unknown.py [--seed 1] [--count 15] [--keep DIR] [KIND ...]
 
-Kinds: ``beside`` (an effect at 0.6 of the noise beside each alien of the proof at 3 times the
-noise), ``triples`` (three effects at 1.5), ``aliens`` (nothing but an alien, at 1.5: no name is
-right), ``decoys`` (nothing hidden). Cases are those of ``eps_hil.proof``, development seeds only.
-``--keep`` holds the recordings, so that two versions of the code see the same ones at once.
+Kinds are those of ``eps_hil.proof.plans``, development seeds only: ``beside`` (an effect at 0.6 of
+the noise beside each alien at 3), ``triples`` (three effects at 1.5), ``aliens`` (no name is right),
+``decoys`` (nothing hidden)… ``--keep`` holds the recordings, so that two versions of the code see
+the same ones at once.
 """
 
 import argparse
 import pickle
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,41 +19,10 @@ import numpy as np
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.physics.model import Model, load_model
 from eps_hil.proof.cases import Case, make
-from eps_hil.proof.effects import ALIENS, CATALOGUED, find
+from eps_hil.proof.effects import CATALOGUED
 from eps_hil.proof.judge import judge
-from eps_hil.proof.plans import Plan, lasting, near, plans
+from eps_hil.proof.plans import Plan, plans
 from eps_hil.series import Series
-
-KNOWN, UNKNOWN, TRIPLE, ALONE = 0.6, 3.0, 1.5, 1.5
-_NOT_BESIDE = {"motor_torque_delay", "speed_sensor_delay", "belt_compliance", "backlash"}
-"""Found before the balance, or not by it."""
-
-
-def _chosen(kind: str, seed: int, each: int) -> Iterator[Plan]:
-    rng = np.random.default_rng([seed, 77])
-    first = 500_000 + 1000 * seed
-    if kind == "decoys":
-        yield from plans("decoys", 500 + seed, each)
-        return
-    names = sorted(set(lasting()) - _NOT_BESIDE)
-    for k in range(each):
-        if kind == "triples":
-            three: list[str] = []
-            while len(three) < 3:
-                name = str(rng.choice(sorted(CATALOGUED)))
-                if not any(name in near(other) for other in three):
-                    three.append(name)
-            wanted = tuple((name, TRIPLE) for name in three)
-            yield Plan("pairs", first + k, wanted)
-            continue
-        for i, alien in enumerate(ALIENS):
-            plan = Plan("aliens", first + 100 * k + i, ((alien, ALONE),))
-            if kind == "beside":
-                twins = {alien, *find(alien).twins}
-                name = str(rng.choice([n for n in names if n not in twins]))
-                wanted = ((alien, UNKNOWN), (name, KNOWN))
-                plan = Plan("pairs", first + 100 * k + i, wanted)
-            yield plan
 
 
 def _made(plan: Plan, keep: Path | None) -> Case:
@@ -85,13 +53,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kinds", nargs="*", default=["beside", "triples", "aliens", "decoys"])
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--each", type=int, default=1)
+    parser.add_argument("--count", type=int, default=15)
     parser.add_argument("--keep", type=Path)
     asked = parser.parse_args()
     model = load_model(Path(__file__).parents[1] / "configs" / "reference_rig.yaml")
     for kind in asked.kinds:
         right = named = cases = invented = unknown = hidden = 0
-        for plan in _chosen(kind, asked.seed, asked.each):
+        for plan in plans(kind, 500 + asked.seed, asked.count):
             case = _made(plan, asked.keep)
             since = time.monotonic()
             try:

@@ -100,6 +100,14 @@ def figures(cases: Sequence[Scored], long_s: float | None = None) -> list[Figure
     rows.append(_least("family withheld: said to be unknown", missing, _unknown, 0.85))
     aliens = [j for j in judged if j.kind == "aliens"]
     rows.append(_least("alien effects said to be unknown", aliens, _unknown, 0.95))
+    beside = [j for j in judged if j.kind == "beside"]
+    words = "beside an unknown effect five times as strong"
+    rows.append(_least(f"right name {words}", beside, lambda j: j.truths[-1] in j.named, 0.9))
+    rows.append(_most(f"false name {words}", beside, _invented, 0.0))
+    triples = [j for j in judged if j.kind == "triples"]
+    rows.append(
+        _least("three effects at once: right set and nothing else", triples, _right_set, 0.8)
+    )
     rows += [_closeness(plain), _coverage(judged)]
     return [*rows, *_residuals(cases), *_gains(cases), _time(long_s)]
 

@@ -88,8 +88,10 @@ def failed(j: Judgement) -> bool:
         return not j.clean
     if j.kind in ("aliens", "missing", "nameless"):
         return not j.said_unknown
-    if j.kind == "pairs":
+    if j.kind in ("pairs", "triples"):
         return len(j.named) != len(j.truths)
+    if j.kind == "beside":
+        return j.truths[-1] not in j.named
     if j.kind == "twins":
         return not (j.all_in_set and j.twin_in_set)
     return j.kind != "poor" and not j.right_first

@@ -14,6 +14,7 @@ from eps_hil.proof.effects import ALIENS, CATALOGUED, NAMELESS, find
 LEVELS = (0.3, 0.6, 1.5)
 """Effect-to-noise ratios of the singles."""
 STRONG, MASKED = 3.0, 0.6
+TRIPLE = 1.5
 LOUD = (1.5, 3.0, 8.0)
 """Of what has no name: large enough that a model of it is worth something."""
 KINDS = (
@@ -27,6 +28,8 @@ KINDS = (
     "twins",
     "unmeasured",
     "nameless",
+    "beside",
+    "triples",
 )
 DECOYS = ("nothing", "noise_x3", "heavy_tails", "coarse_encoder", "parameters_off")
 TWINS = (
@@ -45,6 +48,8 @@ MIX: Mapping[str, int] = {
     "aliens": 60,
     "crowds": 54,
     "unmeasured": 54,
+    "beside": 30,
+    "triples": 30,
     "twins": 30,
     "poor": 27,
 }
@@ -129,7 +134,7 @@ def lasting() -> list[str]:
 
 
 def _names(kind: str) -> list[str]:
-    if kind == "aliens":
+    if kind in ("aliens", "beside"):
         return list(ALIENS)
     if kind == "nameless":
         return list(NAMELESS)
@@ -152,6 +157,22 @@ def _pair(plan: Plan, _k: int, rng: np.random.Generator) -> Plan:
     ((name, _),) = plan.wanted
     stranger = str(rng.choice(sorted(set(lasting()) - near(name))))
     return replace(plan, wanted=((stranger, STRONG), (name, MASKED)))
+
+
+def _beside(plan: Plan, _k: int, rng: np.random.Generator) -> Plan:
+    """A known effect, no twin of it, at :data:`MASKED` beside an alien at :data:`STRONG`."""
+    ((alien, _),) = plan.wanted
+    name = str(rng.choice(sorted(set(lasting()) - near(alien))))
+    return replace(plan, wanted=((alien, STRONG), (name, MASKED)))
+
+
+def _triple(plan: Plan, _k: int, rng: np.random.Generator) -> Plan:
+    """Two more effects, none of the three a twin of another, each at :data:`TRIPLE`."""
+    three = [name for name, _ in plan.wanted]
+    while len(three) < 3:
+        taken = set().union(*map(near, three))
+        three.append(str(rng.choice(sorted(set(CATALOGUED) - taken))))
+    return replace(plan, wanted=tuple((name, TRIPLE) for name in three))
 
 
 def _crowd(plan: Plan, _k: int, rng: np.random.Generator) -> Plan:
@@ -199,6 +220,8 @@ _OF_KIND: Mapping[str, Callable[[Plan, int, np.random.Generator], Plan]] = {
     "crowds": _crowd,
     "aliens": _louder,
     "nameless": _loud,
+    "beside": _beside,
+    "triples": _triple,
     "poor": _poor,
     "missing": _missing,
     "twins": _twins,

@@ -64,6 +64,17 @@ _PAIRS: dict[str, Hit] = {
     "both in the reported set": _all_in_set,
     "something invented": lambda j: bool(j.invented),
 }
+_TRIPLES: dict[str, Hit] = {
+    "all named": lambda j: len(j.named) == len(j.truths),
+    "all in the reported set": _all_in_set,
+    "something invented": lambda j: bool(j.invented),
+}
+_BESIDE: dict[str, Hit] = {
+    "known effect named": lambda j: j.truths[-1] in j.named,
+    "known effect in the reported set": lambda j: j.truths[-1] in j.in_set,
+    "rest said to be unknown": lambda j: j.said_unknown,
+    "something invented": lambda j: bool(j.invented),
+}
 _DECOYS: dict[str, Hit] = {
     "false alarm": lambda j: not j.clean,
     "ERR names something": lambda j: bool(j.naive_err),
@@ -84,6 +95,8 @@ _OTHERS: dict[str, tuple[str, dict[str, Hit]]] = {
     "decoys": ("decoys", _DECOYS),
     "aliens": ("aliens", _ALIENS),
     "missing": ("family withheld", _ALIENS),
+    "beside": ("known effects beside aliens", _BESIDE),
+    "triples": ("triples", _TRIPLES),
     "twins": ("twins", _TWINS),
 }
 

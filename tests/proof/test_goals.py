@@ -131,3 +131,22 @@ def test_the_table_says_missed() -> None:
     assert "no cases" in text
     assert len(as_json(rows)) == len(rows) == len(text.splitlines()) - 1
     assert np.isfinite(as_json(rows)[0]["value"])
+
+
+def test_beside_an_alien_only_the_known_effect_can_be_right() -> None:
+    both = {"truths": ("eddy", "stribeck")}
+    cases = [Scored(_judged("beside", **both, named=("stribeck",)), {}) for _ in range(9)]
+    cases += [Scored(_judged("beside", **both, named=(), invented=("inertia",)), {})]
+    rows = figures(cases)
+    row = _row(rows, "right name beside")
+    assert (row.value, row.cases, row.met) == (0.9, 10, True)
+    assert _row(rows, "false name beside").met is False
+
+
+def test_of_three_effects_the_whole_set_counts() -> None:
+    three = ("stribeck", "backlash", "inertia")
+    right = Scored(_judged("triples", truths=three, in_set=three), {})
+    less = Scored(_judged("triples", truths=three, in_set=three[:2]), {})
+    more = Scored(_judged("triples", truths=three, in_set=three, invented=("cogging_torque",)), {})
+    row = _row(figures([right, right, less, more]), "three effects")
+    assert (row.value, row.cases, row.met) == (0.5, 4, False)

@@ -5,26 +5,26 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from eps_hil.proof.effects import CATALOGUED
-from eps_hil.proof.plans import DECOYS, KINDS, LEVELS, MIX, QUICK, TWINS, mixed, near
+from eps_hil.proof.effects import ALIENS, CATALOGUED
+from eps_hil.proof.plans import DECOYS, KINDS, LEVELS, MIX, QUICK, TWINS, mixed, near, plans
 from eps_hil.proof.programmes import PROGRAMMES, programme
 from eps_hil.proof.world import World
 
 
 def test_a_full_proof_has_a_thousand_cases_and_every_kind() -> None:
-    plans = mixed(MIX, 1, proof=True)
-    assert len(plans) >= 1000
-    assert Counter(plan.kind for plan in plans) == MIX
+    planned = mixed(MIX, 1, proof=True)
+    assert len(planned) >= 1000
+    assert Counter(plan.kind for plan in planned) == MIX
     assert set(MIX) == set(KINDS) - {"nameless"}  # benchmarks/nameless.py runs those
-    singles = Counter(plan.wanted[0] for plan in plans if plan.kind == "singles")
+    singles = Counter(plan.wanted[0] for plan in planned if plan.kind == "singles")
     assert singles.keys() == {(name, level) for name in CATALOGUED for level in LEVELS}
-    decoys = Counter(plan.decoy for plan in plans if plan.kind == "decoys")
+    decoys = Counter(plan.decoy for plan in planned if plan.kind == "decoys")
     assert decoys == dict.fromkeys(DECOYS, 60)
 
 
 def test_the_quick_proof_is_of_development_and_has_nearly_every_kind() -> None:
     kinds = {plan.kind for plan in mixed(QUICK, 1)}
-    assert kinds == set(KINDS) - {"twins", "poor", "nameless"}
+    assert kinds == set(KINDS) - {"twins", "poor", "nameless", "beside", "triples"}
 
 
 @pytest.mark.parametrize("count", [100, 250, 500])
@@ -35,14 +35,14 @@ def test_what_comes_first_is_a_fair_sample(count: int) -> None:
 
 
 def test_being_told_to_leave_a_family_out_says_nothing() -> None:
-    plans = mixed(MIX, 2)
-    for plan in plans:
+    planned = mixed(MIX, 2)
+    for plan in planned:
         hidden = {name for name, _ in plan.wanted}
         if plan.kind == "missing":
             assert near(plan.wanted[0][0]) == set(plan.withheld)
         else:
             assert not hidden & set(plan.withheld)
-    told = Counter(plan.kind for plan in plans if plan.withheld)
+    told = Counter(plan.kind for plan in planned if plan.withheld)
     assert told["singles"] + told["decoys"] > 0.8 * told["missing"]
 
 
@@ -50,6 +50,16 @@ def test_seeds_of_development_and_proof_never_meet() -> None:
     development = {(plan.kind, plan.seed) for plan in mixed(MIX, 3)}
     assert not development & {(plan.kind, plan.seed) for plan in mixed(MIX, 3, proof=True)}
     assert mixed(MIX, 3) == mixed(MIX, 3)
+
+
+def test_what_is_hidden_together_are_no_twins_of_each_other() -> None:
+    for kind in ("beside", "triples"):
+        for plan in plans(kind, 4, 40):
+            names = [name for name, _ in plan.wanted]
+            assert len(names) == (2 if kind == "beside" else 3)
+            assert not any(a in near(b) for a in names for b in names if a is not b)
+            assert (names[0] in ALIENS) is (kind == "beside")
+            assert set(names[1:]) <= set(CATALOGUED)
 
 
 def test_twins_are_twins_in_the_catalogue() -> None:
