@@ -3,9 +3,8 @@
     python benchmarks/beside_unknown.py [--seed 1] [--count 15] [--keep DIR] [KIND ...]
 
 Kinds are those of ``eps_hil.proof.plans``, development seeds only: ``beside`` (an effect at 0.6 of
-the noise beside each alien at 3), ``triples`` (three effects at 1.5), ``aliens`` (no name is right),
-``decoys`` (nothing hidden)… ``--keep`` holds the recordings, so that two versions of the code see
-the same ones at once.
+the noise beside each alien at 3), ``triples`` (three effects at 1.5), ``aliens``, ``decoys``…
+``--keep`` holds the recordings, so that two versions of the code see the same ones at once.
 """
 
 import argparse

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from eps_hil.proof.effects import ALIENS
 from eps_hil.proof.truth import Drive
 
 UNKNOWN = "unknown"
@@ -88,10 +89,8 @@ def failed(j: Judgement) -> bool:
         return not j.clean
     if j.kind in ("aliens", "missing", "nameless"):
         return not j.said_unknown
-    if j.kind in ("pairs", "triples"):
-        return len(j.named) != len(j.truths)
-    if j.kind == "beside":
-        return j.truths[-1] not in j.named
+    if j.kind in ("pairs", "triples", "beside"):
+        return not {one for one in j.truths if one not in ALIENS} <= set(j.named)
     if j.kind == "twins":
         return not (j.all_in_set and j.twin_in_set)
     return j.kind != "poor" and not j.right_first

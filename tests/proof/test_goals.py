@@ -134,7 +134,7 @@ def test_the_table_says_missed() -> None:
 
 
 def test_beside_an_alien_only_the_known_effect_can_be_right() -> None:
-    both = {"truths": ("eddy", "stribeck")}
+    both: dict[str, Any] = {"truths": ("alien_eddy_brake", "stribeck")}
     cases = [Scored(_judged("beside", **both, named=("stribeck",)), {}) for _ in range(9)]
     cases += [Scored(_judged("beside", **both, named=(), invented=("inertia",)), {})]
     rows = figures(cases)
