@@ -29,12 +29,14 @@ PATIENCE_S = 900.0
 
 def run(folder: Path, out: str) -> tuple[float, float]:
     """One process: (seconds by the clock, processor seconds)."""
+    environment = os.environ | {"XDG_CACHE_HOME": str(folder), "PYTHONPATH": str(ROOT)}
+    environment.pop("NUMBA_CACHE_DIR", None)  # a place of its own would hold what is compiled
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(
         [sys.executable, "-m", "eps_hil.cli", "estimate", str(folder / "drive.csv"),
          "--model", str(MODEL), "--out", str(folder / out)],
         check=True, stdout=subprocess.DEVNULL, cwd=ROOT,
-        env=os.environ | {"XDG_CACHE_HOME": str(folder), "PYTHONPATH": str(ROOT)},
+        env=environment,
     )  # fmt: skip
     took = time.perf_counter() - begun
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -80,6 +80,12 @@ ROWS = (
         "estimate_csv.py --seconds 20 --runs 1",
     ),
     Row(
+        "long", "`estimate` on a candump log of 2 GB, a gigabyte", "the same on 0.2 GB",
+        "long_log.py --gb 2", r"ratio ([\d.]+)", "times its time", 1.1, False,
+        "nothing: 10 GB are `python benchmarks/long_log.py --gb 10`",
+        "long_log.py --gb 0.02",
+    ),
+    Row(
         "first", "first `estimate` after installation", "–",
         "first_estimate.py", r"first +([\d.]+) s", "s", 5.0, False,
         "starting Python; it is interpreted, and compiled in the background for the next",

@@ -18,9 +18,9 @@ from eps_hil.bus import instants
 from eps_hil.bus.bits import Bits, bits_of
 from eps_hil.bus.clock_state import ClockState
 from eps_hil.bus.frame_columns import FrameColumns
-from eps_hil.bus.growing import Growing
 from eps_hil.bus.message_decoder import STAMP_RESOLUTION_NS, MessageDecoder
 from eps_hil.bus.protection import CrcRule
+from eps_hil.growing import Growing
 from eps_hil.series import Arrivals
 
 Ints = npt.NDArray[np.int64]

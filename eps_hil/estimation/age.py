@@ -3,15 +3,16 @@
 Asked by the service's core frame by frame, and of a whole log afterwards.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from eps_hil.estimation.levels import LevelChange
-from eps_hil.estimation.stream import Estimate, StreamEstimator, Trace
+from eps_hil.estimation.stream import Estimate, Events, Rows, StreamEstimator, Trace
 from eps_hil.estimation.validity import Reason
+from eps_hil.growing import Growing, blocks
 from eps_hil.series import Arrivals
 
 AGE_LIMIT_S = 0.02
@@ -99,48 +100,55 @@ class ShiftDoubt:
 
 def run_aged(
     stream: StreamEstimator,
-    events: tuple[npt.NDArray[np.int8], Ints, npt.NDArray[np.float64]],
+    stretches: Iterable[Events],
     arrivals: Arrivals,
     changes: Sequence[LevelChange] = (),
 ) -> Trace:
     """As ``stream.run``, each estimate judged by the arrival of its sync frame, as live.
 
-    Where the sync samples are not those that arrived, nothing is known of their age.
+    The syncs of all stretches are those that arrived.
     """
-    signal, t_ns, value = events
-    syncs = np.flatnonzero(signal == -1)
     receive, sample, moved = arrivals
-    if not np.array_equal(t_ns[syncs], sample):
-        return stream.run(signal, t_ns, value, changes)
     look_back = round(stream.latency_s * 1e9)
-    shift = ShiftDoubt(look_back, stream, 0)
-    stale = np.zeros(len(syncs), bool)
-    cuts = [*np.flatnonzero(np.diff(moved, prepend=0)).tolist(), len(syncs)]
-    parts, since = [], 0
-    for cut, following in zip(cuts, [*cuts[1:], len(syncs)], strict=True):
-        until = len(signal) if cut == len(syncs) else int(syncs[cut]) + 1
-        parts.append(
-            stream.run(signal[since:until], t_ns[since:until], value[since:until], changes)
-        )
-        since, changes = until, ()
-        for k in range(cut, following):
-            stale[k] = shift.stale(int(moved[k]), int(receive[k]))
-            if not stale[k]:
-                break
-    trace = Trace(
-        np.concatenate([part.t_ns for part in parts]),
-        np.concatenate([part.rack_force_n for part in parts]),
-        np.concatenate([part.friction_torque_nm for part in parts]),
-        np.concatenate([part.reason for part in parts]),
-    )
     half = stream.timing.step_ns // 2
-    of = np.searchsorted(sample, trace.t_ns + look_back - half)  # the sync frame of each row
-    newest = np.searchsorted(of, np.arange(len(syncs)), "right") - 1
-    there = (newest >= 0) & (of[np.maximum(newest, 0)] == np.arange(len(syncs)))
-    age = receive - trace.t_ns[np.maximum(newest, 0)]
-    stale |= there & (np.abs(age - look_back) > round(AGE_LIMIT_S * 1e9))
-    _look_back_doubt(stale, trace, np.maximum(newest, 0), arrivals, look_back)
-    trace.reason[stale[np.minimum(of, len(syncs) - 1)]] |= _STALE
+    shift = ShiftDoubt(look_back, stream, 0)
+    stale = np.zeros(len(sample), bool)
+    rows, newest, first = Rows(), Growing(np.int64), 0
+    for signal, t_ns, value in stretches:
+        syncs = np.flatnonzero(signal == -1)
+        mine = slice(first, first + len(syncs))
+        cuts = np.flatnonzero(np.diff(moved[mine], prepend=moved[first - 1] if first else 0))
+        made, since, begun = Rows(), 0, len(rows)
+        for cut in cuts.tolist():
+            until = int(syncs[cut]) + 1
+            made.add(
+                stream.run(signal[since:until], t_ns[since:until], value[since:until], changes)
+            )
+            since, changes = until, ()
+            for k in range(first + cut, len(sample)):
+                if k > first + cut and moved[k] != moved[k - 1]:
+                    break
+                stale[k] = shift.stale(int(moved[k]), int(receive[k]))
+                if not stale[k]:
+                    break
+        made.add(stream.run(signal[since:], t_ns[since:], value[since:], changes))
+        changes = ()
+        part = made.whole()
+        rows.add(part)
+        # the sync frame of each row, and the newest row of each sync frame
+        of = np.searchsorted(sample[mine], part.t_ns + look_back - half)
+        last = np.searchsorted(of, np.arange(len(syncs)), "right") - 1
+        newest.add(np.maximum(last + begun, 0))
+        if len(of):
+            there = (last >= 0) & (of[np.maximum(last, 0)] == np.arange(len(syncs)))
+            age = receive[mine] - part.t_ns[np.maximum(last, 0)]
+            stale[mine] |= there & (np.abs(age - look_back) > round(AGE_LIMIT_S * 1e9))
+        first += len(syncs)
+    trace = rows.whole()
+    _look_back_doubt(stale, trace, newest.whole(), arrivals, look_back)
+    for at in blocks(len(trace.t_ns)):
+        of = np.searchsorted(sample, trace.t_ns[at] + look_back - half)
+        trace.reason[at][stale[np.minimum(of, len(sample) - 1)]] |= _STALE
     return trace
 
 
@@ -148,13 +156,18 @@ def _look_back_doubt(
     stale: npt.NDArray[np.bool_], trace: Trace, newest: Ints, arrivals: Arrivals, look_back_ns: int
 ) -> None:
     """Ask :class:`AgeDoubt` around the moves of the line that count."""
-    late = arrivals.receive_ns - arrivals.sample_ns
+    receive_ns, sample_ns = arrivals.receive_ns, arrivals.sample_ns
+    earlier: list[int] = []
+    for at in blocks(len(receive_ns) - 1):
+        pair = slice(at.start, at.stop + 1)
+        moved = np.diff(receive_ns[pair] - sample_ns[pair])
+        earlier += (at.start + np.flatnonzero(-moved > _LATE_NS)).tolist()
     done = 0
-    for k in np.flatnonzero(-np.diff(late) > _LATE_NS).tolist():
+    for k in earlier:
         if k + 1 < done:
             continue
         doubt = AgeDoubt(look_back_ns)
-        for j in range(max(k - _RATE_MEMORY, 0), len(late)):
+        for j in range(max(k - _RATE_MEMORY, 0), len(receive_ns)):
             receive, row = int(arrivals.receive_ns[j]), int(newest[j])
             told = Estimate(
                 int(trace.t_ns[row]), float(trace.rack_force_n[row]), 0.0, False, Reason.FINE

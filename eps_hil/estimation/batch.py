@@ -1,17 +1,19 @@
 """A whole recording through the stream estimator, in one compiled run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from eps_hil.estimation.age import run_aged
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.settings import EstimatorSettings, problem
-from eps_hil.estimation.stream import SIGNALS, StreamEstimator, Trace
+from eps_hil.estimation.stream import SIGNALS, Events, Rows, StreamEstimator, Trace
 from eps_hil.estimation.stream_steps import merge
 from eps_hil.physics.model import Model
 from eps_hil.series import Arrivals, Series
+
+STRETCH = 1 << 20
+"""Syncs of a recording that are merged at once: 17 minutes at 1 kHz."""
 
 
 def sample_periods_s(series: Mapping[str, Series]) -> dict[str, float]:
@@ -28,9 +30,7 @@ def sync_signal(series: Mapping[str, Series]) -> str:
     return "motor_speed_rad_s" if "motor_speed_rad_s" in series else "motor_angle_rad"
 
 
-def events(
-    series: Mapping[str, Series],
-) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+def events(series: Mapping[str, Series]) -> Events:
     """All samples in the order of their stamps, with a sync (−1) after each sync sample.
 
     Returns (place in SIGNALS or −1, stamp in ns, value), each of shape (n,).
@@ -46,6 +46,22 @@ def events(
     values = np.concatenate([one.value for one in there])
     merge(stamps, values, begin, end, signal, t_ns, value)
     return signal, t_ns, value
+
+
+def stretches(series: Mapping[str, Series]) -> Iterator[Events]:
+    """:func:`events`, cut after every so many syncs: a long recording is merged bit by bit."""
+    sync = series[sync_signal(series)].t_ns
+    begin = dict.fromkeys(series, 0)
+    for last in [*range(STRETCH - 1, len(sync) - 1, STRETCH), None]:
+        part = {}
+        for name in [name for name in SIGNALS if name in series]:
+            one = series[name]
+            end = len(one.t_ns)
+            if last is not None:
+                end = int(np.searchsorted(one.t_ns, sync[last], "right"))
+            cut = slice(begin[name], end)
+            part[name], begin[name] = Series(one.t_ns[cut], one.value[cut]), end
+        yield events(part)
 
 
 def latency_s(model: Model, settings: EstimatorSettings, periods_s: Mapping[str, float]) -> float:
@@ -98,10 +114,17 @@ def estimate(
         trace = _smoothed(model, chosen, periods, series)
     else:
         stream = StreamEstimator(model, chosen, periods)
-        if arrivals is None:
-            trace = stream.run(*events(series), changes)
-        else:
-            trace = run_aged(stream, events(series), arrivals, changes)
+        aged = arrivals is not None and np.array_equal(
+            series[sync_signal(series)].t_ns, arrivals.sample_ns
+        )
+        if arrivals is not None and aged:
+            trace = run_aged(stream, stretches(series), arrivals, changes)
+        else:  # where other samples arrived, nothing is known of the age of these
+            rows = Rows()
+            for part in stretches(series):
+                rows.add(stream.run(*part, changes))
+                changes = ()
+            trace = rows.whole()
     first = min(int(s.t_ns[0]) for name, s in series.items() if name in SIGNALS)
     there = trace.t_ns >= first
     begin = int(np.argmax(there)) if len(there) else 0

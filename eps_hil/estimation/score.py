@@ -1,5 +1,6 @@
 """How far an estimate is from the rig's load cell, overall, moving and at rest."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -9,6 +10,7 @@ import numpy.typing as npt
 
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.stream import Trace
+from eps_hil.growing import blocks
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -60,19 +62,41 @@ def score(trace: Trace, series: Mapping[str, Series], model: Model) -> Score | N
     """
     if "rack_force_n" not in series:
         return None
-    keep = trace.valid & _inside(trace.t_ns, series["rack_force_n"])
-    t_ns = trace.t_ns[keep]
-    force = _at(t_ns, series["rack_force_n"], model.delays_s.of("rack_force_n"))
-    error = trace.rack_force_n[keep] - force
-    moving = np.abs(_speed(t_ns, series, model)) > MOVING_RAD_S
-    return Score(
-        _rms(error),
-        _rms(error[moving]),
-        float(np.mean(error[moving])) if moving.any() else float("nan"),
-        _rms(force),
-        len(error),
-        _rms(error[~moving]),
-    )
+    overall, moving, resting, load = _Errors(), _Errors(), _Errors(), _Errors()
+    for at in blocks(len(trace.t_ns)):
+        t_ns = trace.t_ns[at]
+        keep = (trace.reason[at] == 0) & _inside(t_ns, series["rack_force_n"])
+        if not keep.any():
+            continue
+        t_ns = t_ns[keep]
+        force = _at(t_ns, series["rack_force_n"], model.delays_s.of("rack_force_n"))
+        error = trace.rack_force_n[at][keep] - force
+        moves = np.abs(_speed(t_ns, series, model)) > MOVING_RAD_S
+        for kept, values in (
+            (overall, error), (moving, error[moves]), (resting, error[~moves]), (load, force)
+        ):  # fmt: skip
+            kept.add(values)
+    return Score(overall.rms, moving.rms, moving.mean, load.rms, overall.rows, resting.rms)
+
+
+class _Errors:
+    """Sums of numbers that come block by block."""
+
+    def __init__(self) -> None:
+        self.rows, self._sum, self._squares = 0, 0.0, 0.0
+
+    def add(self, values: npt.NDArray[np.float64]) -> None:
+        self.rows += len(values)
+        self._sum += float(np.sum(values))
+        self._squares += float(np.sum(values**2))
+
+    @property
+    def mean(self) -> float:
+        return self._sum / self.rows if self.rows else math.nan
+
+    @property
+    def rms(self) -> float:
+        return math.sqrt(self._squares / self.rows) if self.rows else math.nan
 
 
 def _speed(
@@ -96,11 +120,16 @@ def _inside(t_ns: npt.NDArray[np.int64], one: Series) -> npt.NDArray[np.bool_]:
 
 
 def _at(t_ns: npt.NDArray[np.int64], one: Series, delay_s: float) -> npt.NDArray[np.float64]:
-    good = np.isfinite(one.value)
-    stamps = one.t_ns[good] - round(delay_s * 1e9)
+    """Read between the good samples, at instants that lie near each other (n,)."""
+    delay_ns = round(delay_s * 1e9)
+    begin = int(np.searchsorted(one.t_ns, t_ns.min() + delay_ns, "right")) - 1
+    end = int(np.searchsorted(one.t_ns, t_ns.max() + delay_ns)) + 1
+    while begin > 0 and not math.isfinite(one.value[begin]):
+        begin -= 1
+    while end < len(one.t_ns) and not math.isfinite(one.value[end - 1]):
+        end += 1
+    around = slice(max(begin, 0), end)
+    good = np.isfinite(one.value[around])
+    stamps = one.t_ns[around][good] - delay_ns
     origin = stamps[0]  # differences are small enough for floats, stamps since 1970 are not
-    return np.asarray(np.interp(t_ns - origin, stamps - origin, one.value[good]))
-
-
-def _rms(values: npt.NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+    return np.asarray(np.interp(t_ns - origin, stamps - origin, one.value[around][good]))

@@ -32,6 +32,7 @@ from eps_hil.estimation.stream_steps import (
 )
 from eps_hil.estimation.stream_timing import SIGNALS, timing_of
 from eps_hil.estimation.validity import Reason, reason_of
+from eps_hil.growing import Growing
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 
@@ -64,6 +65,50 @@ class Trace:
     def valid(self) -> npt.NDArray[np.bool_]:
         """Where the estimate may be used."""
         return np.equal(self.reason, 0)
+
+
+Events = tuple[npt.NDArray[np.int8], Int64, Float64]
+"""Samples and syncs in the order of their stamps: place in SIGNALS or −1, stamp (ns), value."""
+
+
+class Rows:
+    """Estimates of one stretch of a recording after another."""
+
+    def __init__(self) -> None:
+        self._only: Trace | None = None
+        self._many: list[Growing] = []
+
+    def add(self, part: Trace) -> None:
+        """Those that follow; a recording of one stretch is not copied."""
+        if self._only is None and not self._many:
+            self._only = part
+            return
+        if self._only is not None:
+            self._many = [
+                Growing(np.int64),
+                Growing(np.float64),
+                Growing(np.float64),
+                Growing(np.int64),
+            ]
+            self._put(self._only)
+            self._only = None
+        self._put(part)
+
+    def __len__(self) -> int:
+        return len(self._only.t_ns) if self._only else len(self._many[0]) if self._many else 0
+
+    def whole(self) -> Trace:
+        """All of them; nothing is added then. ``ValueError`` without any stretch."""
+        if self._only is not None:
+            return self._only
+        if not self._many:
+            raise ValueError("no stretch was estimated")
+        return Trace(*(each.whole() for each in self._many))
+
+    def _put(self, part: Trace) -> None:
+        parts = (part.t_ns, part.rack_force_n, part.friction_torque_nm, part.reason)
+        for growing, each in zip(self._many, parts, strict=True):
+            growing.add(each)
 
 
 _BLOCK = 2_000_000

@@ -1,6 +1,6 @@
 """Parquet <-> table columns, through pyarrow (the ``parquet`` extra)."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,20 +50,32 @@ def read_parquet(path: Path, *, ignore_unknown: bool = False) -> Table:
     return Table(stamps, signals, _row, notes)
 
 
-def write_parquet(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Write equally long columns; NaN becomes null. The schema holds each one's unit."""
+def write_parquet(path: Path, parts: Iterable[Mapping[str, npt.NDArray[Any]]]) -> None:
+    """Write equally long columns, a row group of each part; NaN becomes null.
+
+    The schema holds each column's unit.
+    """
     with needs_extra(path, "parquet"):
         import pyarrow
         import pyarrow.parquet
-    arrays = {
-        name: pyarrow.array(column, from_pandas=True)  # from_pandas: NaN is null
-        for name, column in columns.items()
-    }
-    fields = [
-        pyarrow.field(name, array.type, metadata=_about(name)) for name, array in arrays.items()
-    ]
-    schema = pyarrow.schema(fields, metadata={"written_by": f"eps_hil {VERSION}"})
-    pyarrow.parquet.write_table(pyarrow.table(arrays, schema=schema), path)
+    writer = None
+    try:
+        for columns in parts:
+            arrays = {
+                name: pyarrow.array(column, from_pandas=True)  # from_pandas: NaN is null
+                for name, column in columns.items()
+            }
+            if writer is None:
+                fields = [
+                    pyarrow.field(name, array.type, metadata=_about(name))
+                    for name, array in arrays.items()
+                ]
+                schema = pyarrow.schema(fields, metadata={"written_by": f"eps_hil {VERSION}"})
+                writer = pyarrow.parquet.ParquetWriter(path, schema)
+            writer.write_table(pyarrow.table(arrays, schema=writer.schema))
+    finally:
+        if writer is not None:
+            writer.close()
 
 
 def _about(name: str) -> dict[str, str]:

@@ -3,15 +3,16 @@
 Whole or not at all, and never a NaN that looks like a number.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TextIO
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from eps_hil.errors import InputError
+from eps_hil.growing import blocks
 from eps_hil.recordings.files import replacing
 from eps_hil.recordings.table import EPOCH_S, TIME_NS, VALID, Stamps, from_series, seconds_to_ns
 from eps_hil.series import Series
@@ -26,6 +27,8 @@ _DIGITS = 19
 _NS = 1_000_000_000
 
 Columns = Mapping[str, npt.NDArray[Any]]
+Part = tuple[Stamps, dict[str, npt.NDArray[Any]]]
+"""Some rows: their stamps (ns), and their columns."""
 
 
 def check_writable_suffix(path: Path) -> None:
@@ -82,20 +85,28 @@ def write_table(path: str | Path, columns: Columns, *, t_ns: Stamps | None = Non
     path = Path(path)
     check_writable_suffix(path)
     plain = {name: _plain(name, np.asarray(column)) for name, column in columns.items()}
+    timed = t_ns is not None
     if t_ns is None:
         t_ns = seconds_to_ns(np.asarray(plain[TIME], dtype=np.float64))
-    else:
-        plain = {TIME: t_ns / _NS, **plain}
-    if {len(column) for column in plain.values()} != {len(t_ns)}:
+    if {len(column) for column in plain.values()} - {len(t_ns)}:
         raise ValueError("columns differ in length")
+
+    def parts() -> Iterator[Part]:
+        for at in blocks(len(t_ns)) if len(t_ns) else (slice(0, 0),):
+            part = {name: column[at] for name, column in plain.items()}
+            yield t_ns[at], {TIME: t_ns[at] / _NS, **part} if timed else part
+
     with replacing(path) as temporary:
         if path.suffix.lower() == ".csv":
-            _write_csv(temporary, plain, t_ns)
+            exact = all(np.abs(part[TIME]).max(initial=0.0) < EPOCH_S for _, part in parts())
+            _write_csv(temporary, parts(), exact=exact, many=len(t_ns) >= _WORTH_ARROW)
         elif path.suffix.lower() == ".parquet":
             from eps_hil.recordings.parquet_file import write_parquet
 
-            exact = np.array_equal(seconds_to_ns(plain[TIME]), t_ns)
-            write_parquet(temporary, plain if exact else {TIME_NS: t_ns, **plain})
+            exact = all(np.array_equal(seconds_to_ns(part[TIME]), at) for at, part in parts())
+            write_parquet(
+                temporary, (part if exact else {TIME_NS: at, **part} for at, part in parts())
+            )
         else:
             from eps_hil.recordings.mf4_file import write_mf4
 
@@ -118,23 +129,28 @@ def _plain(name: str, column: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return column if column.dtype.kind in "iu" else column.astype(np.float64)
 
 
-def _write_csv(path: Path, columns: Columns, t_ns: Stamps) -> None:
-    exact = np.abs(columns[TIME]).max(initial=0.0) < EPOCH_S
-    if len(t_ns) >= _WORTH_ARROW and find_spec("pyarrow") is not None:
-        _write_by_arrow(path, columns, None if exact else t_ns)
-        return
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(",".join(columns) + "\n")
-        for start in range(0, len(t_ns), _ROWS):
-            part = slice(start, start + _ROWS)
-            texts = [
-                _seconds(t_ns[part]) if name == TIME and not exact else _texts(column[part])
-                for name, column in columns.items()
-            ]
-            _write_rows(file, texts)
+def _write_csv(path: Path, parts: Iterable[Part], *, exact: bool, many: bool) -> None:
+    """``exact``: floats hold the time; ``many``: it is worth while to load pyarrow."""
+    by_arrow = many and find_spec("pyarrow") is not None
+    with path.open("wb") as raw:
+        header = True
+        for t_ns, columns in parts:
+            if header:
+                raw.write((",".join(columns) + "\n").encode())
+                header = False
+            if by_arrow:
+                _write_by_arrow(raw, columns, None if exact else t_ns)
+                continue
+            for start in range(0, len(t_ns), _ROWS):
+                at = slice(start, start + _ROWS)
+                texts = [
+                    _seconds(t_ns[at]) if name == TIME and not exact else _texts(column[at])
+                    for name, column in columns.items()
+                ]
+                _write_rows(raw, texts)
 
 
-def _write_by_arrow(path: Path, columns: Columns, t_ns: Stamps | None) -> None:
+def _write_by_arrow(file: IO[bytes], columns: Columns, t_ns: Stamps | None) -> None:
     """The same numbers, written shortest; ``t_ns`` where floats do not hold the time."""
     import pyarrow
     import pyarrow.csv
@@ -144,14 +160,12 @@ def _write_by_arrow(path: Path, columns: Columns, t_ns: Stamps | None) -> None:
         whole = pyarrow.array(t_ns).cast(pyarrow.decimal128(_DIGITS, 0))
         places = pyarrow.decimal128(_DIGITS, 9)
         arrays[TIME] = pyarrow.Array.from_buffers(places, len(whole), whole.buffers())
-    with path.open("wb") as file:
-        file.write((",".join(columns) + "\n").encode())
-        options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
-        pyarrow.csv.write_csv(pyarrow.table(arrays), file, options)
+    options = pyarrow.csv.WriteOptions(include_header=False, quoting_style="none")
+    pyarrow.csv.write_csv(pyarrow.table(arrays), file, options)
 
 
-def _write_rows(file: TextIO, texts: list[Iterable[str]]) -> None:
-    file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+def _write_rows(file: IO[bytes], texts: list[Iterable[str]]) -> None:
+    file.writelines((",".join(row) + "\n").encode() for row in zip(*texts, strict=True))
 
 
 def _texts(column: npt.NDArray[Any]) -> Iterable[str]:

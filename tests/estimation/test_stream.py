@@ -7,6 +7,7 @@ import numba
 import numpy as np
 import pytest
 
+from eps_hil.estimation import batch
 from eps_hil.estimation.batch import estimate, events, sample_periods_s
 from eps_hil.estimation.rack_force import RackForceEstimator
 from eps_hil.estimation.settings import EstimatorSettings, PlausibilitySettings
@@ -66,6 +67,20 @@ def test_live_and_batch_agree_bit_for_bit(
     batch = stream_run(reference_model, series)
     assert same(one_by_one, batch)
     assert np.sum(batch.valid) > 2500
+
+
+@pytest.mark.parametrize("stretch", [1, 300, 999, 2999])
+def test_a_recording_cut_into_stretches_gives_the_same(
+    reference_model: Model, stretch: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So a long one is merged bit by bit; late, early and missing samples at the cuts."""
+    series = moving()
+    sensor, angle = series["torque_sensor_nm"], series["motor_angle_rad"]
+    series["torque_sensor_nm"] = Series(sensor.t_ns[350:-40:3] + 137, sensor.value[350:-40:3])
+    series["motor_angle_rad"] = Series(angle.t_ns - 5 * MS, angle.value)
+    whole = estimate(series, reference_model)
+    monkeypatch.setattr(batch, "STRETCH", stretch)
+    assert same(estimate(series, reference_model), whole)
 
 
 def stream_run(model: Model, series: dict[str, Series]) -> Trace:

@@ -7,6 +7,7 @@ import pytest
 
 import eps_hil
 from eps_hil.bus.frame import Frame
+from eps_hil.estimation import batch
 from eps_hil.estimation.validity import Reason
 from eps_hil.examples import CONFIGS
 from eps_hil.recordings import log_signals
@@ -32,14 +33,23 @@ def frames() -> list[Frame]:
 
 
 @pytest.mark.parametrize(
-    ("by_ms", "one_by_one"),
-    [(0.0, False), (8.8, False), (30.0, False), (8.8, True)],
+    ("by_ms", "one_by_one", "stretch"),
+    [
+        (0.0, False, batch.STRETCH),
+        (8.8, False, batch.STRETCH),
+        (30.0, False, batch.STRETCH),
+        (8.8, True, batch.STRETCH),
+        (0.0, False, 700),
+        (8.8, False, 4001),
+        (30.0, False, 13),
+    ],
 )
 def test_what_waited_is_told_of_a_log_too(
     tmp_path: Path,
     frames: list[Frame],
     by_ms: float,
     one_by_one: bool,
+    stretch: int,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The stamps jump in the fourth second."""
@@ -62,6 +72,7 @@ def test_what_waited_is_told_of_a_log_too(
         monkeypatch.setattr(log_signals, "_columns", lambda *_: None)
     read = eps_hil.load(log, dbc=asked.dbc, signals=asked.signals)
     assert asked.model is not None
+    monkeypatch.setattr(batch, "STRETCH", stretch)
     trace = eps_hil.estimate(read, str(asked.model), asked.estimator).trace
     said = {t: Reason(int(bits)) for t, bits in zip(trace.t_ns.tolist(), trace.reason, strict=True)}
     same = [t for t in said if t in live]

@@ -2,10 +2,12 @@ import errno
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from eps_hil import growing
 from eps_hil.errors import EpsHilError, InputError
 from eps_hil.recordings import write
 from eps_hil.recordings.read import read_columns, read_recording
@@ -164,3 +166,24 @@ def test_a_long_csv_holds_what_a_short_one_does(tmp_path: Path) -> None:
             np.array_equal(back["rack_force_estimate_n"].value, force, equal_nan=True)
         )
         assert np.array_equal(back["valid"].t_ns, t_ns)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize("start_ns", [0, 1_757_617_431_821_276_001])
+@pytest.mark.parametrize("rows", [0, 30, 25_000])
+def test_written_block_by_block_it_reads_the_same(
+    tmp_path: Path, suffix: str, start_ns: int, rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    force = np.where(np.arange(rows) % 9 == 2, np.nan, np.arange(rows) / 7)
+    columns = {"rack_force_estimate_n": force, "valid": np.arange(rows) % 2 == 0}
+    t_ns = start_ns + 1_000_000 * np.arange(rows)
+    names = [f"{name}{suffix}" for name in ("whole", "blocks")]
+    write_table(tmp_path / names[0], columns, t_ns=t_ns)
+    monkeypatch.setattr(growing, "_BLOCK", 11 if rows < 100 else 7_001)
+    write_table(tmp_path / names[1], columns, t_ns=t_ns)
+    if suffix == ".csv":
+        assert (tmp_path / names[0]).read_bytes() == (tmp_path / names[1]).read_bytes()
+    else:
+        whole, parts = (pyarrow.parquet.read_table(tmp_path / name) for name in names)
+        assert whole.equals(parts, check_metadata=True)
+        assert whole.num_rows == rows
