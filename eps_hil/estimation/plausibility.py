@@ -23,6 +23,8 @@ from eps_hil.estimation.speed_and_angle import (
     WRAP,
     angle_off,
     jumped_alone,
+    mean_noise,
+    mean_share,
 )
 from eps_hil.estimation.state import Records, record_of
 from eps_hil.estimation.torque_jumps import (
@@ -81,6 +83,9 @@ class Watch:
     turns: Annotated[Floats, COUNT]
     equals: Annotated[Floats, COUNT]
     rested: Annotated[Ints, COUNT]
+    # How often both torques are equal to those before at once, and of how many that was learnt.
+    both: float
+    paired: int
     frozen: Annotated[Ints, COUNT]
     refused: Annotated[Ints, COUNT]
     moving: int
@@ -131,6 +136,10 @@ class Watch:
     path: float
     gain: float
     angle: float
+    # Means of slip, path and gain over some milliseconds.
+    mean_slip: float
+    mean_path: float
+    mean_gain: float
     # The same over a tenth of a second, and the angle's way in it.
     slow: float
     turned: float
@@ -170,6 +179,9 @@ class Limits(NamedTuple):
     slow_leak: float
     slow_noise: float
     slow_rest: float
+    mean_share: float
+    mean_angle_noise: float
+    mean_speed_noise: float
     angle_seen: bool
     angle_noise: float
     angle_tolerance: float
@@ -199,8 +211,9 @@ def watch_anew(watch: Records) -> None:
     w = watch[0]
     spread, repeats, learnt = w.spread, _each(w.repeats), _each(w.learnt)
     turns, equals, rested = _each(w.turns), _each(w.equals), _each(w.rested)
+    both, paired = w.both, w.paired
     copy(watch, 0, _NEW, 0)
-    w.spread, w.started = spread, 0
+    w.spread, w.started, w.both, w.paired = spread, 0, both, paired
     for i in range(COUNT):
         w.repeats[i], w.learnt[i] = repeats[i], learnt[i]
         w.turns[i], w.equals[i], w.rested[i] = turns[i], equals[i], rested[i]
@@ -216,7 +229,8 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
     step_s, step_ms = settings.step_s, settings.step_s * 1e3
     stiff = math.sqrt(model.friction.sigma0_nm_per_rad / model.inertia_kg_m2)
     window = min(max(round(1.5 / stiff / step_s), 4), round(_WINDOW_S / step_s))
-    slow = SLOW_LEAK_PER_MS**step_ms
+    slow, leak, share = SLOW_LEAK_PER_MS**step_ms, LEAK_PER_MS**step_ms, mean_share(step_s)
+    by_angle, by_speed = mean_noise(leak, share, step_s)
     return Limits(
         on=chosen.enabled,
         step_s=step_s,
@@ -239,10 +253,13 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
         bend_noise=bend_noise(hinge(window)),
         due_noise=due_noise(window, step_s, 1.0 / model.inertia_kg_m2),
         spread_memory=step_ms / _SPREAD_MEMORY_MS,
-        leak=LEAK_PER_MS**step_ms,
+        leak=leak,
         slow_leak=slow,
         slow_noise=step_s**2 / (1.0 - slow**2),
         slow_rest=settings.dead_zone_rad_s * step_s / (1.0 - slow),
+        mean_share=share,
+        mean_angle_noise=by_angle,
+        mean_speed_noise=by_speed,
         angle_seen=angle_seen,
         angle_noise=settings.angle_noise_rad**2,
         angle_tolerance=_ANGLE_SIGMA * settings.angle_noise_rad,
@@ -289,13 +306,56 @@ def _judge_frozen(w: Watch, p: Limits, i: int, on: bool) -> None:
     if on and w.learnt[i] >= _LEARNT and w.same[i] >= p.frozen_samples:
         moved = w.same[i] * math.log(max(w.repeats[i], 1e-3))
     if on and w.rested[i] >= _LEARNT:
-        turns, run = min(w.turns[i], _TURNS), w.still[i]
-        equal = 1.0 - turns
-        if turns > _MOSTLY_NOISE and i <= _SENSOR:  # what is equal there is so for all its noise
-            equal = min(equal, max(w.equals[i] * _WHITE_TURNS / turns, _EQUAL_NOISE))
+        run = w.still[i]
+        if _is_noise(w, i):
             run += w.same[i]  # noise does not end because the rotor moves
-        rested = run * math.log(equal) if run >= p.frozen_samples else 0.0
+        rested = run * math.log(_equal_at_rest(w, i)) if run >= p.frozen_samples else 0.0
     w.frozen[i] = 1 if min(moved, rested) < _NO_ACCIDENT else 0
+    if i <= _SENSOR and w.last_ns[_TORQUE] == w.last_ns[_SENSOR]:
+        _judge_both(w, p)
+
+
+@kernel
+def _is_noise(w: Watch, i: int) -> bool:
+    """Whether torque ``i`` turns back at rest as noise does."""
+    return i <= _SENSOR and min(w.turns[i], _TURNS) > _MOSTLY_NOISE
+
+
+@kernel
+def _equal_at_rest(w: Watch, i: int) -> float:
+    """The most by which two neighbours of signal ``i`` may be equal at rest, by accident."""
+    turns = min(w.turns[i], _TURNS)
+    equal = 1.0 - turns
+    if _is_noise(w, i):  # what is equal there is so for all its noise
+        equal = min(equal, max(w.equals[i] * _WHITE_TURNS / turns, _EQUAL_NOISE))
+    return equal
+
+
+@kernel
+def _equal_by_accident(w: Watch, i: int) -> float:
+    """How often neighbours of torque ``i`` are equal as the rotor moves or rests; 1: unknown."""
+    if w.last[i] == 0.0:
+        return 1.0
+    if w.moving:
+        return max(w.repeats[i], 1e-3) if w.learnt[i] >= _LEARNT else 1.0
+    return _equal_at_rest(w, i) if w.rested[i] >= _LEARNT else 1.0
+
+
+@kernel
+def _judge_both(w: Watch, p: Limits) -> None:
+    """Whether both torques stand still: noises of two sensors are seldom equal at once.
+
+    How often they are is also learnt, for a sender that now and then sends both once more.
+    """
+    run = min(w.same[_TORQUE] + w.still[_TORQUE], w.same[_SENSOR] + w.still[_SENSOR])
+    if run < p.frozen_samples:
+        w.paired = min(w.paired + 1, _REPEATS_MEMORY)
+        w.both += ((1.0 if run > 0 else 0.0) - w.both) / w.paired
+        return
+    rate = _equal_by_accident(w, _TORQUE) * _equal_by_accident(w, _SENSOR)
+    rate = max(rate, w.both)
+    if w.paired >= _LEARNT and run * math.log(rate) < _NO_ACCIDENT:
+        w.frozen[_TORQUE] = w.frozen[_SENSOR] = 1
 
 
 @kernel
@@ -327,6 +387,7 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     w.parted = 0
     if missing != 0:
         w.slip, w.path, w.gain = 0.0, 0.0, 0.0
+        w.mean_slip, w.mean_path, w.mean_gain = 0.0, 0.0, 0.0
         w.slow, w.turned, w.slow_gain = 0.0, 0.0, 0.0
         blind(w, p, u.motor_speed_rad_s, missing & (_RANGE | _RATE) != 0)
         return latched(w, p), w.told > 0

@@ -7,6 +7,8 @@ noise, by a wrong gain, and where one is later than the other; by no more.
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from eps_hil.compiled import kernel
 from eps_hil.estimation.setup import Inputs
 
@@ -19,6 +21,8 @@ WRAP = RING - 1
 LEAK_PER_MS, SLOW_LEAK_PER_MS = 0.95, 0.99
 """What the residuals keep from one millisecond to the next: they cover some 20 and 100 ms."""
 _SCALE, _SMOOTHED_S = 0.25, 0.005
+_MEAN_S = 0.005
+"""Time constant of the mean of the fast residual: white noise of the angle is less in it."""
 _LOW_SCALE = _SCALE / (1.0 - _SCALE)
 """The same wrong gain, in parts of the angle's way."""
 _MOST = 1.5
@@ -42,7 +46,43 @@ def angle_off(w: "Watch", p: "Limits", u: Inputs, before: float) -> bool:
     w.gain = p.leak * w.gain + (speed - before)
     w.angle = u.motor_angle_rad
     tolerance = p.angle_tolerance + _SCALE * abs(w.path) + _SMOOTHED_S * abs(w.gain)
-    return abs(w.slip) > tolerance or _slides_alone(w, p, u, apart, turned, speed - before)
+    on_average = _off_on_average(w, p, u)
+    alone = _slides_alone(w, p, u, apart, turned, speed - before)
+    return abs(w.slip) > tolerance or on_average or alone
+
+
+def mean_noise(leak: float, mean: float, step_s: float) -> tuple[float, float]:
+    """Variance of the fast residual's mean for white noise of 1 rad², and of 1 rad²/s².
+
+    ``leak``: what the residual keeps from step to step; ``mean``: what its mean takes over.
+    """
+    steps = np.arange(round(1.0 / step_s))
+    answer = np.convolve(leak**steps, mean * (1.0 - mean) ** steps)[: len(steps)]
+    by_angle = np.diff(answer, prepend=0.0)
+    by_speed = 0.5 * step_s * (answer + np.concatenate([[0.0], answer[:-1]]))
+    return float(np.sum(by_angle**2)), float(np.sum(by_speed**2))
+
+
+def mean_share(step_s: float) -> float:
+    """What the mean of the fast residual takes over in a step."""
+    return 1.0 - math.exp(-step_s / _MEAN_S)
+
+
+@kernel
+def _off_on_average(w: "Watch", p: "Limits", u: Inputs) -> bool:
+    """Whether the mean over some milliseconds of the fast residual is more than its own noise.
+
+    A speed that is off by 1 rad/s turns the rotor by 10 mrad in 10 ms, five deviations of one
+    angle, but more than ten of a mean. Gain and lag are allowed for as in single residuals.
+    """
+    w.mean_slip += p.mean_share * (w.slip - w.mean_slip)
+    w.mean_path += p.mean_share * (w.path - w.mean_path)
+    w.mean_gain += p.mean_share * (w.gain - w.mean_gain)
+    noise = p.mean_angle_noise * max(u.angle_noise, p.angle_noise)
+    noise += p.mean_speed_noise * max(u.speed_noise, 0.0)
+    tolerance = math.sqrt(p.jump * noise)
+    tolerance += _SCALE * abs(w.mean_path) + _SMOOTHED_S * abs(w.mean_gain)
+    return abs(w.mean_slip) > tolerance
 
 
 @kernel

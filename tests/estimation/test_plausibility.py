@@ -261,6 +261,21 @@ def test_a_speed_that_tells_of_a_way_that_no_angle_shows_is_told(
     assert told(trace, since + 700, since + 2000) == told(right, since + 700, since + 2000)
 
 
+@pytest.mark.parametrize("offset", [-1.2, -1.0, 1.0, 1.2])
+def test_a_speed_that_is_off_for_a_moment_is_told_by_the_angle(
+    reference_model: Model, steps_truth: Any, offset: float
+) -> None:
+    """As the rotor comes to rest it leaves the bristle bent; the angle shows no such way."""
+    right, spells, believed = estimate(series_of(steps_truth), reference_model), [], []
+    for since in range(3100, 18_000, 400):
+        series = series_of(steps_truth)
+        series[NAMES[2]].value[since : since + 30] += offset
+        spells.append(wrong_and_valid_ms(estimate(series, reference_model), right))
+        believed.append(wrong_and_valid_ms(estimate(series, reference_model, OFF), right))
+    assert max(spells) <= 20
+    assert max(believed) > 100, "nothing to tell"
+
+
 def test_a_speed_that_was_wrong_in_motion_leaves_less_behind(
     reference_model: Model, steps_truth: Any
 ) -> None:
@@ -403,6 +418,29 @@ def test_torques_that_repeat_themselves_at_rest_are_late(reference_model: Model,
     torque, sensor = 0.3 + 5e-3 * rng.standard_normal((2, 1000))
     torque[600:611], sensor[600:611] = torque[600], sensor[600]
     assert 604 < frozen_at(reference_model, torque, sensor) <= 610
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_two_torques_that_repeat_themselves_at_once_are_late_by_less(
+    reference_model: Model, both: bool
+) -> None:
+    """Five equal samples of one noisy torque may be an accident, of both at once they are not."""
+    torque, sensor = 0.3 + 5e-3 * np.random.default_rng(7).standard_normal((2, 1000))
+    torque[600:606] = torque[600]
+    if both:
+        sensor[600:606] = sensor[600]
+    assert frozen_at(reference_model, torque, sensor) == (605 if both else -1)
+
+
+def test_a_sender_that_now_and_then_sends_both_torques_again_is_believed(
+    reference_model: Model,
+) -> None:
+    """An ECU whose torques are new every fourth millisecond, and late by one more at times."""
+    torque, sensor = 0.3 + 5e-3 * np.random.default_rng(7).standard_normal((2, 4000))
+    place = np.arange(4000) // 4 * 4
+    for k in range(400, 4000, 200):
+        place[k : k + 6] = k
+    assert frozen_at(reference_model, torque[place], sensor[place]) == -1
 
 
 def test_torques_without_noise_may_rest(reference_model: Model) -> None:
