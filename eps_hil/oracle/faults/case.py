@@ -7,7 +7,7 @@ import numpy as np
 from eps_hil.oracle.faults import in_nodes, on_bus
 from eps_hil.oracle.faults.drive import drive
 from eps_hil.oracle.faults.judge import BACK_NS, WRONG_N, Outcome, errors, fault_end, judge
-from eps_hil.oracle.faults.scene import Done, Kind, Scene
+from eps_hil.oracle.faults.scene import ALL, Done, Kind, Scene
 from eps_hil.oracle.faults.stretch import MS, Stretch
 from eps_hil.oracle.faults.traffic import KEEP_MS, T0_NS, VALID, Published, World
 
@@ -38,6 +38,15 @@ def torques_late(world: World, late_ms: int, seed: int) -> Outcome:
         return in_nodes.torques_of_before(scene, since, until, late_ms)
 
     return run(world, [Kind(torque_values_late, 200, 1000)], seed, np.random.default_rng(seed))
+
+
+def everything_late(world: World, late_ms: int, seed: int) -> Outcome:
+    """All frames ``late_ms`` later from a random moment on, as by a gateway; nothing is lost."""
+
+    def gateway_late(scene: Scene, since: int, until: int) -> tuple[str, int]:
+        return on_bus.late(scene, ALL, since, until, late_ms * MS)
+
+    return run(world, [Kind(gateway_late, 1000, 3000)], seed, np.random.default_rng(seed))
 
 
 def sequence(world: World, seed: int) -> Outcome:

@@ -82,7 +82,7 @@ def frames_swapped(scene: Scene, since: int, until: int) -> tuple[str, int]:
     return f"{share:.0%} of the neighbours of {', '.join(names)} swapped", until
 
 
-def _late(
+def late(
     scene: Scene, names: tuple[str, ...], since: int, until: int, wait: int
 ) -> tuple[str, int]:
     """A queue of ``wait``: nothing overtakes, and at its end it empties at the bus's speed."""
@@ -101,12 +101,12 @@ def _late(
 def one_message_late(scene: Scene, since: int, until: int) -> tuple[str, int]:
     """Frames of one message wait; the others do not."""
     names = (STATE,) if scene.random.random() < 0.4 else (TORQUES,)
-    return _late(scene, names, since, until, int(scene.pick(1, 150) * MS))
+    return late(scene, names, since, until, int(scene.pick(1, 150) * MS))
 
 
 def torques_20_ms_late(scene: Scene, since: int, until: int) -> tuple[str, int]:
     """The row of the issue: 375 N off, and valid."""
-    return _late(scene, (TORQUES,), since, until, 20 * MS)
+    return late(scene, (TORQUES,), since, until, 20 * MS)
 
 
 def all_frames_late(scene: Scene, since: int, until: int) -> tuple[str, int]:
