@@ -69,9 +69,8 @@ def changes(
     if json:
         write_json(json, found.after.content)
     if report:
-        known = {"after": "before", "before": "after"}[found.after.content["seen_in"]]
         with progress("drawing the page"):
-            diagnosis_page.write(found.after, report, f"{model} with what is there {known}")
+            diagnosis_page.write(found.after, report, str(model))
     if write_model:
         with replacing(write_model) as temporary:
             temporary.write_text(dump_model(found.model), encoding="utf-8")

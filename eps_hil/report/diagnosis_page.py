@@ -162,6 +162,8 @@ def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
 
 def _verdict(content: Mapping[str, Any]) -> str:
     """The verdict as a sentence."""
+    if "before" in content:
+        return _what_changed(content)
     findings = [one["effect"] for one in content["findings"] if one["effect"] != "unknown"]
     named = list(dict.fromkeys(findings))  # two orders are one cogging
     sentences = {
@@ -187,6 +189,20 @@ def _verdict(content: Mapping[str, Any]) -> str:
             "The mismatch is explained by one signal that is wrong, and by no effect of the drive."
         )
     return sentences[content["verdict"]]
+
+
+def _what_changed(content: Mapping[str, Any]) -> str:
+    """The verdict on two states of a rig."""
+    known = [one["effect"] for one in content["before"]["findings"] if one["effect"] != "unknown"]
+    both = f" Beyond the model file, the first state has {_and([*dict.fromkeys(known)])}."
+    told = [
+        f"{named(one['effect']) if one['effect'] != 'unknown' else 'something without a name'} "
+        f"({in_words(one['change'])})"
+        for one in content["findings"]
+    ]
+    if not told:
+        return f"Nothing has changed that these recordings could show.{both if known else ''}"
+    return f"What has changed: {'; '.join(told)}.{both if known else ''}"
 
 
 def _is_channel_fault(finding: Mapping[str, Any]) -> bool:

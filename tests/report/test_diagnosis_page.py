@@ -176,6 +176,28 @@ def test_page_of_nothing_missing(other_rig: ModuleType) -> None:
     assert all(line["style"] != "after" for plot in plots for line in plot["lines"])
 
 
+def test_page_of_two_states_says_what_changed(explained: Diagnosis) -> None:
+    change = {"is": "new", "before": [], "size_after": None, "share_before": None}
+    found = [{**explained.content["findings"][0], "change": change}]
+    first = {"findings": [{"effect": "stribeck"}]}
+    content = {**explained.content, "findings": found, "before": first, "seen_in": "after"}
+
+    def page_of(content: dict[str, Any]) -> str:
+        result = replace(explained, content=content)
+        return _Checked(diagnosis_page.render(result, "m.yaml")).text
+
+    text = page_of(content)
+    assert "Two states of one rig, against m.yaml" in text
+    assert "What has changed: unmodelled spring (new)." in text
+    assert "the first state has Stribeck friction." in text
+    assert "the baseline model, which is the first state" in text
+    assert "The mismatch is explained" not in text
+    assert "which is the second state" in page_of({**content, "seen_in": "before"})
+    nothing = page_of({**content, "findings": [], "before": {"findings": []}})
+    assert "Nothing has changed that these recordings could show." in nothing
+    assert "Beyond the model file" not in nothing
+
+
 @pytest.mark.parametrize("verdict", ["unknown_effect", "partly_explained"])
 @pytest.mark.parametrize("curve", [[], [[-0.01, 0.002, 0.001], [0.01, 0.02, 0.001]]])
 def test_page_of_an_unknown(explained: Diagnosis, verdict: str, curve: list[Any]) -> None:
