@@ -4,6 +4,7 @@ Both give rows as they are done. A recording that takes its process down with it
 of a library) is tried once more, alone, and is then a failed row.
 """
 
+import contextlib
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -19,14 +20,36 @@ from eps_hil.fleet.tasks import Task
 Todo = Sequence[tuple[Task, str]]
 """Tasks with their keys."""
 _RETRIES = 2
+_THREADS = tuple(f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL"))
 
 
 def here(job: Job, todo: Todo, processes: int | None = None) -> Iterator[Row]:
     """In ``processes`` of this machine (default: one a core).
 
-    The first task goes alone: what it compiles the others find in the cache.
+    The first task goes alone: what it compiles the others find in the cache. Then each process has
+    one more waiting, so that none stands still while a row is kept; and linear algebra in one
+    thread, since the others are at work.
     """
     many = processes or os.cpu_count() or 1
+    with _one_thread() if many > 1 else contextlib.nullcontext():
+        yield from _here(job, todo, many)
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """For processes that are started meanwhile: their libraries read it as they are loaded."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+
+
+def _here(job: Job, todo: Todo, many: int) -> Iterator[Row]:
     waiting, suspects = list(reversed(todo)), list[tuple[Task, str]]()
     warm = False
     while waiting or suspects:
@@ -39,7 +62,7 @@ def here(job: Job, todo: Todo, processes: int | None = None) -> Iterator[Row]:
         running: dict[Future[Row], tuple[Task, str]] = {}
         try:
             while waiting or running:
-                while waiting and len(running) < (many if warm and not alone else 1):
+                while waiting and len(running) < (2 * many if warm and not alone else 1):
                     # a pool that broke meanwhile refuses the task, which then goes on waiting
                     running[pool.submit(run, job, *waiting[-1])] = waiting[-1]
                     waiting.pop()

@@ -177,7 +177,12 @@ def test_page_of_nothing_missing(other_rig: ModuleType) -> None:
 
 
 def test_page_of_two_states_says_what_changed(explained: Diagnosis) -> None:
-    change = {"is": "new", "before": [], "size_after": None, "share_before": None}
+    change: dict[str, Any] = {
+        "is": "new",
+        "before": [],
+        "size_after": None,
+        "share_before": None,
+    }
     found = [{**explained.content["findings"][0], "change": change}]
     first = {"findings": [{"effect": "stribeck"}]}
     content = {**explained.content, "findings": found, "before": first, "seen_in": "after"}
