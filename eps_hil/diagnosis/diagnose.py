@@ -402,7 +402,10 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     beside_load = augmented_by(problem, selection.found, findings) if extra is None else written
     if worse(problem, beside_load, judged):
         extra, findings, written = None, [], problem.model
-    content = look.added_to(content_of(problem, selection, findings, left, judged, extra, written))
+    final = load is None or load == FREE  # else judged again once the load is written
+    content = look.added_to(
+        content_of(problem, selection, findings, left, judged, extra, written, simulated=final)
+    )
     if wrong is not None:
         content = with_channel_fault(content, wrong.finding(model))
     content["findings"] = doubted(content["findings"], load)
@@ -416,7 +419,12 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         ]
         shown = look.put_right_in_no_file or wrong is not None
         content["fit"]["holdout"] = as_the_file_does(
-            content["fit"]["holdout"], as_read, model, ready_to_write, balance=shown
+            content["fit"]["holdout"],
+            as_read,
+            model,
+            ready_to_write,
+            balance=shown,
+            simulated=final,
         )
     content["limits"] = [
         *([] if load is None else [load.sentence]),

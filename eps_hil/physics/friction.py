@@ -71,7 +71,7 @@ def friction_torque_nm(
 ) -> float:
     """T_f of eq. 2d (Nm, opposes positive speed): σ0 z + σ1(ω) ż with ż of eq. 2a, σ1 of eq. 2c."""
     ratio = speed_rad_s / law.sigma1_speed_rad_s
-    if ratio * ratio > _FADED:
+    if ratio * ratio > _FADED or law.sigma1_nm_s_per_rad == 0.0:
         return law.sigma0_nm_per_rad * bristle_rad
     sigma1 = law.sigma1_nm_s_per_rad * math.exp(-ratio * ratio)
     rate = speed_rad_s - abs(speed_rad_s) * law.sigma0_nm_per_rad * bristle_rad / level_nm

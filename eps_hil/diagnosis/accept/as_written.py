@@ -57,6 +57,7 @@ def as_the_file_does(
     written: Model,
     *,
     balance: bool,
+    simulated: bool = True,
 ) -> dict[str, Any]:
     """``fit.holdout`` of the files ``given`` and ``written`` on hold-outs as their files have them.
 
@@ -64,10 +65,10 @@ def as_the_file_does(
     file, but in no balance of one mass: without ``balance`` the residual is that of ``told``.
     With it, no file holds the correction, and ``put_right`` keeps ``told``.
     """
-    after = measures(as_read, written, written)
+    before, after = (measures(as_read, one, one, simulated=simulated) for one in (given, written))
     if not balance:
         after["torque_nrmse"] = told["augmented"]["torque_nrmse"]
-    figures = {**told, "baseline": measures(as_read, given, given), "augmented": after}
+    figures = {**told, "baseline": before, "augmented": after}
     return {**figures, "put_right": told["augmented"]} if balance else figures
 
 

@@ -66,16 +66,23 @@ class Holdout:
         )
 
 
-def measures(holdouts: Sequence[Holdout], common: Model, model: Model) -> dict[str, Any]:
+def measures(
+    holdouts: Sequence[Holdout], common: Model, model: Model, *, simulated: bool = True
+) -> dict[str, Any]:
     """torque_nrmse, speed_fit_percent, rack_force_rmse_n, free_run (CONTRACT 7) of ``model``.
 
     ``common`` decides which samples count as sliding and what torque the residual is divided by,
-    so that before, after and the noise floor are parts of the same whole.
+    so that before, after and the noise floor are parts of the same whole. Not ``simulated``: those
+    of the torque balance only, the others null.
     """
+    if not simulated:
+        nothing = {"speed_rmse_rad_s": None, "angle_rmse_rad": None}
+        balance = torque_nrmse(holdouts, common, model)
+        return {"torque_nrmse": balance, "speed_fit_percent": None, "free_run": nothing}
     error, speed = [], []
     for one in holdouts:
-        _, simulated, measured = free_runs(one.prepared, model, one.quality)
-        error.append(simulated - measured)
+        _, run, measured = free_runs(one.prepared, model, one.quality)
+        error.append(run - measured)
         speed.append(measured - np.mean(measured) if len(measured) else measured)
     result: dict[str, Any] = {
         "torque_nrmse": torque_nrmse(holdouts, common, model),
@@ -98,7 +105,8 @@ def torque_nrmse(holdouts: Sequence[Holdout], common: Model, model: Model) -> fl
 
 def rack_force_error_n(holdouts: Sequence[Holdout], common: Model, model: Model) -> float | None:
     """Rms error (N, at the rack) of ``model``'s estimate while moving; None: no load cell."""
-    found = [score(one.estimated(model), one.series, common) for one in holdouts]
+    loaded = [one for one in holdouts if "rack_force_n" in one.series]
+    found = [score(one.estimated(model), one.series, common) for one in loaded]
     errors = [one.rmse_moving_n for one in found if one is not None]
     errors = [one for one in errors if np.isfinite(one)]
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else None

@@ -41,8 +41,13 @@ def content_of(
     judged: Sequence[Holdout],
     extra: Remainder | None,
     written: Model,
+    *,
+    simulated: bool = True,
 ) -> dict[str, Any]:
-    """What is told of ``findings`` and of what is ``left``; ``extra`` models it, if anything."""
+    """What is told of ``findings`` and of what is ``left``; ``extra`` models it, if anything.
+
+    Not ``simulated``: hold-outs are judged by their torque balance only.
+    """
     found = selection.found
     by_gain = sorted(findings, key=lambda k: -selection.gains[term_of(found.entries[k])])
     listed = [finding(problem, selection, k) for k in by_gain]
@@ -69,7 +74,7 @@ def content_of(
         if listed
         else [],
         "location": _location(problem, selection.null.residual, excess) if listed else {},
-        "fit": {"holdout": _proof(problem.model, written, judged)},
+        "fit": {"holdout": _proof(problem.model, written, judged, simulated=simulated)},
     }
 
 
@@ -86,10 +91,12 @@ def _location(problem: Problem, residual: Floats, excess: Floats) -> dict[str, A
     }
 
 
-def _proof(model: Model, written: Model, judged: Sequence[Holdout]) -> dict[str, Any]:
+def _proof(
+    model: Model, written: Model, judged: Sequence[Holdout], *, simulated: bool
+) -> dict[str, Any]:
     """``fit.holdout`` of the model before and as it is written."""
     models = [model] if written is model else [model, written]
-    told = each(lambda one: measures(judged, written, one), models)
+    told = each(lambda one: measures(judged, written, one, simulated=simulated), models)
     return {
         "baseline": told[0],
         "augmented": told[-1],

@@ -93,6 +93,8 @@ def with_model_effects(model: Model) -> Model:
 
     What is left in ``effects`` acts at run time (see ``added.py``); doing it twice changes nothing.
     """
+    if not model.effects:
+        return model
     left: list[Mapping[str, Any]] = []
     worked_in = False
     for entry in model.effects:
