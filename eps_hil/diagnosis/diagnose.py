@@ -29,6 +29,7 @@ from eps_hil.diagnosis.accept.proof_of_fit import (
     beside_a_gap,
     only_kept,
     still_left,
+    torque_nrmse,
     worse_force,
 )
 from eps_hil.diagnosis.accept.standing import price, price_of_one, standing, worse
@@ -51,10 +52,12 @@ from eps_hil.diagnosis.balance.load import (
     may_be_free,
     missing,
     not_told_apart,
+    of_lone_torque,
     with_load,
     wrong_in_friction,
 )
 from eps_hil.diagnosis.balance.problem import Problem, sliding
+from eps_hil.diagnosis.balance.resting import problem_of
 from eps_hil.diagnosis.balance.spread import left_open
 from eps_hil.diagnosis.data.channels import channels_in_doubt
 from eps_hil.diagnosis.data.held import own_samples
@@ -98,6 +101,8 @@ MOST_LEFT = 0.5
 """Of the hold-outs' energy: what names leave of a force that is no arbitrary one."""
 LEFT_BY_LAW = 1.0 - ENOUGH
 """The same, of a law without a name."""
+WORTH_A_LOAD = 0.98
+"""Of what hold-outs keep without: below this a load is written where there may be none."""
 LEAST_SLIDING_S = 4.0
 LEAST_JUDGED = 125
 """Sliding samples (of 8 ms) that hold-outs need to judge anything: 1 s."""
@@ -204,7 +209,7 @@ def _found(
     if may_be_free(better, every, model):
         free = under(FREE)  # friction that grows with a load that is none looks like many things
         if _price(free) < _price(first):
-            return free
+            return _with_what_follows(free, model, learnt)
     told = _with_load(first, fitted, load, base)
     if not _worse_under_load(told):
         return told
@@ -283,6 +288,21 @@ def _as_told(load: Load, told: Diagnosis, learnt: Sequence[Prepared]) -> Load:
     return again if again.form == "spring" else load
 
 
+def _with_what_follows(told: Diagnosis, model: Model, learnt: Sequence[Prepared]) -> Diagnosis:
+    """Of a free rack: with the spring, damper and constant that stay in the balance, if they do.
+
+    They are free in its fits, and have no name: a drag that is off would be nowhere else.
+    """
+    load = load_of(learnt, told.model, level=False)
+    grows = told.model.friction.load_pos_nm_per_n + told.model.friction.load_neg_nm_per_n
+    if load.form != "spring" or grows > 0.0:
+        return told
+    without, beside = (
+        torque_nrmse(told.judged, model, one) for one in (told.model, load.in_model(told.model))
+    )
+    return _with_load(told, FREE, load, model) if beside < WORTH_A_LOAD * without else told
+
+
 def _refitted(told: Diagnosis, form: Load, base: Model, learnt: Sequence[Prepared]) -> Diagnosis:
     """With the load in the model, a spring as it is beside what was found."""
     better = load_of(learnt, told.model, level=False) if form.form == "spring" else form
@@ -330,11 +350,12 @@ def _under(
 
     bare = ready, spare
     if load is not None:
+        alone = of_lone_torque([one for one, _ in ready])
         ready = [(with_load(one, model, load), series) for one, series in ready]
         spare = [(with_load(one, model, load), series) for one, series in spare]
-        without = {*without, *not_told_apart(load)}
+        without = {*without, *not_told_apart(load), *alone}
     look = first_look(ready, spare, model, without)
-    problem = Problem(look.fitted, look.model, tied=load_knobs(load))
+    problem = problem_of(look.fitted, look.model, load_knobs(load))
     _slides(look.fitted, problem.sliding)
     judged = kept_holdouts(look, kept)
     if sum(int(np.sum(one.judging(look.model))) for one in judged) < LEAST_JUDGED:

@@ -22,6 +22,7 @@ from eps_hil.diagnosis.attribute.channel_fault import (
 from eps_hil.diagnosis.attribute.select import Say, Selection, select
 from eps_hil.diagnosis.balance.fit import BRISTLE
 from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.balance.resting import problem_of
 from eps_hil.diagnosis.direct.reversals import bristle, reversals_agree
 from eps_hil.diagnosis.direct.zero_reading import ZeroReadings
 from eps_hil.diagnosis.first_look import FirstLook
@@ -49,7 +50,7 @@ def searched(
         zero = ZeroReadings()
     if zero != look.zero:
         look = look.with_zero(zero)
-        problem = Problem(look.fitted, look.model, tied=tied)
+        problem = problem_of(look.fitted, look.model, tied)
         selection = _selected(problem, look, say, without)
     asked = BRISTLE not in without and not tied  # a load that nobody measured moves the levels
     seen = bristle(selection.part, selection.searched) if asked else None
@@ -59,7 +60,7 @@ def searched(
     off = seen.off and reversals_agree(seen, problem, selection.found, judged)
     if off:
         look = look.with_bristle(seen)
-        problem = Problem(look.fitted, look.model, tied=tied)
+        problem = problem_of(look.fitted, look.model, tied)
     if off or named:
         selection = _selected(problem, look, say, {*without, BRISTLE})
     return look, problem, selection
@@ -146,7 +147,7 @@ def _beside(
 ) -> tuple[FirstLook, Problem, Selection]:
     """What is found once a signal that nobody has a name for is put right."""
     right = look.with_signal(wrong.put_right, wrong.in_model(look.model))
-    problem = Problem(right.fitted, right.model, tied=tied)
+    problem = problem_of(right.fitted, right.model, tied)
     seen = {one["effect"] for one in right.findings} & {BRISTLE}
     return right, problem, _selected(problem, right, say, {*without, *seen})
 

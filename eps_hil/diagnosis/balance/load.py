@@ -40,6 +40,9 @@ LIKE_LOAD = (
 """What a load of unknown spring, damper and constant cannot be told from."""
 LIKE_ANY_LOAD = ("motor_torque_gain", "motor_torque_saturation")
 """A motor that holds against any force has a torque that is like it: less of both leaves less."""
+OF_LONE_TORQUE = ("motor_torque_gain", "motor_torque_saturation")
+"""Of the only torque that was measured: a factor of it is one of the inertia and all friction, and
+what bends it bends them."""
 HUNG_RAD = 0.5, 2.0 * np.pi
 """A joint's travel: less shows no sine, and what turns farther carries no weight about."""
 _BETTER = 0.9
@@ -131,6 +134,12 @@ def not_told_apart(load: Load) -> Collection[str]:
     if load.form == "arbitrary":
         return [name for name in catalogue() if name not in RIPPLES]
     return (*LIKE_LOAD, *LIKE_ANY_LOAD) if load.doubtful else LIKE_LOAD
+
+
+def of_lone_torque(recordings: Iterable[Prepared]) -> Collection[str]:
+    """Ids of effects that nothing shows where the motor's is the only torque of all recordings."""
+    others = ("torque_sensor_nm", "rack_force_n")
+    return () if any(name in one.raw for one in recordings for name in others) else OF_LONE_TORQUE
 
 
 def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[dict[str, Any]]:

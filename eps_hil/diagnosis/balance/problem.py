@@ -54,6 +54,8 @@ class Problem:
     """Whether shapes may be found upside down, where what matters is the shape, not its name."""
     remainder: Remainder | None = None
     """What is unknown beside the model (``discrepancy.py``): residuals are whitened by it."""
+    held_nm: float = 0.0
+    """What rest and presliding leave beyond a right model's, for one sample (``resting.py``)."""
     sliding: Masks = field(init=False)
     scale: Floats = field(init=False)
     floor: float = field(init=False)
@@ -85,7 +87,7 @@ class Problem:
             speed_noise = recording.noise["motor_speed_rad_s"] / self.size.angle
             slower = float(np.sqrt(recording.interval_s / STEP_S))
             unsure = PRESLIDING_SIGMA_NM * max(1.0, speed_noise / NOISY_RAD_S, slower)
-            unsure *= self.size.torque
+            unsure = float(np.hypot(unsure * self.size.torque, self.held_nm))
             usable = np.where(mask, floor, np.hypot(floor, unsure))
             floors.append(np.where(barred, NOTHING_NM * self.size.torque, usable))
             index = (recording.thin_time_s - recording.thin_time_s[0]) // BLOCK_S
@@ -207,7 +209,11 @@ def sliding(recording: Prepared, model: Model) -> Masks:
     since = _since_reversal(speed, motion.slip_rad)
     angle = recording.size.angle
     clear = CLEAR_SIGMA * recording.speed_noise_rad_s
-    slides = np.abs(speed) > max(SLIDING_RAD_S * angle, clear)
+    least = SLIDING_RAD_S * angle
+    slides = np.abs(speed) > max(least, clear)
+    if clear > least and recording.slow_rate is not None:
+        rate, noise = recording.slow_rate
+        slides |= (np.abs(rate) > max(least, CLEAR_SIGMA * noise)) & (rate * speed > 0.0)
     good = slides & (since > SETTLED_RAD * angle)
     # the filter spreads what happens at a reversal over its own length
     wide = np.convolve(~good, np.ones(2 * THIN + 1), mode="same") > 0

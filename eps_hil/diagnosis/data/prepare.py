@@ -8,13 +8,13 @@ pass the same one.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import comb
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
+from eps_hil.diagnosis.data.noise import noise_at_1_khz
 from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.identification.filters import between, shifted
@@ -50,17 +50,13 @@ EDGE_S = 0.25
 _MOST_SHIFTED, _LEAST_SHIFTED = 40, 8
 _MOST_SHIFTED_BYTES = 200_000_000
 """An hour's signals are 29 MB each: what is remembered of them has to end somewhere."""
-_TAIL = 10.0
-_UNEVEN, _AT_ONCE, _FEWEST = 0.05, 0.2, 100
-"""Of a sampling interval: deviation of intervals from which samples are not even; share of the
-longest that the shortest beside it has to be; differences that say anything."""
 _SAMPLED = 3e-4
 """Of the motor torque's rms: what the balance of a sampled recording leaves without any noise. A
 torque that steps, or friction that turns, between samples of 1 ms leaves nearly as much."""
 _STRAYED = 0.461
 """∫(W − mean W)² dt over a Brownian bridge's or a random walk's unit time exceeds this in 5 of 100:
 Cramér's and von Mises' statistic."""
-_NEEDED = ("motor_torque_nm",)
+_NEEDED, _MOVING = ("motor_torque_nm",), ("motor_speed_rad_s", "motor_angle_rad")
 
 
 @dataclass(frozen=True)
@@ -260,6 +256,22 @@ class Prepared:
         band_hz = min(SMOOTH_HZ, self.bands_hz.get("motor_speed_rad_s", np.inf))
         return self.noise["motor_speed_rad_s"] * float(np.sqrt(2.0 * band_hz * STEP_S))
 
+    @cached_property
+    def slow_rate(self) -> tuple[Floats, float] | None:
+        """(the angle's rate below SLOW_HZ (n,), its noise), rad/s; None where nobody measured one.
+
+        It shows that a rotor turns slowly where a coarse speed does not, of which samples that lie
+        far apart leave no mean to be taken.
+        """
+        if self.speed_is_derived or "motor_angle_rad" not in self.raw:
+            return None
+        if not np.isfinite(self.bands_hz.get("motor_speed_rad_s", np.inf)):
+            return None
+        rate = np.gradient(low_pass(self.raw["motor_angle_rad"], SLOW_HZ), STEP_S)
+        band_hz = self.bands_hz.get("motor_angle_rad", np.inf)
+        variance = _passed(band_hz, SLOW_HZ, 2)
+        return rate, self.noise["motor_angle_rad"] * float(np.sqrt(variance))
+
     def _acceleration_variance(self) -> float:
         """Of the filtered acceleration, by noise alone, rad²/s⁴."""
         if self.speed_is_derived:
@@ -373,7 +385,7 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
     t_ns = np.arange(n, dtype=np.int64) * 1_000_000
     start = min(int(one.t_ns[0]) for one in used.values())
     raw = {name: _on_grid(one, origin, t_ns) for name, one in used.items()}
-    noise = {name: _noise_at_1_khz(one) for name, one in used.items()}
+    noise = {name: noise_at_1_khz(one, moving=name in _MOVING) for name, one in used.items()}
     bands = {name: _band_hz(one) for name, one in used.items()}
     if derived:
         bands["motor_speed_rad_s"] = bands["motor_angle_rad"]
@@ -438,63 +450,6 @@ def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:
     half = round(0.5e9 * STEP_S)
     low, high = np.clip(t_ns - half, at[0], at[-1]), np.clip(t_ns + half, at[0], at[-1])
     return np.asarray((np.interp(high, at, area) - np.interp(low, at, area)) / (high - low))
-
-
-def _noise_at_1_khz(one: Series) -> float:
-    """The white noise on the 1 kHz grid that is as strong below the cut-off as the signal's own.
-
-    Of a signal at another rate: its noise is spread over another band.
-    """
-    good = np.isfinite(one.value)
-    steps = np.diff(one.t_ns[good]) * 1e-9
-    step = float(np.median(steps))
-    uneven = float(np.std(steps)) > _UNEVEN * step
-    stamps = np.asarray(one.t_ns[good] * 1e-9, dtype=np.float64)
-    found = noise_of(one.value[good], stamps if uneven else None)
-    return found * float(np.sqrt(step / STEP_S))
-
-
-def noise_of(values: Floats, time_s: Floats | None = None) -> float:
-    """Standard deviation of white noise on a smooth signal, from its higher differences.
-
-    From third and sixth differences, and the smaller: noise is the same in both, motion that is
-    fast beside the samples is not. Heavy tails count, as the filter adds them up; beyond ten usual
-    sizes it is motion (a step, a burst) and counts no more. 0 for a constant.
-    With ``time_s`` also from divided differences: values may be even by number or by their stamps.
-    """
-    third = np.diff(values, n=3)
-    found = [_noise_of(np.abs(third), 3), _noise_of(np.abs(np.diff(third, n=3)), 6)]
-    if time_s is not None:
-        divided = ((n, _divided(values, time_s, n)) for n in (3, 6))
-        found += [_noise_of(np.abs(one), n) for n, one in divided if len(one) > _FEWEST]
-    return min(found)
-
-
-def _divided(values: Floats, time_s: Floats, order: int) -> Floats:
-    """Divided differences, each as large by white noise as a difference of even samples is.
-
-    Not of samples that came nearly at once, whose values are often one and the same.
-    """
-    at = np.lib.stride_tricks.sliding_window_view(time_s, order + 1)
-    apart = at[:, :, None] - at[:, None, :]
-    apart[:, np.arange(order + 1), np.arange(order + 1)] = 1.0
-    weight = 1.0 / np.prod(apart / np.mean(np.diff(time_s)), axis=2)
-    weight *= np.sqrt(comb(2 * order, order) / np.sum(weight**2, axis=1))[:, None]
-    shown = np.lib.stride_tricks.sliding_window_view(values, order + 1)
-    steps = np.diff(at, axis=1)
-    even = np.min(steps, axis=1) > _AT_ONCE * np.max(steps, axis=1)
-    return np.asarray(np.sum(weight * (shown - shown[:, :1]), axis=1))[even]
-
-
-def _noise_of(bends: Floats, order: int) -> float:
-    """From the sizes of one order of difference."""
-    scale = float(comb(2 * order, order))
-    if np.count_nonzero(bends) < 0.2 * len(bends):
-        return float(np.sqrt(np.mean(bends**2) / scale))
-    usual = float(np.median(bends)) / 0.6745
-    if usual == 0.0:  # of a value that is held for some rows, now more, now fewer
-        usual = float(np.median(bends[bends > 0.0])) / 0.6745
-    return float(np.sqrt(np.mean(np.minimum(bends, _TAIL * usual) ** 2) / scale))
 
 
 @njit

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.diagnosis.data.entry import around, known, place
-from eps_hil.diagnosis.data.prepare import Prepared, noise_of
+from eps_hil.diagnosis.data.noise import noise_of
+from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.series import Series
 
 Floats = npt.NDArray[np.floating[Any]]

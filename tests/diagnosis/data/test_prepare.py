@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from eps_hil.diagnosis.balance.baseline import TIMING
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
-from eps_hil.diagnosis.data.prepare import Floats, noise_of, prepare
+from eps_hil.diagnosis.data.noise import noise_of
+from eps_hil.diagnosis.data.prepare import Floats, prepare
 from eps_hil.identification.butterworth import low_pass
 from eps_hil.physics.model import Delays, Model, load_model
 from eps_hil.series import Series
