@@ -57,11 +57,15 @@ class ReplayControls:
             elif key == "q":
                 self.quit = True
 
+    def hear_signals(self) -> None:
+        """Take SIGUSR1 and SIGUSR2 from now on: one that nobody takes ends the process."""
+        signal.signal(signal.SIGUSR1, self._on_toggle)
+        signal.signal(signal.SIGUSR2, self._on_step)
+
     @contextlib.contextmanager
     def open(self) -> Iterator[bool]:
         """Listen to keys (yields True) and signals; the terminal is given back at the end."""
-        signal.signal(signal.SIGUSR1, self._on_toggle)
-        signal.signal(signal.SIGUSR2, self._on_step)
+        self.hear_signals()
         # A background job that touches its terminal is stopped by it
         if not sys.stdin.isatty() or os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp():
             yield False

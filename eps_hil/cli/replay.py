@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from eps_hil.bus.port import Port
     from eps_hil.bus.replay import ReplayReport
     from eps_hil.bus.replay_choice import Choice, LiveSenders
+    from eps_hil.bus.replay_controls import ReplayControls
 
 _REALTIME_PACE_MAX = 2.0  # faster, and a replay might not sleep enough to be let ahead of others
 _TRIP_HELP = "Play the torque commands of the log through the guard; the motor moves."
@@ -74,6 +75,7 @@ def replay(
     """
     from eps_hil.bus import replay as player
     from eps_hil.bus.replay_choice import Choice, refuse_asked
+    from eps_hil.bus.replay_controls import ReplayControls
     from eps_hil.cli._bus_options import choose_bus, open_bus
 
     pace = player.parse_speed(speed)
@@ -86,6 +88,9 @@ def replay(
 
         play_commands(log, config, journal, (from_s, to_s), alone=yes_i_stand_clear)
         return
+    controls = ReplayControls()
+    controls.paused = paused
+    controls.hear_signals()  # a long log takes a while before its first frame
     never = _commands(config, dbc)
     refuse_asked(wanted or (), never)
     frames = _frames(log, log_channel, from_s, to_s)
@@ -97,7 +102,7 @@ def replay(
     choice = Choice(wanted, unwanted, never)
     try:
         live = _look_first(frames(), port, Choice(wanted, unwanted, never), listen, log)
-        report = _play(frames, port, pace, choice, live, loop=loop, paused=paused)
+        report = _play(frames, port, pace, choice, live, controls, loop=loop)
     finally:
         port.close()
     _say(report, choice, pace)
@@ -143,16 +148,15 @@ def _play(
     pace: float | None,
     choice: "Choice",
     live: "LiveSenders",
+    controls: "ReplayControls",
     *,
     loop: bool,
-    paused: bool,
 ) -> "ReplayReport":
     from eps_hil.bus import replay as player
-    from eps_hil.bus.replay_controls import HINT, ReplayControls
+    from eps_hil.bus.replay_controls import HINT
     from eps_hil.cli._bus_options import stop_on_signals
 
-    stop, controls = stop_on_signals(), ReplayControls()
-    controls.paused = paused
+    stop = stop_on_signals()
     if pace is not None and pace <= _REALTIME_PACE_MAX:
         _ask_for_priority()
     with controls.open() as keys:

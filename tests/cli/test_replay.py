@@ -1,6 +1,8 @@
 """``eps-hil replay`` as a person meets it: no command of a log reaches a bus, whatever is asked."""
 
+import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -16,6 +18,7 @@ from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import Port, open_port
 from eps_hil.cli.main import main
+from eps_hil.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 GROUP = "239.74.163.83"
@@ -275,3 +278,23 @@ def test_commands_go_through_an_armed_session(
     assert max(one["RequestedMotorTorque"] for one in sent) == pytest.approx(0.03, abs=2e-4)
     assert [one["OverrideRequest"] for one in sent[-10:]] == [0] * 10
     assert "arming, second step" in journal.read_text()
+
+
+def test_a_signal_while_the_log_is_read_is_kept(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ended a replay that was asked to start paused, and had not come to its first frame."""
+    took: list[bool] = []
+
+    def slow(*_: object) -> None:
+        took.append(callable(signal.getsignal(signal.SIGUSR2)))
+        if took[0]:  # or it would end this process
+            os.kill(os.getpid(), signal.SIGUSR2)
+        raise InputError("bus.log", "", "cannot be read")
+
+    before = signal.getsignal(signal.SIGUSR1), signal.getsignal(signal.SIGUSR2)
+    monkeypatch.setattr("eps_hil.cli.replay._commands", slow)
+    try:
+        assert main(["replay", str(log), "--paused"]) == 2
+    finally:
+        signal.signal(signal.SIGUSR1, before[0])
+        signal.signal(signal.SIGUSR2, before[1])
+    assert took == [True]
