@@ -74,6 +74,10 @@ class Fit:
         }
 
 
+_NEARER = (0.5, 0.25, 0.0)
+"""Of how far the model's own numbers were moved: where a fit begins that cannot begin there."""
+
+
 def fit(
     problem: Problem,
     entries: Sequence[Mapping[str, Any]],
@@ -95,6 +99,12 @@ def fit(
     )
     work, knobs = [dict(entry) for entry in entries], _Knobs(problem, own)
     residual = problem.residual(problem.with_entries(work, knobs.values))
+    for share in _NEARER:
+        if np.isfinite(residual).all():
+            break
+        # without an effect, what the model's own numbers had come to beside it may be no friction
+        knobs = _Knobs(problem, {name: share * value for name, value in (own or {}).items()})
+        residual = problem.residual(problem.with_entries(work, knobs.values))
     at = problem.knee = problem.knee or knee(residual)
     cost = problem.cost(residual) + knobs.price
     jacobian = np.hstack([knobs.columns, np.zeros((len(residual), len(names)))])

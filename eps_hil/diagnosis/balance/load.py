@@ -40,9 +40,8 @@ LIKE_LOAD = (
 """What a load of unknown spring, damper and constant cannot be told from."""
 LIKE_ANY_LOAD = ("motor_torque_gain", "motor_torque_saturation")
 """A motor that holds against any force has a torque that is like it: less of both leaves less."""
-OF_LONE_TORQUE = ("motor_torque_gain", "motor_torque_saturation")
-"""Of the only torque that was measured: a factor of it is one of the inertia and all friction, and
-what bends it bends them."""
+OF_LONE_TORQUE = ("motor_torque_gain",)
+"""Of the only torque that was measured: a factor of it is one of the inertia and all friction."""
 HUNG_RAD = 0.5, 2.0 * np.pi
 """A joint's travel: less shows no sine, and what turns farther carries no weight about."""
 _BETTER = 0.9

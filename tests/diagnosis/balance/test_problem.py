@@ -5,7 +5,9 @@ import warnings
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.balance.fit import fit
+from eps_hil.diagnosis.balance.problem import Floats, Problem
+from eps_hil.physics.model import Model
 
 
 def test_the_cost_is_twice_hubers_loss(problem: Problem) -> None:
@@ -21,3 +23,21 @@ def test_a_trial_that_blows_up_costs_much_and_says_nothing(problem: Problem) -> 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert problem.cost(np.array([1e200, -1e300])) > 1e300
+
+
+def test_a_fit_that_cannot_begin_where_it_should_begins_nearer(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numbers that went with an effect may be no friction without it, and its bristle blow up."""
+    plain, asked = Problem.residual, list[float]()
+
+    def blows_up(self: Problem, model: Model) -> Floats:
+        found = plain(self, model)
+        asked.append(model.inertia_kg_m2 / problem.model.inertia_kg_m2)
+        return np.full_like(found, np.nan) if len(asked) <= 2 else found
+
+    monkeypatch.setattr(Problem, "residual", blows_up)
+    found = fit(problem, [], 0, {"inertia": 0.8})
+    assert found.own == {"inertia": 0.2}
+    assert np.isfinite(found.cost)
+    assert asked[0] > asked[1] > asked[2]
