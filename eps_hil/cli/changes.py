@@ -66,15 +66,15 @@ def changes(
         except ValueError as error:
             raise InputError(", ".join([*first, *second]), "", str(error)) from None
     _say(found.after.content)
+    if write_model:
+        with replacing(write_model) as temporary:
+            temporary.write_text(dump_model(found.model), encoding="utf-8")
+        typer.echo(f"model of the second state written to {write_model}")
     if json:
         write_json(json, found.after.content)
     if report:
         with progress("drawing the page"):
             diagnosis_page.write(found.after, report, str(model))
-    if write_model:
-        with replacing(write_model) as temporary:
-            temporary.write_text(dump_model(found.model), encoding="utf-8")
-        typer.echo(f"model of the second state written to {write_model}")
 
 
 def _say(content: Mapping[str, Any]) -> None:

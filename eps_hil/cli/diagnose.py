@@ -149,16 +149,7 @@ def diagnose(
             trust_channels=trust_channels,
             on_progress=say,
         ).result
-    if write_manoeuvre:
-        _advise(result, write_manoeuvre)
     _say(result.content)
-    if write_effect:
-        _write_effect(result, write_effect)
-    if json:
-        write_json(json, result.content)
-    if report:
-        with progress("drawing the page"):
-            diagnosis_page.write(result, report, str(model))
     if write_model:
         with replacing(write_model) as temporary:
             temporary.write_text(dump_model(result.model), encoding="utf-8")
@@ -166,6 +157,15 @@ def diagnose(
         what = f"{count} effect{'' if count == 1 else 's'}"
         base = "the simulator's own numbers and " if simulation else ""
         typer.echo(f"model with {base}{what} written to {write_model}")
+    if write_manoeuvre:
+        _advise(result, write_manoeuvre)
+    if write_effect:
+        _write_effect(result, write_effect)
+    if json:
+        write_json(json, result.content)
+    if report:
+        with progress("drawing the page"):
+            diagnosis_page.write(result, report, str(model))
 
 
 def _check_effect(path: Path) -> None:

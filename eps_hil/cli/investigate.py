@@ -84,13 +84,13 @@ def investigate(
     typer.echo(f"{len(menu.prospects)} experiments keep the limits")
     run = Investigation(setup, menu, journal, open_rig, lambda c: _say(story.lines(c)))
     outcome = run.run(budget_s, stop)
-    story.write_page(outcome, report or out / "investigation.html", str(setup.model.name))
-    if json:
-        write_json(json, story.content_of(outcome))
     if write_model and outcome.found is not None:
         with replacing(write_model) as temporary:
             temporary.write_text(dump_model(outcome.found.model), encoding="utf-8")
         typer.echo(f"model written to {write_model}")
+    story.write_page(outcome, report or out / "investigation.html", str(setup.model.name))
+    if json:
+        write_json(json, story.content_of(outcome))
     typer.echo(f"page: {report or out / 'investigation.html'}")
 
 

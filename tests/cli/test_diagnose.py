@@ -1,13 +1,15 @@
 """What ``diagnose`` says to recordings and options it cannot use: one line, before any work."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 
 from eps_hil.cli.main import main
+from eps_hil.physics.model import load_model
 
 MODEL = str(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
 Write = Callable[..., str]
@@ -100,6 +102,29 @@ def test_a_recording_does_not_judge_itself(
 ) -> None:
     good = write("good")
     assert "is recording and hold-out" in _refused(capsys, "--recording", good, "--holdout", good)
+
+
+def test_the_model_is_written_even_if_the_page_cannot_be(
+    write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What took minutes to find is not lost with a picture."""
+    import eps_hil
+    from eps_hil.cli import diagnose
+    from eps_hil.report import diagnosis_page
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", "page.html")
+
+    found = replace(load_model(MODEL), inertia_kg_m2=2e-4)
+    told = SimpleNamespace(result=SimpleNamespace(content={}, model=found))
+    monkeypatch.setattr(eps_hil, "diagnose", lambda *_, **__: told)
+    monkeypatch.setattr(diagnose, "_say", lambda _: None)
+    monkeypatch.setattr(diagnosis_page, "write", full)
+    written = tmp_path / "written.yaml"
+    page = str(tmp_path / "page.html")
+    words = ["--recording", write("good"), "--report", page, "--write-model", str(written)]
+    assert main(["diagnose", "--model", MODEL, *words]) != 0
+    assert load_model(written).inertia_kg_m2 == found.inertia_kg_m2
 
 
 @pytest.mark.slow
