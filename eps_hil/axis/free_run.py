@@ -59,20 +59,42 @@ def free_run(record: AxisRecord, model: Model) -> FreeRun:
     return FreeRun(position, 1e3 * float(np.sqrt(np.mean(error**2))))
 
 
+def replayed_rmse_mm(record: AxisRecord, other: AxisRecord) -> float:
+    """The error of an answer that is ``other``'s recorded position and looks at no force at all.
+
+    Where both were driven along one reference, it says what the score of a free run is worth.
+    """
+    n = min(len(record.position_m), len(other.position_m))
+    apart = other.position_m[:n] + other.middle_m - record.position_m[:n] - record.middle_m
+    return 1e3 * float(np.sqrt(np.mean(apart[BEGIN:] ** 2)))
+
+
 def friction_apart_n(record: AxisRecord, model: Model) -> tuple[float, float]:
     """How much more friction (N) ``record`` has than ``model``, forward and backward.
 
     Means over what moves, with all of the force at the input known: what lasts, a free run adds up.
     """
+    (whole,) = friction_course_n(record, model, 1)
+    return whole
+
+
+def friction_course_n(
+    record: AxisRecord, model: Model, parts: int = 4
+) -> list[tuple[float, float]]:
+    """:func:`friction_apart_n` of each of so many equal parts of the record, in order."""
     known = replace(record, force_n=record.force_n - record.hidden_force_n)
     motion = prepare(known.name, known.series()).motion(model)
     short = low_pass(residual_nm(model, motion)[0] / ARM_M, SMOOTH_HZ)
     speed = low_pass(np.gradient(record.position_m, STEP_S), SMOOTH_HZ)
     inside = slice(round(EDGE_S / STEP_S), -round(EDGE_S / STEP_S))
-    short, speed = short[inside], speed[inside]
-    ways = (speed > MOVES_M_S, speed < -MOVES_M_S)
-    forth, back = (float(np.mean(short[way])) if way.any() else 0.0 for way in ways)
-    return forth, -back
+    found = []
+    for some, rate in zip(
+        np.array_split(short[inside], parts), np.array_split(speed[inside], parts), strict=True
+    ):
+        ways = (rate > MOVES_M_S, rate < -MOVES_M_S)
+        forth, back = (float(np.mean(some[way])) if way.any() else 0.0 for way in ways)
+        found.append((forth, -back))
+    return found
 
 
 def with_more_friction(model: Model, forward_n: float, backward_n: float) -> Model:

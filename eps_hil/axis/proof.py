@@ -10,7 +10,14 @@ import numpy.typing as npt
 from eps_hil.axis.augment import Augmented, Say, augment
 from eps_hil.axis.emps import ARM_M, AxisRecord, published_model
 from eps_hil.axis.findings import entries_of, findings
-from eps_hil.axis.free_run import FreeRun, free_run, friction_apart_n, with_more_friction
+from eps_hil.axis.free_run import (
+    FreeRun,
+    free_run,
+    friction_apart_n,
+    friction_course_n,
+    replayed_rmse_mm,
+    with_more_friction,
+)
 from eps_hil.axis.identify import axis_numbers
 from eps_hil.axis.phase import rephased
 from eps_hil.diagnosis.data.prepare import EDGE_S, SMOOTH_HZ, STEP_S, prepare
@@ -77,16 +84,22 @@ def prove(fitted: AxisRecord, heldout: AxisRecord, say: Say | None = None) -> Pr
         "after": run.rmse_mm,
         "identified_only": free_run(heldout, augmented.identified).rmse_mm,
     }
-    apart = {
-        "fitted": friction_apart_n(fitted, augmented.model),
-        "held_out": friction_apart_n(heldout, model),
-    }
+    ways = ("forward", "backward")
+    judged = (("fitted", fitted, augmented.model), ("held_out", heldout, model))
+    apart = {name: friction_apart_n(one, its) for name, one, its in judged}
     content["friction_more_than_modelled_n"] = {
-        name: dict(zip(("forward", "backward"), two, strict=True)) for name, two in apart.items()
+        name: dict(zip(ways, two, strict=True)) for name, two in apart.items()
     }
-    content["free_run_position_rmse_mm"]["after_with_its_own_friction"] = free_run(
-        heldout, with_more_friction(augmented.model, *apart["held_out"])
-    ).rmse_mm
+    content["friction_more_than_modelled_by_quarter_n"] = {
+        name: [dict(zip(ways, two, strict=True)) for two in friction_course_n(one, its)]
+        for name, one, its in judged
+    }
+    own = with_more_friction(augmented.model, *apart["held_out"])
+    content["free_run_position_rmse_mm"] |= {
+        "after_with_its_own_friction": free_run(heldout, own).rmse_mm,
+        "with_1_n_more_than_its_own": free_run(heldout, with_more_friction(own, 1.0, 1.0)).rmse_mm,
+        "fitted_record_replayed": replayed_rmse_mm(heldout, fitted),
+    }
     return Proof(content, heldout, before, after, run)
 
 

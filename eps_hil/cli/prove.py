@@ -214,6 +214,14 @@ def _say(content: Mapping[str, Any]) -> None:
         f"{more['backward']:.2f} N backward): "
         f"{content['free_run_position_rmse_mm']['after_with_its_own_friction']:.2f}"
     )
+    run = content["free_run_position_rmse_mm"]
+    typer.echo(f"    with 1 N more than that: {run['with_1_n_more_than_its_own']:.2f}")
+    typer.echo(f"    DATA_EMPS' positions as the answer: {run['fitted_record_replayed']:.2f}")
+    course = content["friction_more_than_modelled_by_quarter_n"]
+    typer.echo("  friction more than modelled, quarter by quarter, N forward / backward:")
+    for record, name in (("fitted", "DATA_EMPS"), ("held_out", "DATA_EMPS_PULSES")):
+        parts = (f"{one['forward']:5.2f} /{one['backward']:5.2f}" for one in course[record])
+        typer.echo(f"    {name:18}{'   '.join(parts)}")
     numbers = content["parameters"]
     typer.echo("The model's own numbers, from DATA_EMPS:")
     for name in numbers["published"]:
