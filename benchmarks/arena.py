@@ -36,7 +36,7 @@ from nameless import nominal, series_of
 from eps_hil.diagnosis.accept.free_run import simulated
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.data.intake import prepared
-from eps_hil.diagnosis.data.prepare import STEP_S, Prepared
+from eps_hil.diagnosis.data.prepare import STEP_S, THIN, Prepared
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.physics.friction import friction_law, static_level_nm
 from eps_hil.physics.model import Model
@@ -98,6 +98,7 @@ def free_run_rad(one: Prepared, model: Model, learnt: Learnt | None) -> float:
     bristle = float(np.sign(speed) * level / law.sigma0_nm_per_rad)
     error = np.zeros(len(motion.time_s))
     inputs = motion.motor_torque_nm, motion.torque_sensor_nm, motion.rack_force_n
+    past = np.zeros((0, 6))
     for first in range(0, len(error) - 1, n):
         part = slice(first, min(first + n + 1, len(error)))
         motor, sensor, force = (one[part] for one in inputs)
@@ -108,7 +109,8 @@ def free_run_rad(one: Prepared, model: Model, learnt: Learnt | None) -> float:
                 model, time_s, motor - more, sensor, force,
                 speed_rad_s=speed, angle_rad=angle, bristle_rad=bristle,
             )  # fmt: skip
-            more = learnt(features(here, run.speed_rad_s, run.angle_rad))
+            more, told = along(learnt, features(here, run.speed_rad_s, run.angle_rad), past)
+        past = told[-learnt.memory :] if learnt.memory else past
         error[part] = run.angle_rad - motion.angle_rad[part]
         speed, angle = float(run.speed_rad_s[-1]), float(run.angle_rad[-1])
         if not np.isfinite(angle) or abs(speed) > 1e4:
@@ -118,6 +120,18 @@ def free_run_rad(one: Prepared, model: Model, learnt: Learnt | None) -> float:
         kept = float(run.friction_torque_nm[-1]) - fade * speed
         bristle = kept / (law.sigma0_nm_per_rad * (1.0 - fade * abs(speed) / level))
     return float(np.sqrt(np.mean(error**2)))
+
+
+def along(learnt: Learnt, signals: Floats, past: Floats) -> tuple[Floats, Floats]:
+    """The learnt torque (n,) beside ``signals`` (n, 6) at 1 kHz, and all that it was told.
+
+    ``past`` (k, 6): what came before, each 8 ms, for a model that remembers.
+    """
+    if not learnt.memory:
+        return learnt(signals), past
+    at = np.linspace(0.0, len(signals) - 1.0, max(1, round(len(signals) / THIN)), endpoint=False)
+    told = np.vstack([past, signals[np.rint(at).astype(int)]])
+    return np.interp(np.arange(len(signals)), at, learnt(told)[len(past) :]), told
 
 
 def motion_part(motion: Any, part: slice) -> Any:

@@ -30,6 +30,8 @@ class Learnt:
     centre: Floats
     width: Floats
     terms: int | None = None
+    memory: int = 0
+    """Samples (8 ms) that it has to be told of before those that are asked; 0: it has no memory."""
 
     def __call__(self, signals: Floats) -> Floats:
         """The torque, (n,)."""
@@ -138,6 +140,33 @@ def narx(records: Sequence[Record]) -> Learnt:
     return _learnt(records, [fit(one) for one in (2, 6, 15)])
 
 
+def lstm(records: Sequence[Record]) -> Learnt:
+    """One layer of LSTM cells over all signals (``arena_lstm.py``), cells chosen as all else is."""
+    from arena_lstm import CELLS, STRETCH, trained
+
+    every = np.vstack([rows[use] for rows, _, use in records])
+    low, high = every.min(axis=0), every.max(axis=0)
+    centre, width = np.mean(every, axis=0), np.maximum(np.std(every, axis=0), 1e-9)
+    scale = float(np.std(np.concatenate([torque[use] for _, torque, use in records]))) or 1.0
+    parts = [
+        ((np.clip(rows, low, high) - centre) / width, torque / scale, use.astype(np.float64))
+        for rows, torque, use in records
+    ]
+    early = [tuple(one[: 2 * len(one) // 3] for one in part) for part in parts]
+
+    def left(cells: int) -> float:
+        net, lost = trained(early, cells), []
+        for rows, target, use in parts:
+            late = np.arange(len(rows)) >= 2 * len(rows) // 3
+            lost.append(((net.run(rows[None])[0] - target) ** 2)[late & (use > 0.0)])
+        return float(np.mean(np.concatenate(lost)))
+
+    net = trained(parts, min(CELLS, key=left))
+    return Learnt(
+        lambda rows: scale * net.run(rows[None])[0], low, high, centre, width, memory=STRETCH
+    )
+
+
 def _quiet(learn: Callable[[Sequence[Record]], Learnt]) -> Callable[[Sequence[Record]], Learnt]:
     def learn_quietly(records: Sequence[Record]) -> Learnt:
         with warnings.catch_warnings():
@@ -152,4 +181,5 @@ METHODS: Mapping[str, Any] = {
     "Gaussian process (scikit-learn)": _quiet(gaussian_process),
     "PySINDy (STLSQ)": _quiet(sparse_regression),
     "SysIdentPy (FROLS)": _quiet(narx),
+    "LSTM (NumPy)": lstm,
 }
