@@ -217,7 +217,7 @@ def _linear(
     free = np.column_stack([*always, tangents[:, places]])
     weight = np.sqrt(huber(found.residual, problem.knee))
     everything = np.column_stack([*columns, free, left]) * weight[:, None]
-    size = np.sqrt(np.sum(everything**2, axis=0)) + 1e-300
+    size = np.sqrt(np.sum(everything**2, axis=0)) + 1e-150
     prior = np.full(len(size) - 1, 1e-9)
     prior[len(names)] += 1.0 / float(size[len(names)] ** 2)  # of how the torque is held
     gram = (everything / size).T @ (everything / size)

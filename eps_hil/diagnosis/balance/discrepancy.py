@@ -151,6 +151,9 @@ class Discrepancy:
         across = q.T @ self._columns
         count = float(np.sum(self._problem.sliding)) - q.shape[1]
         gram, slope = self._gram - across.T @ across, self._columns.T @ y
+        # as much as rounding may have made it less than positive semidefinite
+        lost = len(gram) * np.finfo(np.float64).eps * np.diag(self._gram)
+        gram[np.diag_indices(len(gram))] += lost
         start = None if like is None else (like.variance, like.sigma**2)
         return _updated(
             INDEPENDENT * gram,

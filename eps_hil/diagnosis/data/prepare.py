@@ -372,11 +372,12 @@ def _moved(speed: Floats) -> Floats:
 
 def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0) -> Prepared:
     """Put one recording on a 1 kHz grid; ``ValueError`` says what is missing for a diagnosis."""
-    derived = "motor_speed_rad_s" not in series
-    for needed in (*_NEEDED, "motor_angle_rad" if derived else "motor_speed_rad_s"):
-        if needed not in series:
-            raise ValueError(f"a diagnosis needs {needed}")
     used = {name: one for name, one in series.items() if len(one.t_ns) > 1}
+    derived = "motor_speed_rad_s" not in used
+    for needed in (*_NEEDED, "motor_angle_rad" if derived else "motor_speed_rad_s"):
+        if needed not in used:
+            values = "two values of " if needed in series else ""
+            raise ValueError(f"a diagnosis needs {values}{needed}")
     origin = max(int(one.t_ns[0]) for one in used.values())
     end = min(int(one.t_ns[-1]) for one in used.values())
     n = (end - origin) // 1_000_000 + 1

@@ -45,3 +45,13 @@ def test_the_last_part_of_a_recording_knows_when_it_begins() -> None:
     assert part.begins_s == pytest.approx(6.0, abs=0.01)
     assert part.since_start_s[0] == pytest.approx(6.0, abs=0.01)
     assert prepared("weave", whole["weave"], 0.0).begins_s == 0.0
+
+
+@pytest.mark.parametrize("signal", ["motor_torque_nm", "motor_speed_rad_s"])
+def test_a_signal_of_one_value_is_asked_for(signal: str) -> None:
+    recording = signals()
+    one = recording[signal]
+    single = Series(one.t_ns[:1], one.value[:1])
+    rest = {name: one for name, one in recording.items() if name != "motor_angle_rad"}
+    with pytest.raises(RecordingError, match="a diagnosis needs"):
+        prepared("weave", {**rest, signal: single}, 0.0)
