@@ -32,11 +32,13 @@ class Rig:
     weight: float = 0.0
     swing_rad: float = 30.0
     speed_loop: bool = True
+    push: float = 0.0
+    """Constant rack force beside the spring's, N."""
 
 
 @njit(cache=True)
 def _run(numbers, ahead, speed_loop, out):  # type: ignore[no-untyped-def]
-    inertia, pos, neg, drag, grows, stiffness, ratio, spring, weight, gain, more = numbers
+    inertia, pos, neg, drag, grows, stiffness, ratio, spring, weight, push, gain, more = numbers
     w, phi, z, summed, h = 0.0, ahead[0] if not speed_loop else 0.0, 0.0, 0.0, STEP_S / SUBSTEPS
     for k in range(len(ahead)):
         if speed_loop:
@@ -44,9 +46,10 @@ def _run(numbers, ahead, speed_loop, out):  # type: ignore[no-untyped-def]
             torque = gain * (ahead[k] - w) + summed
         else:
             torque = gain * (more * (ahead[k] - phi) - w)
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = torque, w, phi, spring * phi / ratio
+        out[k, 0], out[k, 1], out[k, 2] = torque, w, phi
+        out[k, 3] = push + spring * phi / ratio
         for _ in range(SUBSTEPS):
-            force = spring * phi / ratio
+            force = push + spring * phi / ratio
             level = (pos + drag * w if w >= 0 else neg - drag * w) + grows * abs(force)
             end = math.copysign(level / stiffness, w)
             z = end + (z - end) * math.exp(-abs(w) * stiffness / level * h)
@@ -69,7 +72,7 @@ def record(rig: Rig, seed: int, seconds: float, noise: tuple[float, ...]) -> dic
     else:
         ahead, loop = path, (rig.inertia * fast * 3, fast)
     plant = (rig.inertia, rig.level_pos, rig.level_neg, rig.drag, rig.grows, rig.stiffness,
-             rig.ratio, rig.spring, rig.weight)  # fmt: skip
+             rig.ratio, rig.spring, rig.weight, rig.push)  # fmt: skip
     out = np.zeros((len(t), 4))
     _run((*plant, *loop), ahead, rig.speed_loop, out)
     names = ("motor_torque_nm", "motor_speed_rad_s", "motor_angle_rad", "rack_force_n")
