@@ -136,6 +136,15 @@ def _noise(c: Constants, variance: float, bend: float, known: float) -> float:
 
 
 @kernel
+def _noise_gain(gain: float, periods: float) -> float:
+    """What a low-pass leaves of the noise of what is read between samples so many periods apart.
+
+    ``gain``: where none is missing. It is averaged over fewer of them where some are.
+    """
+    return min(gain * periods, max(gain, 1.0))
+
+
+@kernel
 def _is_resting(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
     """Whether the observed speed is no more than the noise that is there would make it."""
     speed = u.motor_speed_rad_s
@@ -144,7 +153,8 @@ def _is_resting(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
     bend = torque - 2.0 * s.drive + s.drive_before
     s.drive_before, s.drive = s.drive, torque
     s.drive_noise = _noise(c, s.drive_noise, bend, u.drive_noise)
-    sigma = math.sqrt(c.speed_noise_gain * s.speed_noise + c.torque_noise_gain * s.drive_noise)
+    gain = _noise_gain(c.speed_noise_gain, u.speed_periods)
+    sigma = math.sqrt(gain * s.speed_noise + c.torque_noise_gain * s.drive_noise)
     return c.use_dead_zone and abs(s.omega) < max(c.dead_zone, c.dead_zone_sigma * sigma)
 
 
@@ -162,13 +172,15 @@ def _follow(c: Constants, s: Moment, u: Inputs, travel: float, resting: bool) ->
     bend = angle - 2.0 * s.angle_before + s.angle_earlier
     s.angle_earlier, s.angle_before = s.angle_before, angle
     s.angle_noise = _noise(c, s.angle_noise, bend, u.angle_noise)
+    s.angle_periods -= c.angle_low_pass * (s.angle_periods - 1.0)  # what was missing wears off
+    s.angle_periods = max(s.angle_periods, u.angle_periods)
     before = s.held
     if not resting:
         s.angle += travel
     s.angle += c.angle_low_pass * (angle - s.angle)
     if resting:
         left = c.angle_low_pass / (2.0 - c.angle_low_pass)  # variance that the low-pass leaves
-        gap = CREEP_SIGMA * math.sqrt(left * s.angle_noise)
+        gap = CREEP_SIGMA * math.sqrt(_noise_gain(left, s.angle_periods) * s.angle_noise)
         s.held = min(max(s.held, s.angle - gap), s.angle + gap)
         return s.held - before
     s.held = s.angle

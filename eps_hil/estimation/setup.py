@@ -82,9 +82,10 @@ class Inputs(NamedTuple):
     """What one step is given, aligned to one physical instant.
 
     ``rack_force_n`` is used only where the observer is turned around to give the friction.
-    ``motor_angle_rad`` is used only with ``position: measured``. The last three are the variances
+    ``motor_angle_rad`` is used only with ``position: measured``. The noises are the variances
     of T_1m's, the speed's and the angle's noise where they are known; else they are learnt from
-    the inputs themselves.
+    the inputs themselves. ``speed_periods`` and ``angle_periods``: how many of their periods lie
+    between the samples that they were read between, more than one where samples are missing.
     """
 
     motor_torque_nm: float
@@ -95,6 +96,8 @@ class Inputs(NamedTuple):
     drive_noise: float = -1.0
     speed_noise: float = -1.0
     angle_noise: float = -1.0
+    speed_periods: float = 1.0
+    angle_periods: float = 1.0
 
 
 def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = False) -> Constants:

@@ -65,6 +65,7 @@ class Moment:
     angle_before: float
     angle_earlier: float
     angle_noise: float
+    angle_periods: float
     held: float
     # dφ/dx over i_APA where the rack is: ``force`` is as it would be in mid travel.
     local: float

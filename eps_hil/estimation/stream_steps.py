@@ -28,6 +28,7 @@ from eps_hil.estimation.state import (
 from eps_hil.estimation.step import step
 from eps_hil.estimation.stream_timing import (
     ANGLE,
+    MISSING_PERIODS,
     SENSOR,
     SIGNALS,
     SPEED,
@@ -150,6 +151,14 @@ def _learn(m: Memory, timing: Timing, i: int, t: int) -> None:
     m.learnt[i] = n
 
 
+@kernel(inline="always")
+def _periods(timing: Timing, i: int, apart: int) -> float:
+    """How many of its periods samples of signal ``i`` are apart (ns); 1 if none is lost."""
+    if apart <= timing.missing[i]:
+        return 1.0
+    return MISSING_PERIODS * apart / timing.missing[i]
+
+
 @kernel
 def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
     """All inputs at physical instant ``at``, what is wrong with them, and whether T_1m was seen.
@@ -160,6 +169,7 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
     got = (0.0, 0.0, 0.0, 0.0, 0.0)
     torque, sensor, speed, angle, force = got
     reason, share, seen = 0, timing.limits.sensor_to_rotor, True
+    speed_periods = angle_periods = 1.0
     for i in range(len(SIGNALS)):
         if not timing.used[i]:
             continue
@@ -179,14 +189,25 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
         elif i == SENSOR:
             sensor = value
         elif i == SPEED:
-            speed = value
+            speed, speed_periods = value, _periods(timing, i, apart)
         elif i == ANGLE:
-            angle = value
+            angle, angle_periods = value, _periods(timing, i, apart)
         else:
             force = value
     drive_noise = m.noise[TORQUE, 0] + share * share * m.noise[SENSOR, 0]
     noise = (drive_noise, m.noise[SPEED, 0], m.noise[ANGLE, 0])
-    inputs = Inputs(torque, sensor, speed, angle, force, noise[0], noise[1], noise[2])
+    inputs = Inputs(
+        torque,
+        sensor,
+        speed,
+        angle,
+        force,
+        noise[0],
+        noise[1],
+        noise[2],
+        speed_periods,
+        angle_periods,
+    )
     return inputs, reason, seen
 
 

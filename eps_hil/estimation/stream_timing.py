@@ -18,7 +18,7 @@ TORQUE, SENSOR, SPEED, ANGLE, FORCE = range(5)
 Int64 = npt.NDArray[np.int64]
 Float64 = npt.NDArray[np.float64]
 
-_MISSING_PERIODS = 1.6
+MISSING_PERIODS = 1.6
 """Samples so many periods apart have lost one between them."""
 _FIRST_SAMPLES = 50.0
 """Of so many samples the settings' noise figures are taken to be, before any was seen."""
@@ -86,7 +86,7 @@ def timing_of(
     return Timing(
         np.array([round(d * 1e9) for d in delays], np.int64),
         np.array([round(s * 1e9) for s in stale], np.int64),
-        np.array([round(_MISSING_PERIODS * p * 1e9) for p in periods], np.int64),
+        np.array([round(MISSING_PERIODS * p * 1e9) for p in periods], np.int64),
         used,
         settings.step_ns,
         round(lookback * 1e9),
