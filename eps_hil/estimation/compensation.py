@@ -145,6 +145,12 @@ def _noise_gain(gain: float, periods: float) -> float:
 
 
 @kernel
+def _periods_held(c: Constants, held: float, periods: float) -> float:
+    """The most that samples were apart, wearing off as the angle's low-pass forgets."""
+    return max(held - c.angle_low_pass * (held - 1.0), periods)
+
+
+@kernel
 def _is_resting(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
     """Whether the observed speed is no more than the noise that is there would make it."""
     speed = u.motor_speed_rad_s
@@ -153,7 +159,8 @@ def _is_resting(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
     bend = torque - 2.0 * s.drive + s.drive_before
     s.drive_before, s.drive = s.drive, torque
     s.drive_noise = _noise(c, s.drive_noise, bend, u.drive_noise)
-    gain = _noise_gain(c.speed_noise_gain, u.speed_periods)
+    s.speed_periods = _periods_held(c, s.speed_periods, u.speed_periods)
+    gain = _noise_gain(c.speed_noise_gain, s.speed_periods)
     sigma = math.sqrt(gain * s.speed_noise + c.torque_noise_gain * s.drive_noise)
     return c.use_dead_zone and abs(s.omega) < max(c.dead_zone, c.dead_zone_sigma * sigma)
 
@@ -172,8 +179,7 @@ def _follow(c: Constants, s: Moment, u: Inputs, travel: float, resting: bool) ->
     bend = angle - 2.0 * s.angle_before + s.angle_earlier
     s.angle_earlier, s.angle_before = s.angle_before, angle
     s.angle_noise = _noise(c, s.angle_noise, bend, u.angle_noise)
-    s.angle_periods -= c.angle_low_pass * (s.angle_periods - 1.0)  # what was missing wears off
-    s.angle_periods = max(s.angle_periods, u.angle_periods)
+    s.angle_periods = _periods_held(c, s.angle_periods, u.angle_periods)
     before = s.held
     if not resting:
         s.angle += travel

@@ -57,6 +57,7 @@ class Moment:
     # Dead zone: the noise that is there (second differences), path inside the zone, creep.
     speed_before: float
     speed_noise: float
+    speed_periods: float
     path: float
     drive: float
     drive_before: float

@@ -76,39 +76,31 @@ class Rows:
 
     def __init__(self) -> None:
         self._only: Trace | None = None
-        self._many: list[Growing] = []
+        self._columns: tuple[Growing, ...] = ()
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
 
     def add(self, part: Trace) -> None:
         """Those that follow; a recording of one stretch is not copied."""
-        if self._only is None and not self._many:
+        self._count += len(part.t_ns)
+        if not self._columns and self._only is None:
             self._only = part
             return
+        parts = [part]
         if self._only is not None:
-            self._many = [
-                Growing(np.int64),
-                Growing(np.float64),
-                Growing(np.float64),
-                Growing(np.int64),
-            ]
-            self._put(self._only)
-            self._only = None
-        self._put(part)
-
-    def __len__(self) -> int:
-        return len(self._only.t_ns) if self._only else len(self._many[0]) if self._many else 0
+            kinds = np.int64, np.float64, np.float64, np.int64
+            self._columns = tuple(Growing(kind) for kind in kinds)
+            parts, self._only = [self._only, part], None
+        for each in parts:
+            columns = each.t_ns, each.rack_force_n, each.friction_torque_nm, each.reason
+            for growing, column in zip(self._columns, columns, strict=True):
+                growing.add(column)
 
     def whole(self) -> Trace:
-        """All of them; nothing is added then. ``ValueError`` without any stretch."""
-        if self._only is not None:
-            return self._only
-        if not self._many:
-            raise ValueError("no stretch was estimated")
-        return Trace(*(each.whole() for each in self._many))
-
-    def _put(self, part: Trace) -> None:
-        parts = (part.t_ns, part.rack_force_n, part.friction_torque_nm, part.reason)
-        for growing, each in zip(self._many, parts, strict=True):
-            growing.add(each)
+        """All of them; nothing is added then. There is a stretch at least."""
+        return self._only or Trace(*(each.whole() for each in self._columns))
 
 
 _BLOCK = 2_000_000
