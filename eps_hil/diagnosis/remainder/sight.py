@@ -143,8 +143,8 @@ class Sight:
         ]
         if self.referenced:
             found.append(Place("motor", "sum", one))
-        if "motor_torque_nm" in rows:  # one that never changes is no input
-            found.append(Place("motor", "factor", rows["motor_torque_nm"]))
+            if "motor_torque_nm" in rows:  # one that never changes is no input
+                found.append(Place("motor", "factor", rows["motor_torque_nm"]))
         if "rack_force_n" in rows:
             load = rows["rack_force_n"] / model.rack_to_rotor_ratio_rad_per_m
             found.append(Place("load", "factor", -load))
