@@ -4,11 +4,12 @@
 
 Each rig is drawn at random (a spring, a constant push or a free rack; speed or position loop) and
 diagnosed twice: by its own numbers, where every name is wrong, and by a model whose numbers are
-each 5 to 40 % off, where only names of those numbers are right.
+each 5 to 40 % off, where names of those numbers are right, and what is said to be
+confusable with one.
 """
 
 import argparse
-import importlib.util
+import importlib
 import sys
 import time
 from dataclasses import replace
@@ -19,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from eps_hil.diagnosis.diagnose import diagnose
-from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Delays, Friction, Model, load_model
 from eps_hil.series import Series
 
@@ -28,17 +28,6 @@ OWN = ("inertia_kg_m2", "levels", "viscous", "load", "sigma0_nm_per_rad")
 NUMBERS = {"inertia", "coulomb_level", "viscous_friction", "load_dependent_friction",
            "friction_asymmetry", "presliding_hysteresis"}  # fmt: skip
 """What a model whose numbers are off may rightly be told."""
-
-
-def _rigs() -> ModuleType:
-    path = ROOT / "tests" / "diagnosis" / "closed_loop_rig.py"
-    spec = importlib.util.spec_from_file_location("closed_loop_rig", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def drawn(rng: np.random.Generator, rigs: ModuleType) -> tuple[Any, tuple[float, ...]]:
@@ -90,7 +79,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=10)
     asked = parser.parse_args()
-    rigs, reference = _rigs(), load_model(ROOT / "configs" / "reference_rig.yaml")
+    sys.path.insert(0, str(ROOT / "tests" / "diagnosis"))
+    rigs = importlib.import_module("closed_loop_rig")
+    reference = load_model(ROOT / "configs" / "reference_rig.yaml")
     wrong = {"right": 0, "off": 0}
     for k in range(asked.count):
         rng = np.random.default_rng([asked.seed, k])
@@ -113,7 +104,12 @@ def main() -> None:
                 print(f"{k:3} {how:5} refused: {error}", flush=True)
                 continue
             names = [one["effect"] for one in content["findings"]]
-            made_up = set(names) - (NUMBERS if how == "off" else set())
+            right = NUMBERS if how == "off" else set()
+            made_up = {
+                one["effect"]
+                for one in content["findings"]
+                if not right & {one["effect"], *one["confusable_with"]}
+            }
             wrong[how] += bool(made_up)
             figures = content["fit"]["holdout"]
             left = [round(figures[m]["torque_nrmse"], 4) for m in ("augmented", "noise_floor")]
@@ -125,7 +121,6 @@ def main() -> None:
             )
     print(f"# {asked.count} rigs: {wrong['right']} with a name by the right model, "
           f"{wrong['off']} with a wrong one by a model off by 5 to 40 %")  # fmt: skip
-    assert set(catalogue()) >= NUMBERS
 
 
 if __name__ == "__main__":
