@@ -24,6 +24,8 @@ _FOREIGN_HOLD_NS = 1_000_000_000
 _SETTLING = Reason.SETTLING | Reason.FRICTION_UNKNOWN
 _NOT_SETTLING = ~int(_SETTLING)
 _STALE = int(Reason.STALE)
+_INPUTS = Reason.MOTOR_TORQUE | Reason.TORQUE_SENSOR | Reason.MOTOR_SPEED | Reason.RACK_FORCE
+_UNSEEN = int(Reason.NOT_STARTED | _INPUTS | Reason.BAD_SAMPLE | Reason.GAP)
 
 _LOAD_CELL = "rack_force_n"
 
@@ -115,8 +117,8 @@ class ServiceCore:
     ``encoder`` None: nothing is ever returned (listen only). ``send_ids``: (id, extended) of
     everything the service sends; such a frame seen from the bus is another transmitter's.
     ``levels``: who looks after the friction levels of ``estimator``, where they may change.
-    ``age_limit_s``: see :func:`aged`. ``start_wait_s``: for how long after its first sync frame
-    it is settling: what is wrong with a torque since before then shows only where it ends.
+    ``age_limit_s``: see :func:`aged`. ``start_wait_s``: for how long it is settling once it
+    has all inputs: what is wrong with a torque since before then shows only where it ends.
     """
 
     def __init__(
@@ -154,6 +156,7 @@ class ServiceCore:
         self._shift = ShiftDoubt(self._look_back_ns, estimator, decoder.moved_ns)
         self._start_wait_ns = round(start_wait_s * 1e9)
         self._started_ns: int | None = None
+        """Receive stamp at which all inputs were there for the first time."""
 
     def on_frames(
         self, frames: Sequence[Frame], now: Callable[[], int] | None = None
@@ -220,8 +223,10 @@ class ServiceCore:
         return receive_ns, estimate
 
     def _waited(self, estimate: Estimate, receive_ns: int) -> Estimate:
-        """Settling for a while after the first sync frame; a clock that is set ends that."""
+        """Settling for a while once all inputs are there; a clock that is set ends that."""
         if self._started_ns is None:
+            if int(estimate.reason) & _UNSEEN:
+                return estimate
             self._started_ns = receive_ns
         if 0 <= receive_ns - self._started_ns < self._start_wait_ns:
             return estimate._replace(valid=False, reason=estimate.reason | Reason.SETTLING)

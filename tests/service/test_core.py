@@ -50,21 +50,37 @@ def test_one_frame_a_millisecond_with_value_status_age_and_counter(
     assert 200 < parts.core.valid_steps < 400
 
 
-def test_a_start_amid_traffic_is_waited_for(config: ServiceConfig, rig: TinyRig) -> None:
-    """A torque that was wrong or late before the service began shows it only where it ends."""
+@pytest.mark.parametrize("hole_ms", [0, 300])
+def test_a_start_amid_traffic_is_waited_for(
+    config: ServiceConfig, rig: TinyRig, hole_ms: int
+) -> None:
+    """A torque that was wrong or late before the service looked shows it only where it ends.
+
+    It has not looked before a hole that came at once.
+    """
     service = replace(config.service, start_wait_s=0.75)
     waits = prepare(replace(config, service=service), CONFIG).core
-    at_once = fresh(config)
-    for k in range(900):
+    at_once, looks_since = fresh(config), None
+    settling = Reason.SETTLING | Reason.FRICTION_UNKNOWN
+    for k in range(hole_ms + 900):
         frames = rig.millisecond(k)
+        if 5 <= k < 5 + hole_ms:
+            continue
         for core in (waits, at_once):
             core.on_frames(frames)
         assert waits.latest is not None
         assert at_once.latest is not None
         assert waits.latest.rack_force_n == at_once.latest.rack_force_n
-        assert waits.latest.valid == (at_once.latest.valid and k >= 750)
-        if 300 < k < 749:
+        if looks_since is None and not at_once.latest.reason & ~settling:
+            looks_since = k
+        if looks_since is not None and abs(k - looks_since - 750) < 2:
+            continue  # the bus' own jitter
+        waited = looks_since is not None and k > looks_since + 750
+        assert waits.latest.valid == (at_once.latest.valid and waited)
+        if at_once.latest.valid and not waited:
             assert waits.latest.reason == Reason.SETTLING
+    assert looks_since is not None
+    assert hole_ms < looks_since < hole_ms + 50
     assert waits.latest == at_once.latest
 
 

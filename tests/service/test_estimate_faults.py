@@ -3,17 +3,19 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from eps_hil.bus import sample_clock
 from eps_hil.bus.protection import CrcRule, Seen
 from eps_hil.bus.sample_clock import SampleClock
 from eps_hil.estimation.stream import StreamEstimator
-from eps_hil.oracle.faults import case
+from eps_hil.oracle.faults import case, in_nodes
 from eps_hil.oracle.faults.drive import drive
-from eps_hil.oracle.faults.stretch import Stretch
+from eps_hil.oracle.faults.scene import STATE, Scene
+from eps_hil.oracle.faults.stretch import MS, Stretch
 from eps_hil.oracle.faults.table import table
-from eps_hil.oracle.faults.traffic import Published, World
+from eps_hil.oracle.faults.traffic import T0_NS, Published, World
 from eps_hil.service.core import ServiceCore
 
 pytestmark = pytest.mark.slow
@@ -124,6 +126,36 @@ def test_the_table_has_a_line_for_every_kind(world: World) -> None:
     assert len(lines) == 2 + len(case.KINDS) + 1
     assert lines[-1].startswith("| 2 faults in sequence | 1 |")
     assert lines[-1].endswith("| 1 |")
+
+
+class _Zeros(np.random.Generator):
+    """Draws nothing but the least: a restarted ECU is in phase, and its angle is from zero."""
+
+    def __init__(self) -> None:
+        super().__init__(np.random.PCG64(0))
+
+    def integers(self, *args: object, **kwargs: object) -> int:  # type: ignore[override]
+        return 0
+
+    def random(self, *args: object, **kwargs: object) -> float:  # type: ignore[override]
+        return 0.0
+
+
+def test_a_restarted_ecu_has_its_zero_from_an_angle(world: World) -> None:
+    """'Not available' is none: the angle would stand at the end of its range from then on."""
+    start, demo = T0_NS + 2_000 * MS, world.recordings["demo"]
+    stretch = Stretch(start, start + 600 * MS, demo.between(start, start + 600 * MS))
+    stretch.world.append((start, "demo", 0))
+    scene, layout = Scene(world, stretch, _Zeros()), world.layouts[STATE]
+    field = layout.fields["MotorAngle"]
+    missing = field.not_available * field.scale
+    in_nodes._constant(scene, STATE, "MotorAngle", start, start + 300 * MS, missing)
+    in_nodes.ecu_restarted(scene, start + 100 * MS, start + 200 * MS)
+    told = [layout.value(i.frame.data, "MotorAngle") for i in stretch.items
+            if i.frame.can_id == layout.can_id]  # fmt: skip
+    assert told[:200] == [missing] * 200
+    assert told[200] == 0.0
+    assert max(abs(each) for each in told[200:]) < 20.0
 
 
 def _judged(

@@ -55,7 +55,7 @@ def signal_not_available(scene: Scene, since: int, until: int) -> tuple[str, int
     """The sender says so."""
     name, signal = SIGNALS[int(scene.random.integers(len(SIGNALS)))]
     field = scene.layout(name).fields[signal]
-    _constant(scene, name, signal, since, until, -(field.mask + 1) // 2 * field.scale)
+    _constant(scene, name, signal, since, until, field.not_available * field.scale)
     return f"{signal} is 'not available'", until
 
 
@@ -188,19 +188,20 @@ def ecu_restarted(scene: Scene, since: int, until: int) -> tuple[str, int]:
     """Silent, then counters from 0 in another phase of the millisecond; the angle may be 0 too."""
     scene.change(ECU, since, until, lambda item: None)
     shift, zero = int(scene.random.integers(0, MS)), scene.random.random() < 0.5
-    first: dict[int, tuple[int, int]] = {}
+    counters: dict[int, int] = {}
+    zeros: list[int] = []
 
     def anew(item: Item) -> Item:
         layout = scene.world.by_id(item.frame.can_id)
         assert layout is not None
         data = item.frame.data
-        counter, angle = layout.raw(data, "Counter"), 0
-        if "MotorAngle" in layout.fields:
-            angle = layout.raw(data, "MotorAngle")
-        begin = first.setdefault(item.frame.can_id, (counter, angle))
-        raws = {"Counter": (counter - begin[0]) % 256}
+        counter = layout.raw(data, "Counter")
+        raws = {"Counter": (counter - counters.setdefault(item.frame.can_id, counter)) % 256}
         if zero and "MotorAngle" in layout.fields:
-            raws["MotorAngle"] = angle - begin[1]
+            angle = layout.raw(data, "MotorAngle")
+            if angle != layout.fields["MotorAngle"].not_available:  # that is no angle to begin from
+                zeros[:] = zeros or [angle]
+                raws["MotorAngle"] = angle - zeros[0]
         return Item(item.at + shift, replace(item.frame, data=layout.with_raw(data, **raws)))
 
     scene.change(ECU, until, scene.stretch.end, anew)

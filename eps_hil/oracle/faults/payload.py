@@ -45,6 +45,11 @@ class Field(NamedTuple):
         bits = number >> self.shift & self.mask
         return bits - (self.mask + 1) if bits & self.sign else bits
 
+    @property
+    def not_available(self) -> int:
+        """The raw number by which a signed signal says that it has no value: its least."""
+        return -(self.mask + 1) // 2
+
     def value(self, number: int) -> float:
         """The signal in the DBC's unit."""
         return self.raw(number) * self.scale + self.offset
