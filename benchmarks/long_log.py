@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """`eps-hil estimate` on a log of a night: how long a gigabyte takes, and how much memory.
 
-    python benchmarks/long_log.py --gb 10
+    python benchmarks/long_log.py --gb 10                   candump
+    python benchmarks/long_log.py --gb 10 --suffix .mf4     MF4 bus logging, not compressed
 
-The log (candump, 1 kHz, counters and CRC right) is two minutes of decode_log.py's traffic again
-and again, at later stamps; it is written to --folder, as are the estimates (Parquet). What grows
+The log (1 kHz, counters and CRC right) is two minutes of decode_log.py's traffic again and
+again, at later stamps; it is written to --folder, as are the estimates (Parquet). What grows
 with the log lies in a file that the system pages in and out (eps_hil/growing.py): `own memory` is
 the rest, at its most. A log of a tenth of the size beside it: linear is a ratio of 1. Exit status
 1 if either fails.
@@ -26,6 +27,28 @@ SECONDS = 120
 
 def make(path: Path, size: float) -> int:
     """Write the log, ``size`` bytes or a little more; how many."""
+    return _mf4(path, size) if path.suffix == ".mf4" else _candump(path, size)
+
+
+def _mf4(path: Path, size: float) -> int:
+    import asammdf
+
+    once = path.with_suffix(".once.mf4")
+    write(once, SECONDS)
+    with asammdf.MDF(once, process_bus_logging=False) as short, asammdf.MDF() as long:
+        frames = short.get("CAN_DataFrame", raw=True)
+        long.header.abs_time = short.header.abs_time
+        group = long.append(frames, acq_name="CAN", acq_source=frames.source)
+        seconds, a_round = frames.timestamps, len(frames) * (8 + frames.samples.dtype.itemsize)
+        for _ in range(int(size // a_round)):
+            seconds = seconds + SECONDS
+            long.extend(group, [(seconds, None), (frames.samples, None)])
+        long.save(path, overwrite=True, compression=0)
+    once.unlink()
+    return path.stat().st_size
+
+
+def _candump(path: Path, size: float) -> int:
     once = path.with_suffix(".once.log")
     write(once, SECONDS)
     text = np.frombuffer(once.read_bytes(), np.uint8).copy()
@@ -52,9 +75,9 @@ def own_memory(process: int) -> int:
     return next((int(one.split()[1]) << 10 for one in lines if one.startswith("RssAnon")), 0)
 
 
-def measured(folder: Path, size: float) -> float | None:
+def measured(folder: Path, size: float, suffix: str) -> float | None:
     """Seconds a gigabyte, said with the rest; None where it failed."""
-    log = folder / "long.log"
+    log = folder / f"long{suffix}"
     written = make(log, size)
     begun, most = time.perf_counter(), 0
     running = subprocess.Popen(
@@ -80,10 +103,13 @@ def main() -> int:
     """Both, and their ratio."""
     ask = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     ask.add_argument("--gb", type=float, default=10.0)
+    ask.add_argument("--suffix", choices=(".log", ".mf4"), default=".log")
     ask.add_argument("--folder", type=Path, default=Path("/var/tmp"))
     chosen = ask.parse_args()
     with tempfile.TemporaryDirectory(dir=chosen.folder) as folder:
-        each = [measured(Path(folder), share * chosen.gb * 1e9) for share in (0.1, 1.0)]
+        each = [
+            measured(Path(folder), share * chosen.gb * 1e9, chosen.suffix) for share in (0.1, 1.0)
+        ]
     if each[0] is None or each[1] is None:
         return 1
     print(f"ratio {each[1] / each[0]:.2f}")

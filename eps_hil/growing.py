@@ -19,8 +19,8 @@ from eps_hil.errors import EpsHilError
 
 _ROOM = 4096
 _BLOCK = 1 << 20
-IN_MEMORY = 1 << 23
-"""Numbers that are kept in memory: 64 MB, 2.3 h of one signal at 1 kHz."""
+IN_MEMORY = 1 << 22
+"""Numbers that are kept in memory: 32 MB, 1.2 h of one signal at 1 kHz."""
 
 
 class Growing:

@@ -6,6 +6,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+_STEPS = 1 << 22
+"""Steps whose median is taken: all of an hour at 1 kHz, and no copy of a night's stamps."""
+
 
 @dataclass(frozen=True, slots=True)
 class Series:
@@ -16,6 +19,15 @@ class Series:
 
     t_ns: npt.NDArray[np.int64]
     value: npt.NDArray[np.float64]
+
+
+def usual_step_ns(t_ns: npt.NDArray[np.int64]) -> float:
+    """Median step between two stamps or more; of a very long signal, of steps spread over it."""
+    steps = len(t_ns) - 1
+    if steps <= _STEPS:
+        return float(np.median(np.diff(t_ns)))
+    at = np.arange(_STEPS) * steps // _STEPS
+    return float(np.median(t_ns[at + 1] - t_ns[at]))
 
 
 class Arrivals(NamedTuple):

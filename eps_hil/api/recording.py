@@ -6,11 +6,10 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from eps_hil.api import show
 from eps_hil.errors import InputError
 from eps_hil.recordings import recording as plain
+from eps_hil.series import usual_step_ns
 from eps_hil.signals import CANONICAL
 
 _FIRST = ("motor_speed_rad_s", "motor_torque_nm", "torque_sensor_nm", "rack_force_n")
@@ -76,7 +75,7 @@ class Recording(plain.Recording):
                 "signal": name,
                 "unit": CANONICAL[name].unit if name in CANONICAL else "",
                 "samples": len(one.t_ns),
-                "rate in Hz": round(1e9 / float(np.median(np.diff(one.t_ns))), 3)
+                "rate in Hz": round(1e9 / usual_step_ns(one.t_ns), 3)
                 if len(one.t_ns) > 1
                 else None,
                 "from s": (int(one.t_ns[0]) - self.start_ns) * 1e-9,

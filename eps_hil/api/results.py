@@ -15,6 +15,7 @@ from eps_hil.estimation.score import Score
 from eps_hil.estimation.stream import Trace
 from eps_hil.estimation.validity import Reason
 from eps_hil.fmu import fit as simulator_fit
+from eps_hil.growing import blocks
 from eps_hil.identification import result as identifying
 from eps_hil.physics.model import Model
 from eps_hil.report.comparison import Candidate, summary
@@ -44,11 +45,7 @@ class Estimate:
             "rows": len(self.trace.t_ns),
             "valid_share": float(self.trace.valid.mean()),
             "latency_s": self.latency_s,
-            "reasons": {
-                bit.name.lower(): int(np.count_nonzero(self.trace.reason & int(bit)))
-                for bit in Reason
-                if bit and bit.name and np.any(self.trace.reason & int(bit))
-            },
+            "reasons": {name: rows for name, rows in self._reasons().items() if rows},
         }
         if self.score:
             content["rack_force_error_n"] = {
@@ -58,6 +55,14 @@ class Estimate:
                 "rms_of_rack_force": self.score.rms_force_n,
             }
         return content
+
+    def _reasons(self) -> dict[str, int]:
+        """Rows by reason why they are not valid."""
+        rows = {bit: 0 for bit in Reason if bit and bit.name}
+        for at in blocks(len(self.trace.reason)):
+            for bit in rows:
+                rows[bit] += int(np.count_nonzero(self.trace.reason[at] & int(bit)))
+        return {str(bit.name).lower(): count for bit, count in rows.items()}
 
     def save(self, path: str | Path) -> Path:
         """Write it as CSV, Parquet or MF4, by the suffix."""

@@ -10,7 +10,7 @@ from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.stream import SIGNALS, Events, Rows, StreamEstimator, Trace
 from eps_hil.estimation.stream_steps import merge
 from eps_hil.physics.model import Model
-from eps_hil.series import Arrivals, Series
+from eps_hil.series import Arrivals, Series, usual_step_ns
 
 STRETCH = 1 << 20
 """Syncs of a recording that are merged at once: 17 minutes at 1 kHz."""
@@ -19,7 +19,7 @@ STRETCH = 1 << 20
 def sample_periods_s(series: Mapping[str, Series]) -> dict[str, float]:
     """Median sample period of each signal that the estimator knows."""
     return {
-        name: float(np.median(np.diff(series[name].t_ns))) * 1e-9
+        name: usual_step_ns(series[name].t_ns) * 1e-9
         for name in SIGNALS
         if name in series and len(series[name].t_ns) > 1
     }

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.identification.finding import Finding
+from eps_hil.series import usual_step_ns
 
 Floats = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
@@ -24,7 +25,7 @@ _CLEAR_RAD = 0.05
 
 def longest_s(t_ns: Stamps) -> float:
     """The longest stretch without samples that may be bridged, for a signal with these stamps."""
-    return max(LONGEST_S, 5e-9 * float(np.median(np.diff(t_ns))))
+    return max(LONGEST_S, 5e-9 * usual_step_ns(t_ns))
 
 
 def holes(t_ns: Stamps) -> list[tuple[int, int]]:

@@ -13,7 +13,7 @@ from eps_hil.errors import InputError
 from eps_hil.identification import gaps
 from eps_hil.identification.filters import STEP_S, between
 from eps_hil.identification.finding import Finding
-from eps_hil.series import Series
+from eps_hil.series import Series, usual_step_ns
 
 Floats = npt.NDArray[np.float64]
 Masks = npt.NDArray[np.bool_]
@@ -77,7 +77,7 @@ def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
     raw, density, findings = {}, {}, []
     good = np.ones(n, dtype=np.bool_)
     for key, (t_ns, values) in clean.items():
-        step = float(np.median(np.diff(t_ns))) * 1e-9
+        step = usual_step_ns(t_ns) * 1e-9
         sigma = noise_of(values)
         mended, spikes = without_spikes(values, sigma)
         if spikes:
@@ -100,7 +100,7 @@ def check_rate(name: str, series: Mapping[str, Series]) -> None:
     """
     for key in ("motor_torque_nm", "motor_speed_rad_s", "motor_angle_rad"):
         t_ns = series[key].t_ns if key in series else np.zeros(0, dtype=np.int64)
-        step = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else 0.0
+        step = usual_step_ns(t_ns) * 1e-9 if len(t_ns) > 1 else 0.0
         if step > SLOWEST_S:
             whole = (int(t_ns[-1]) - int(t_ns[0])) * 1e-9
             problem = (

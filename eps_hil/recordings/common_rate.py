@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from eps_hil.recordings.table import ESTIMATES, VALID, Floats, Stamps
-from eps_hil.series import Series
+from eps_hil.series import Series, usual_step_ns
 
 _NS = 1_000_000_000
 _LONGEST_NS, _STEPS = 100_000_000, 3.0
@@ -78,7 +78,7 @@ def _linear(one: Series, at_ns: Stamps) -> Floats:
     share = (at_ns - one.t_ns[left]) / width
     value = one.value[left] + share * (one.value[right] - one.value[left])
     value = np.where(share == 0.0, one.value[left], np.where(share == 1.0, one.value[right], value))
-    gap_ns = max(_LONGEST_NS, _STEPS * float(np.median(np.diff(one.t_ns))))
+    gap_ns = max(_LONGEST_NS, _STEPS * usual_step_ns(one.t_ns))
     return np.where((width <= gap_ns) | (share == 0.0) | (share == 1.0), value, np.nan)
 
 

@@ -75,7 +75,9 @@ def read_log(
     found_samples, faults = found.samples, found.faults
     if arrivals is not None and found.arrivals is not None:
         kept = _advances(found.arrivals.sample_ns)
-        arrivals.append(Arrivals(*(each[kept] for each in found.arrivals)))
+        arrivals.append(
+            found.arrivals if kept.all() else Arrivals(*(each[kept] for each in found.arrivals))
+        )
     if not found_samples:
         shown = ", ".join(f"0x{i:X}" for i in ids[:_MAX_SHOWN])
         more = ", ..." if len(ids) > _MAX_SHOWN else ""

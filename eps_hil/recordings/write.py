@@ -126,7 +126,7 @@ def _filled(t_ns: Stamps, columns: Columns) -> dict[str, Series]:
 def _plain(name: str, column: npt.NDArray[Any]) -> npt.NDArray[Any]:
     if column.dtype.kind == "b" or (name == VALID and not np.isnan(column).any()):
         return column.astype(np.int8)
-    return column if column.dtype.kind in "iu" else column.astype(np.float64)
+    return column if column.dtype.kind in "iu" else column.astype(np.float64, copy=False)
 
 
 def _write_csv(path: Path, parts: Iterable[Part], *, exact: bool, many: bool) -> None:
