@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from eps_hil.bus.bit_packing import Packing, packing_of
 from eps_hil.bus.database import find_message, nearest
-from eps_hil.bus.frame import Frame
+from eps_hil.bus.frame import Frame, frame_of
 from eps_hil.bus.frame_columns import key_of
 from eps_hil.bus.mapping import MessageRules, SignalMapping
 from eps_hil.bus.message_decoder import STAMP_RESOLUTION_NS, MessageDecoder, Sample
@@ -300,7 +300,10 @@ class FrameEncoder:
 
     def frame(self, values: Mapping[str, float], t_ns: int = 0) -> Frame:
         """The payload of :meth:`encode` as a frame with the message's id and format."""
-        return Frame(t_ns, self.can_id, self.encode(values), extended=self.extended, fd=self.fd)
+        return frame_of(
+            t_ns, self.can_id, self.encode(values), self.extended, self.fd,
+            error=False, own=False, remote=False, brs=False,
+        )  # fmt: skip
 
 
 def data_id_of(message: Any) -> int:

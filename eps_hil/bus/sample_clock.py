@@ -101,6 +101,7 @@ class SampleClock:
         self._slope = 0.0  # ns per cycle against the nominal period
         self._anchor, self._level = 0, 0
         self._block_start, self._low_cycle, self._low = 0, 0, 0
+        self._block = BLOCK * self._scale
         self.lows: deque[tuple[int, int]] = deque(maxlen=SLOPE_BLOCKS)
 
     @property
@@ -306,13 +307,22 @@ class SampleClock:
     def _place(self, at: Lane, t_ns: int, counter: int, cycle: int) -> int:
         at.joined, at.counter, at.cycle, at.stamp = True, counter, cycle, t_ns
         self.last = at
-        residual = t_ns - self._origin - cycle * self.period_ns
-        self._remember(cycle, residual)
-        lower = residual - self._level - self._slope * (cycle - self._anchor)
+        due = self._origin + cycle * self.period_ns
+        residual = t_ns - due
+        if cycle - self._block_start >= self._block:
+            self._next_block(cycle, residual)
+        elif residual - self._low < self._slope * (cycle - self._low_cycle):
+            self._low_cycle, self._low = cycle, residual
+        line = self._slope * (cycle - self._anchor)
+        lower = residual - self._level - line
         if lower < 0.0:
-            self._anchor, self._level = cycle, residual
+            self._anchor, self._level, line = cycle, residual, 0.0
             self.moved_ns += round(lower)
-        return self._forward(at, t_ns, self._due(cycle))
+        due += round(self._level + line)
+        if at.t is not None and due <= at.t:
+            return self._forward(at, t_ns, due)
+        at.t = due
+        return due
 
     def _forward(self, at: Lane, t_ns: int, due: int) -> int:
         """Strictly after the lane's last instant, unless the stamps themselves went back."""
@@ -343,13 +353,10 @@ class SampleClock:
         at.late_run = 0
         return late > at.late_first - self._unit_ns
 
-    def _remember(self, cycle: int, residual: int) -> None:
-        if cycle - self._block_start >= BLOCK * self._scale:
-            self.lows.append((self._low_cycle, self._low))
-            self._refit()
-            self._block_start, self._low_cycle, self._low = cycle, cycle, residual
-        elif residual - self._low < self._slope * (cycle - self._low_cycle):
-            self._low_cycle, self._low = cycle, residual
+    def _next_block(self, cycle: int, residual: int) -> None:
+        self.lows.append((self._low_cycle, self._low))
+        self._refit()
+        self._block_start, self._low_cycle, self._low = cycle, cycle, residual
 
     def _refit(self) -> None:
         lows = list(self.lows)

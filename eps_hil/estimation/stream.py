@@ -155,11 +155,12 @@ class StreamEstimator:
         place = self._places.get(signal)
         if place is None:
             return
-        k, waiting = self._waits, self._waiting
+        k = self._waits
         if k == WAITING:
-            self._take(self.memory, self.timing, waiting, k)
+            self._take(self.memory, self.timing, self._waiting, k)
             k = 0
-        waiting.signal[k], waiting.t_ns[k], waiting.value[k] = place, t_ns, value
+        signals, stamps, values = self._waiting
+        signals[k], stamps[k], values[k] = place, t_ns, value
         self._waits = k + 1
 
     def advance(self, t_ns: int) -> int:

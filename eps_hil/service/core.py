@@ -172,7 +172,7 @@ class ServiceCore:
         a jump of the message counter.
         """
         newest: tuple[int, Estimate] | None = None
-        decoder, estimator = self.decoder, self.estimator
+        decoder, estimator, method = self.decoder, self.estimator, self._method
         for frame in frames:
             if frame.error or frame.own:
                 continue
@@ -183,8 +183,8 @@ class ServiceCore:
             samples = decoder.decode(frame)
             for signal, t_ns, value in samples:
                 estimator.push(signal, t_ns, value)
-                if self._method is not None:
-                    self._method.take(signal, t_ns, value)
+                if method is not None:
+                    method.take(signal, t_ns, value)
                 if signal == _LOAD_CELL:
                     self.load_cell.append((t_ns, value))
             if samples and decoder.sync(frame):
