@@ -1,9 +1,12 @@
 """The ``eps-hil`` command: gathers the verbs, and turns every error into one line and a status."""
 
+import contextlib
 import importlib
 import pkgutil
 import sys
 import traceback
+from collections.abc import Iterator
+from typing import Any
 
 import typer
 
@@ -69,12 +72,35 @@ def main(arguments: list[str] | None = None) -> int:
     words = spread(_schema.with_kind(app, [word for word in words if word != "--debug"]))
     provenance.begin(words)
     try:
-        status = app(args=words, prog_name="eps-hil", standalone_mode=False)
+        with _keeping_interrupts():
+            status = app(args=words, prog_name="eps-hil", standalone_mode=False)
         if status == INTERRUPTED:  # typer keeps Ctrl-C to itself, and leaves its status
             return _say("interrupted", INTERRUPTED, debug=False)
         return status if isinstance(status, int) else 0
     except BaseException as error:  # the last line of defence: one line, never a stack
         return _explain(error, debug)
+
+
+@contextlib.contextmanager
+def _keeping_interrupts() -> Iterator[None]:
+    """A Ctrl-C that a callback swallowed (the compiler's, say) is why an error came after it."""
+    usual, swallowed = sys.unraisablehook, False
+
+    def note(lost: Any) -> None:
+        nonlocal swallowed
+        swallowed |= lost.exc_type is KeyboardInterrupt
+        if lost.exc_type is not KeyboardInterrupt:
+            usual(lost)
+
+    sys.unraisablehook = note
+    try:
+        yield
+    except Exception as error:
+        if swallowed:
+            raise KeyboardInterrupt from error
+        raise
+    finally:
+        sys.unraisablehook = usual
 
 
 def _explain(error: BaseException, debug: bool) -> int:

@@ -85,6 +85,26 @@ def test_ctrl_c_inside_a_verb_is_one_line(
     assert capsys.readouterr().err == "eps-hil: interrupted\n"
 
 
+def test_an_interrupt_that_a_callback_swallowed_is_no_internal_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C while code is compiled: the compiler's callback loses it, and fails later."""
+    from eps_hil.physics import model
+
+    class Loses:
+        def __del__(self) -> None:
+            raise KeyboardInterrupt
+
+    def compile_it(_path: object) -> None:
+        Loses()
+        raise RuntimeError("no compiled object yet")
+
+    monkeypatch.setattr(model, "load_model", compile_it)
+    words = ["simulate", "--model", "m.yaml", "--inputs", "a.csv", "--out", "b.csv"]
+    assert command.main(words) == 130
+    assert capsys.readouterr().err == "eps-hil: interrupted\n"
+
+
 def test_debug_may_stand_after_the_verb(capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["estimate", "none.csv", "--model", "none.yaml", "--debug"]) == 2
     assert "Traceback" in capsys.readouterr().err
