@@ -64,9 +64,9 @@ def run_several(
         words = [sys.executable, "-m", "eps_hil.cli", "run", "--no-status-line"]
         words += ["--config", str(config), "--journal", str(of_rig(journal, name))]
         words += [] if duration is None else ["--duration", str(duration)]
-        if log_estimates is not None:
-            words += ["--log-estimates", str(of_rig(log_estimates, name))]
-        rigs.append(Rig(name, tuple(words)))
+        log = None if log_estimates is None else of_rig(log_estimates, name)
+        words += [] if log is None else ["--log-estimates", str(log)]
+        rigs.append(Rig(name, tuple(words), log))
     notifier, stop = Notifier(), stop_on_signals()
 
     def all_ready() -> None:

@@ -32,10 +32,22 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """``name`` stands before each of its lines; ``words``: the command line of its service."""
+    """``name`` stands before each of its lines; ``words``: the command line of its service.
+
+    ``numbered``: a file among the words that a start anew must not write over.
+    """
 
     name: str
     words: tuple[str, ...]
+    numbered: Path | None = None
+
+    def words_of(self, start: int) -> tuple[str, ...]:
+        """The command line of the first start (1), and of those that follow: ``e_0002.csv``."""
+        path = self.numbered
+        if path is None or start == 1:
+            return self.words
+        own = str(path.with_name(f"{path.stem}_{start:04d}{path.suffix}"))
+        return tuple(own if word == str(path) else word for word in self.words)
 
 
 class _Process:
@@ -66,15 +78,15 @@ class _Process:
             "PYTHONUNBUFFERED": "1",
         }
         environment.pop("WATCHDOG_PID", None)
+        self.starts += 1
         self.process = subprocess.Popen(
-            self.rig.words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            self.rig.words_of(self.starts), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT, env=environment, start_new_session=True,
             preexec_fn=_end_with_parent,  # noqa: PLW1509  there is one thread
         )  # fmt: skip
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), False)
         selector.register(self.process.stdout, selectors.EVENT_READ, self)
-        self.starts += 1
         self.ready, self._rest, self._began_s = False, b"", time.monotonic()
 
     def read(self) -> None:
@@ -121,6 +133,8 @@ class _Process:
         self._say(f"[{self.rig.name}] {line}")
 
     def _ended(self, status: int, now_s: float, *, ending: bool) -> None:
+        if ending and status == -signal.SIGTERM:  # it had not begun to heed it: asked for, too
+            status = 0
         if ending or status in {0, _WRONG_INPUT}:
             self.status = status
             if status:
