@@ -155,6 +155,7 @@ def test_versions_compare_as_numbers() -> None:
 def test_step_and_pauses() -> None:
     slow = compute.StepCost("3 frames", 0.1, 200.0, 600.0)
     assert compute.judge_step(slow).verdict == Verdict.NOT_GOOD
+    assert "(normal priority)" in compute.judge_step(slow).measured
     assert compute.judge_step(replace(slow, p99_us=100.0)).verdict == Verdict.GOOD
     assert compute.judge_collections(compute.Pauses(50.0, 0.5)).verdict == Verdict.LIMITED
 
