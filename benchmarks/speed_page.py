@@ -5,10 +5,10 @@
     python benchmarks/speed_page.py --only candump blf
     python benchmarks/speed_page.py --quick             small inputs: does every row work?
 
-Each row is a command of this folder with its peer in the same run; what it printed stands below the
-table. A row whose command fails, or takes longer than --patience, says so and stays. The page is
-written anew after every row, so that what was measured is kept whatever happens. Takes about eight
-minutes on two cores, which should have nothing else to do.
+Each row is a command of this folder with its peer in the same run; what it printed goes into a text
+beside the page. A row whose command fails, or takes longer than --patience, says so and stays. Both
+are written anew after every row, so that what was measured is kept whatever happens. Takes about
+eight minutes on two cores, which should have nothing else to do.
 """
 
 import argparse
@@ -160,8 +160,8 @@ def page(told: list[Told], quick: bool) -> str:
     lines = [
         "# Speed, measured",
         "",
-        "Made by `python benchmarks/speed_page.py --out docs/speed.md`: "
-        "every figure beside its peer in the same run.",
+        "`python benchmarks/speed_page.py --out docs/speed.md`, each peer in the same run. "
+        "[The commands, and all that they printed](speed.txt).",
         "",
         f"eps_hil {VERSION}, Python {platform.python_version()}, {os.cpu_count()} cores "
         f"({_processor()}), load {load:.1f} a core at the end"
@@ -184,12 +184,13 @@ def page(told: list[Told], quick: bool) -> str:
             f"| {row.what} | {row.peer} | {figure} | {sign} {row.goal:g} | {reached} | "
             f"{row.limit} |"
         )
-    for one in told:
-        lines += [
-            "", f"## {one.row.what[0].upper()}{one.row.what[1:]}", "",
-            f"    python benchmarks/{one.row.command}", "", "```text", one.text, "```",
-        ]  # fmt: skip
     return "\n".join(lines) + "\n"
+
+
+def transcript(told: list[Told]) -> str:
+    """What the commands printed, in the order of the table."""
+    parts = (f"$ python benchmarks/{one.row.command}\n{one.text}\n" for one in told)
+    return "\n".join(parts)
 
 
 _BUSY = 1.5
@@ -224,8 +225,9 @@ def main() -> int:
         print(f"{row.name:10} {figure} {row.unit}, {told[-1].seconds:.0f} s", file=sys.stderr)
         if chosen.out:
             chosen.out.write_text(page(told, chosen.quick), encoding="utf-8")
+            chosen.out.with_suffix(".txt").write_text(transcript(told), encoding="utf-8")
     if not chosen.out:
-        print(page(told, chosen.quick), end="")
+        print(page(told, chosen.quick), transcript(told), sep="\n", end="")
     return int(any(one.figure is None for one in told))
 
 

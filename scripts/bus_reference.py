@@ -35,20 +35,6 @@ def load(messages: Iterable[Any], duration_s: Callable[[int], float]) -> float:
     return float(sum(100e3 * duration_s(m.length) / m.cycle_time for m in messages))
 
 
-def _messages(database: Any) -> list[str]:
-    """A listing, two lines a message."""
-    lines = ["```"]
-    for m in sorted(database.messages, key=lambda each: each.frame_id):
-        checks = {s.name: _bits(s) for s in m.signals}
-        crc = f", CRC {checks['Crc']}" if "Crc" in checks else ", no CRC"
-        lines += [
-            f"0x{m.frame_id:03X} {m.name}  {m.cycle_time} ms  {m.senders[0]}"
-            f"  counter {checks['Counter']}{crc}",
-            f"      {re.split(r' [(]|, sent |[.] ', m.comment)[0].rstrip('.')}",
-        ]
-    return [*lines, "```"]
-
-
 def _bits(signal: Any) -> str:
     return f"{signal.start}..{signal.start + signal.length - 1}"
 
@@ -58,11 +44,16 @@ def _range(signal: Any) -> str:
     return f"±{high:.10g}" if low == -high else f"{low:.10g} to {high:.10g}"
 
 
-def _signals(database: Any) -> list[str]:
+def _messages(database: Any) -> list[str]:
     """A listing, one block a message."""
     lines = ["```"]
     for m in sorted(database.messages, key=lambda each: each.frame_id):
-        lines.append(m.name)
+        checks = {s.name: _bits(s) for s in m.signals}
+        crc = "" if checks.get("Crc") == "0..7" else ", no CRC"
+        lines += [
+            f"0x{m.frame_id:03X} {m.name}  {m.cycle_time} ms  {m.senders[0]}"
+            f"  counter {checks['Counter']}{crc}",
+        ]
         for s in m.signals:
             if s.name in _CHECKS:
                 continue
@@ -75,15 +66,14 @@ def _signals(database: Any) -> list[str]:
 
 
 def _labels(database: Any) -> list[str]:
-    lines = ["| signal | labels |", "|---|---|"]
+    """A line for signals with the same labels; SNA stands in the listing."""
+    of: dict[str, list[str]] = {}
     for m in sorted(database.messages, key=lambda each: each.frame_id):
-        named: dict[str, list[str]] = {}
         for s in m.signals:
-            labels = [f"{raw} {text}" for raw, text in (s.choices or {}).items()]
-            if len(labels) > 1:
-                named.setdefault(", ".join(labels), []).append(f"`{s.name}`")
-        lines += [f"| `{m.name}`: {', '.join(of)} | {labels} |" for labels, of in named.items()]
-    return lines
+            named = [f"{raw} {text}" for raw, text in (s.choices or {}).items() if text != "SNA"]
+            if named:
+                of.setdefault(", ".join(named), []).append(f"`{s.name}`")
+    return [f"- {', '.join(dict.fromkeys(names))}: {labels}" for labels, names in of.items()]
 
 
 def _bus_load(database: Any) -> list[str]:
@@ -111,7 +101,7 @@ def _bus_load(database: Any) -> list[str]:
     return lines
 
 
-PARTS = {"messages": _messages, "signals": _signals, "labels": _labels, "load": _bus_load}
+PARTS = {"messages": _messages, "labels": _labels, "load": _bus_load}
 
 
 def rendered(document: str) -> str:

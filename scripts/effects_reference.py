@@ -5,65 +5,73 @@ import sys
 from pathlib import Path
 
 from eps_hil.physics.effects.catalogue import catalogue
-from eps_hil.physics.effects.effect import Slot
+from eps_hil.physics.effects.effect import Effect, Parameter, Slot
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference-effects.md"
 
 HEAD = """# Effects that a model file may add
 
-Written by `scripts/effects_reference.py` from `eps_hil/physics/effects/`, one file an effect. A
-model file takes them below `model:`, indented: `effects: [{effect: stribeck, level_nm: 0.045,
-speed_rad_s: 12.0}]`; `simulate`, `estimate`, the service and the simulated rig use them. Torques
-and angles are at the rotor, ω is its speed, φ its angle, x the rack position, F the rack force, ψ
-the pinion angle. Brackets hold what a parameter may be. *Looks like*: what it may be confused
-with; `diagnose` says how to tell them apart.
+Made by `scripts/effects_reference.py` from `eps_hil/physics/effects/`. In a model file, indented
+below `model:`, `effects: [{effect: stribeck, level_nm: 0.045, speed_rad_s: 12.0}]`; `simulate`,
+`estimate`, `run` and `rig` obey them. Torques and angles are at the rotor: ω its speed, φ its
+angle; x rack position, F rack force, ψ pinion angle. Units end the names; brackets hold what a
+value may be, `?` an optional one. *Like*: effects that recordings may confuse with it.
 """
 
 WHERE = {
-    Slot.MODEL: "the model's own numbers",
-    Slot.LEVEL: "inside T_fs",
-    Slot.LEVEL_FACTOR: "inside T_fs, after the rest",
-    Slot.TORQUE: "beside friction and load",
-    Slot.MOTOR: "between reported and shaft torque",
-    Slot.SENSOR: "between reported and true torsion-bar torque",
-    Slot.JOINT: "on the joint between rotor and rack",
-    Slot.DATA: "in the recording only",
+    Slot.MODEL: "The model's own numbers",
+    Slot.LEVEL: "Inside T_fs",
+    Slot.LEVEL_FACTOR: "Inside T_fs, after the rest",
+    Slot.TORQUE: "Beside friction and load",
+    Slot.MOTOR: "Between reported and shaft torque",
+    Slot.SENSOR: "Between reported and true torsion-bar torque",
+    Slot.JOINT: "On the joint between rotor and rack",
+    Slot.DATA: "In the recording only ([a simulated rig's](reference-rig.md#effects) model)",
 }
+ANYWHERE = "Where its entry says"
 
 
-def _allowed(text: str) -> str:
-    """What a parameter may be, in signs: ``0 Nm or more`` is ``≥ 0 Nm``."""
-    text = re.sub(r"^a number of ", "", text)
+def _allowed(p: Parameter) -> str:
+    """What a parameter may be, in signs; its unit ends its name: ``0 Nm or more`` is ``≥ 0``."""
+    text = re.sub(r"^a number of ", "", p.allowed)
     text = re.sub(r"^more than ", "> ", text)
-    return re.sub(r"^(.+) or more$", r"≥ \1", text)
+    text = re.sub(r"^(.+) or more$", r"≥ \1", text)
+    text = re.sub(r"^(\S+) to ", r"\1…", text)
+    return text.removesuffix(f" {p.unit}") if text != p.unit else ""
+
+
+def _entry(effect: Effect) -> list[str]:
+    """An effect: its name, equation, twins, and a line a parameter."""
+    facts = [f"**{effect.name}** `{effect.id}`: `{effect.equation}`"]
+    if not (effect.on_bus or effect.simulated):
+        facts.append("It can be named, but not be simulated.")
+    if effect.twins:
+        facts.append(f"Like {', '.join(f'`{twin}`' for twin in effect.twins)}.")
+    rows = []
+    ranges = effect.read is None or effect.on_bus
+    names = [p.name for p in effect.parameters]
+    for p in effect.parameters:
+        if p.name.endswith("_2") and f"{p.name[:-1]}1" in names:
+            continue
+        pair = p.name.endswith("_1") and f"{p.name[:-1]}2" in names
+        name = f"`{p.name}`" + (f", `{p.name[:-1]}2`" if pair else "")
+        meaning = p.meaning.replace(" input 1", " that input") if pair else p.meaning
+        allowed = _allowed(p) if ranges else ""
+        span = f" ({allowed})" if allowed else ""
+        rows.append(f"- {name}{'?' if p.default is not None else ''}{span}: {meaning}")
+    return [". ".join(facts) if len(facts) > 1 else facts[0], "", *rows, ""]
 
 
 def page() -> str:
     """The whole page as text."""
-    parts = [HEAD]
+    where: dict[str, list[str]] = {title: [] for title in (*WHERE.values(), ANYWHERE)}
     for effect in catalogue().values():
-        where = "where its entry says" if effect.slots else WHERE[effect.slot]
-        facts = [f"`{effect.equation}` ({where})."]
-        if effect.on_bus:
-            facts.append("Only in [a simulated rig's](reference-rig.md#effects) model.")
-        elif not effect.simulated:
-            facts.append("It can be named, but not be simulated.")
-        if effect.twins:
-            facts.append(f"Looks like {', '.join(f'`{twin}`' for twin in effect.twins)}.")
-        rows = []
-        ranges = effect.read is None or effect.on_bus
-        names = [p.name for p in effect.parameters]
-        for p in effect.parameters:
-            if p.name.endswith("_2") and f"{p.name[:-1]}1" in names:
-                continue
-            second = f"{p.name[:-1]}2"
-            name = f"`{p.name}`" + (f", `{second}`" if second in names else "")
-            meaning = p.meaning.replace(" input 1", " that input") if second in names else p.meaning
-            span = f" ({_allowed(p.allowed)})" if ranges else ""
-            rows.append(f"- {name}{span}: {meaning}{'; optional' if p.default is not None else ''}")
-        parts.append(f"## {effect.name}: `{effect.id}`\n\n{' '.join(facts)}\n")
-        parts.append("\n".join(rows) + "\n")
-    return "\n".join(parts)
+        where[ANYWHERE if effect.slots else WHERE[effect.slot]] += _entry(effect)
+    lines = [HEAD]
+    for title, entries in where.items():
+        if entries:
+            lines += [f"## {title}", "", *entries]
+    return "\n".join(lines)
 
 
 def main() -> int:
