@@ -168,6 +168,7 @@ def started(site: Path, home: Path, *words: str) -> "subprocess.Popen[str]":
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_of_processes_that_start_together_one_compiles(
     read_only_install: Path, tmp_path: Path
 ) -> None:
@@ -176,6 +177,7 @@ def test_of_processes_that_start_together_one_compiles(
     assert sorted(said) == ["compiles\ndone\n", "done\n", "done\n"]
 
 
+@pytest.mark.slow
 def test_who_is_killed_or_fails_while_it_compiles_keeps_nobody_waiting(
     read_only_install: Path, tmp_path: Path
 ) -> None:
@@ -192,6 +194,7 @@ def test_who_is_killed_or_fails_while_it_compiles_keeps_nobody_waiting(
         failed.kill()
 
 
+@pytest.mark.slow
 def test_nobody_waits_for_a_process_in_the_background(
     read_only_install: Path, tmp_path: Path
 ) -> None:

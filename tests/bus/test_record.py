@@ -20,7 +20,7 @@ from eps_hil.errors import BusError, InputError
 SendAll = Callable[[Port, Iterable[Frame]], None]
 
 GROUP = "239.74.163.2"
-SUFFIXES = pytest.mark.parametrize("suffix", [".log", ".blf"])
+SUFFIXES = pytest.mark.parametrize("suffix", [".log", pytest.param(".blf", marks=pytest.mark.slow)])
 
 
 class Source:
@@ -145,7 +145,9 @@ def test_a_killed_recorder_loses_under_a_second(
     assert abs(first.t_ns - time.time_ns()) < 60_000_000_000  # dated, though never closed
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM]
+)
 def test_a_signal_ends_it_cleanly(
     tmp_path: Path, udp_port: int, send_all: SendAll, number: signal.Signals
 ) -> None:

@@ -34,7 +34,7 @@ from eps_hil.recordings.can_log import read_tagged_frames
 SendAll = Callable[[Port, Iterable[Frame]], None]
 ROOT = Path(__file__).parents[2]
 GROUP = "239.74.163.2"
-SUFFIXES = pytest.mark.parametrize("suffix", [".log", ".blf"])
+SUFFIXES = pytest.mark.parametrize("suffix", [".log", pytest.param(".blf", marks=pytest.mark.slow)])
 T0_NS = 1_790_000_000_000_000_000
 
 
@@ -390,6 +390,7 @@ def test_a_lost_bus_is_opened_again_and_written_down(
     assert [line.split()[1] for line in said] == ["bus", "bus"]
 
 
+@pytest.mark.slow
 def test_a_disk_that_stands_still_keeps_nobody_from_receiving(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -174,6 +174,7 @@ def asked(told: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
     return [one for one in told if int(one["EstimateReason"]) & Reason.OUT_OF_RANGE]
 
 
+@pytest.mark.slow
 def test_the_service_acts_by_it_and_is_not_valid_beyond_what_was_learnt(tmp_path: Path) -> None:
     model = replace(load_model(PLAIN), delays_s=Delays())
     narrow = {**LAW, "range": {"motor_angle_rad": [-SEEN_RAD, SEEN_RAD]}}

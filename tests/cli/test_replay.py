@@ -119,7 +119,14 @@ def replay(*words: str) -> "subprocess.CompletedProcess[str]":
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("where", ["options", "config without override", "config with override"])
+@pytest.mark.parametrize(
+    "where",
+    [
+        pytest.param("options", marks=pytest.mark.slow),
+        "config without override",
+        pytest.param("config with override", marks=pytest.mark.slow),
+    ],
+)
 def test_a_calibration_log_commands_nothing(
     where: str, log: Path, ear: Ear, udp_port: int, tmp_path: Path
 ) -> None:

@@ -134,7 +134,10 @@ def wait_ready(process: subprocess.Popen[str]) -> str:
     raise AssertionError(f"ended before READY: {said} {process.communicate()[1]}")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+_ALSO = [pytest.param(each, marks=pytest.mark.slow) for each in (signal.SIGINT, signal.SIGHUP)]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, *_ALSO])
 def test_runs_until_a_signal_and_stops_cleanly(config: Path, number: signal.Signals) -> None:
     with feeding() as feed:
         process = start(config)
@@ -156,6 +159,7 @@ def test_runs_until_a_signal_and_stops_cleanly(config: Path, number: signal.Sign
     assert {f.can_id for f in feed.seen} == {0x120, 0x121, 0x400}
 
 
+@pytest.mark.slow
 def test_duration_log_and_a_live_line_on_request(config: Path, tmp_path: Path) -> None:
     log = tmp_path / "e.csv"
     with feeding():
@@ -231,6 +235,7 @@ def test_a_mistake_in_the_adaptation_block(
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_second_service_on_a_bus_is_refused(config: Path) -> None:
     with feeding():
         first = start(config)

@@ -71,6 +71,7 @@ def test_coarse_stamps_are_said_to_be_coarse_and_show_no_steps(write_log: Write)
             )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".log", ".mf4"])
 def test_the_corrected_copy_has_one_clock(write_log: Write, tmp_path: Path, suffix: str) -> None:
     if suffix == ".mf4":

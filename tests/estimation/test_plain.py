@@ -61,6 +61,7 @@ def spoiled() -> dict[str, Series]:
     return series
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", [[], STRIBECK])
 def test_same_bits_as_compiled(tmp_path: Path, effects: list[dict[str, float | str]]) -> None:
     path = Path(__file__).parents[2] / "configs" / "reference_rig.yaml"

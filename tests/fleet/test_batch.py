@@ -83,6 +83,7 @@ def test_what_is_no_source(tmp_path: Path, text: str | None, said: str) -> None:
         tasks_of(table)
 
 
+@pytest.mark.slow
 def test_the_verb_goes_on_where_it_was(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -130,6 +131,7 @@ def _of_parent(parent: int) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks into /proc")
 def test_workers_end_with_a_batch_that_is_killed(tmp_path: Path) -> None:
     for seed in range(400):
@@ -172,6 +174,7 @@ def deadly(of: Job, task: Task, key: str) -> Row:
             "error": "", "start_s": 0.0, "output": "", "values": [], "seconds": 0.0}  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_recording_that_kills_its_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -276,6 +279,7 @@ def test_a_dask_worker_that_is_killed_in_mid_run(
     assert again.before == 13
 
 
+@pytest.mark.slow
 def test_nobody_answers(tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="needs the 'fleet' extra")
     task = Task(recording(tmp_path / "a.csv"), "a")

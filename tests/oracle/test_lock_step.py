@@ -57,6 +57,7 @@ def test_one_frame_is_published_for_every_sync_frame(folder: Path, config: Servi
     assert 0.003 < np.median(late) * 1e-9 < 0.03  # the instant that a frame speaks of is past
 
 
+@pytest.mark.slow
 def test_the_true_model_on_the_bus_is_better(folder: Path, config: ServiceConfig) -> None:
     models = {"as it was": folder / "model.yaml", "true": folder / "better.yaml"}
     errors = compare(folder / "holdout.log", config, folder / "service.yaml", models)

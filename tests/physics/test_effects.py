@@ -252,6 +252,7 @@ def test_end_stop_pushes_back_on_both_sides(reference_model: Model) -> None:
         assert added.torque_nm(table, u, 0.0) == pytest.approx(side * 1e6 * 0.001 / 2513.0)
 
 
+@pytest.mark.slow
 def test_dwell_grows_at_rest_and_is_lost_by_sliding(reference_model: Model) -> None:
     entry = {"effect": "breakaway_dwell", "level_nm": 0.1, "time_s": 1.0, "release_rad": 0.5}
     table = added.added(dataclasses.replace(reference_model, effects=(entry,)))
@@ -319,6 +320,7 @@ def test_too_many_terms_of_one_effect_are_refused(reference_model: Model) -> Non
         added.added(dataclasses.replace(reference_model, effects=(entry,) * 5))
 
 
+@pytest.mark.slow
 def test_each_term_remembers_for_itself(reference_model: Model) -> None:
     entry = {"effect": "breakaway_dwell", "level_nm": 0.1, "time_s": 1.0, "release_rad": 0.5}
     slow = {**entry, "time_s": 10.0}

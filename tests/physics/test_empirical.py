@@ -66,6 +66,7 @@ def moved(model: Model) -> Motion:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("entry", ENTRIES, ids=["fold_back", "yoke", "drag", "bushing", "screw"])
 def test_the_balance_of_what_was_simulated_with_it_is_even(
     entry: dict[str, Any], reference_model: Model

@@ -171,6 +171,7 @@ def test_the_written_folder_gives_nothing_away(
     assert main(arguments) == 2
 
 
+@pytest.mark.slow
 def test_a_holdout_shows_what_it_is_to_judge() -> None:
     case = make(Plan("singles", 5017, (("end_stop", 0.6),), simple=True))
     (told,) = case.answer["effects"]
@@ -179,6 +180,7 @@ def test_a_holdout_shows_what_it_is_to_judge() -> None:
     assert case.answer["holdout_to_noise"] > 0.1
 
 
+@pytest.mark.slow
 def test_a_stop_is_met_in_the_recordings_that_are_to_show_it() -> None:
     """Seen on a development seed: a stop placed on the simple plant, which the full one missed."""
     case = make(Plan("singles", 105019, (("end_stop", 0.6),)))
@@ -191,6 +193,7 @@ def test_a_stop_is_met_in_the_recordings_that_are_to_show_it() -> None:
     assert told["effect_to_noise"] == pytest.approx(0.6, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_loop_that_runs_away_is_no_case() -> None:
     """A torque 20 ms late would drive the rotor out of its controller's hands."""
     late = [one for one in plans("poor", 73, 27) if one.wanted[0][0] == "motor_torque_delay"]

@@ -36,6 +36,7 @@ def _without_friction(chain: Chain, program: Floats, **hidden: float) -> dict[st
     return run(FREE, Hidden(**hidden), chain, lugre(), program)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 5])
 def test_constant_torque_accelerates_the_whole_inertia(order: int) -> None:
     chain = one_mass(FREE) if order == 1 else five_masses(FREE)._replace(wheel_inertia=0.0)

@@ -244,6 +244,7 @@ def test_what_is_to_be_left_out_reaches_the_diagnosis(tmp_path: Path) -> None:
     assert given.endswith("--without-effect stribeck --without-effect breakaway_dwell")
 
 
+@pytest.mark.slow
 def test_workers_end_with_whoever_started_them() -> None:
     """Killed as nothing can catch it, a run leaves no process behind."""
     script = (

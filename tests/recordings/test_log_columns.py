@@ -181,6 +181,7 @@ def test_every_fault_is_told_the_same(tmp_path: Path, monkeypatch: pytest.Monkey
         assert words in told
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=15)
 @example(seed=1, which=[repeated, second_sender, lost], length=1)
 @given(

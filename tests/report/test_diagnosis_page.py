@@ -164,6 +164,7 @@ def test_ablation_lists_every_term(page: str) -> None:
     assert "the ceiling: with boosted trees on top" in page
 
 
+@pytest.mark.slow
 def test_page_of_nothing_missing(other_rig: ModuleType) -> None:
     result = _diagnosed(other_rig, {})
     assert result.content["verdict"] == "no_mismatch"
@@ -176,6 +177,7 @@ def test_page_of_nothing_missing(other_rig: ModuleType) -> None:
     assert all(line["style"] != "after" for plot in plots for line in plot["lines"])
 
 
+@pytest.mark.slow
 def test_page_of_two_states_says_what_changed(explained: Diagnosis) -> None:
     change: dict[str, Any] = {
         "is": "new",

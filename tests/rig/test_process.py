@@ -209,7 +209,9 @@ class TestOnABus:
                 return
         pytest.fail("the rig sent nothing within a minute")
 
-    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+    @pytest.mark.parametrize(
+        "number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM]
+    )
     def test_a_signal_ends_it_cleanly(self, process_config: Path, number: signal.Signals) -> None:
         bus = load_rig_setup(process_config).bus.bus
         listener = open_port(bus.interface, bus.channel, fd=True, options=bus.options)
@@ -227,6 +229,7 @@ class TestOnABus:
         assert "done:" in out
         assert "lateness: p50" in out
 
+    @pytest.mark.slow
     def test_killed_it_leaves_a_silent_bus_that_the_next_one_can_use(
         self, process_config: Path
     ) -> None:

@@ -137,6 +137,7 @@ def test_bunched_frames_publish_the_newest_once(config: ServiceConfig, rig: Tiny
     assert bunched.on_frames(frames[260]) == [all_published[260]]
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(cuts=st.lists(st.integers(1, 899), max_size=60), data=st.data())
 def test_estimates_do_not_depend_on_how_frames_were_bunched(

@@ -66,7 +66,7 @@ class Drive:
         return found
 
 
-@pytest.fixture(params=RATES)
+@pytest.fixture(params=[1_000, 4_000, pytest.param(2_000, marks=pytest.mark.slow)])
 def drive(request: pytest.FixtureRequest, tmp_path: Path) -> Drive:
     return Drive(config_at(request.param, tmp_path), request.param, 6.0)
 

@@ -6,6 +6,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+import pytest
 
 from eps_hil.diagnosis.accept.by_simulation import refined_by_simulation
 from eps_hil.diagnosis.accept.free_run import free_run, memories_at, simulated
@@ -31,6 +32,7 @@ def rig(record: Callable[..., Any], other_rig: ModuleType, size: float, seed: in
     return [Holdout(prepare(name, series), series) for name, series in made.items()]
 
 
+@pytest.mark.slow
 def test_a_size_and_a_constant_that_are_off_come_nearer(
     record: Callable[..., Any], reference_model: Model, other_rig: ModuleType
 ) -> None:

@@ -107,6 +107,7 @@ def test_a_ratio_that_turns_over_is_not_followed(reference_model: Model) -> None
 Kind = Literal["observer", "bristle_filter", "smoother"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", get_args(Kind))
 def test_the_estimator_tells_the_force_at_the_rack(reference_model: Model, kind: Kind) -> None:
     model = varying(reference_model, viscous_pos_nm_s_per_rad=1e-3, viscous_neg_nm_s_per_rad=1e-3)
