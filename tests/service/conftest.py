@@ -4,7 +4,7 @@ import math
 import os
 import socket
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,7 @@ from eps_hil.bus.codec import FrameDecoder, FrameEncoder
 from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.mapping import SignalMapping, load_mapping
-from eps_hil.service.config import ServiceConfig, load_config
+from eps_hil.service.config import PublishConfig, ServiceConfig, load_config
 from eps_hil.service.setup import Parts, prepare
 
 ROOT = Path(__file__).parents[2]
@@ -122,3 +122,9 @@ def vcan0() -> str:
             pytest.fail(why)
         pytest.skip(why)
     return "vcan0"
+
+
+@pytest.fixture
+def quick(config: ServiceConfig) -> ServiceConfig:
+    """Without the wait for another transmitter."""
+    return replace(config, publish=PublishConfig(listen_first_s=0.0))
