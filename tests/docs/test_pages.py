@@ -1,5 +1,6 @@
 """README and docs: links lead somewhere, commands exist, example files are accepted."""
 
+import dataclasses
 import re
 import shlex
 from pathlib import Path
@@ -7,10 +8,13 @@ from typing import Any
 
 import pytest
 import typer
+import yaml
 
 from eps_hil import yaml_file
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.cli.main import app
+from eps_hil.service.adaptation_config import AdaptationConfig
+from eps_hil.service.config import OverrideConfig, PublishConfig, RuntimeConfig, load_config
 from eps_hil.signals import CANONICAL
 
 ROOT = Path(__file__).parents[2]
@@ -105,6 +109,25 @@ def test_the_mapping_that_is_shown_is_a_mapping(tmp_path: Path) -> None:
     assert loaded.signals["motor_speed_rad_s"].scale < 0
     (tmp_path / "run.yaml").write_text(config, encoding="utf-8")
     assert set(yaml_file.read(tmp_path / "run.yaml")) == {"bus", "dbc", "signals", "model"}
+
+
+def test_the_configuration_that_is_shown_holds_the_defaults(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "reference-config.md").read_text(encoding="utf-8")
+    service, override = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    for name in ("../dbc/eps_rig.dbc", "eps_rig_signals.yaml", "reference_rig.yaml"):
+        service = service.replace(name, str((ROOT / "configs" / name).resolve()))
+    file = tmp_path / "rig.yaml"
+    file.write_text(service, encoding="utf-8")
+    loaded = load_config(file)
+    assert loaded.publish == PublishConfig()
+    assert loaded.service == RuntimeConfig()
+    assert loaded.adaptation == AdaptationConfig()
+    shown = yaml.safe_load(override)["override"]
+    fields = {each.name: each.default for each in dataclasses.fields(OverrideConfig)}
+    assert shown.keys() == fields.keys()
+    assert {name: fields[name] for name in shown if name != "limits"} == {
+        name: value for name, value in shown.items() if name != "limits"
+    }
 
 
 @pytest.mark.parametrize("name", ["rack_force", "dashboard", "dashboard_diagnosis"])
