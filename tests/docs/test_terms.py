@@ -70,4 +70,4 @@ def test_the_glossary_explains_what_the_measures_are_called() -> None:
     text = (ROOT / "docs" / "glossary.md").read_text()
     for term in ("torque residual", "NRMSE", "baseline model", "augmented model", "hold-out",
                  "log-likelihood ratio", "innovation", "autocorrelation time"):  # fmt: skip
-        assert f"| {term} |" in text, term
+        assert f"- **{term}**: " in text, term
