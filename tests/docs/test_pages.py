@@ -13,6 +13,8 @@ import yaml
 from eps_hil import yaml_file
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.cli.main import app
+from eps_hil.rig.config import RigConfig
+from eps_hil.rig.sensors import SensorSettings
 from eps_hil.service.adaptation_config import AdaptationConfig
 from eps_hil.service.config import OverrideConfig, PublishConfig, RuntimeConfig, load_config
 from eps_hil.signals import CANONICAL
@@ -128,6 +130,19 @@ def test_the_configuration_that_is_shown_holds_the_defaults(tmp_path: Path) -> N
     assert {name: fields[name] for name in shown if name != "limits"} == {
         name: value for name, value in shown.items() if name != "limits"
     }
+
+
+def test_the_block_of_the_rig_that_is_shown_holds_the_defaults() -> None:
+    text = (ROOT / "docs" / "reference-rig.md").read_text(encoding="utf-8")
+    found = re.search(r"```yaml\n(rig:.*?)```", text, re.DOTALL)
+    assert found is not None
+    shown = yaml.safe_load(found[1])["rig"]
+    fields = {each.name: each.default for each in dataclasses.fields(RigConfig)}
+    assert shown.keys() == fields.keys()
+    assert Path(str(fields["chain"])).name == shown["chain"]
+    for name in shown.keys() - {"chain", "model", "sensors"}:
+        assert shown[name] == fields[name], name
+    assert shown["sensors"].keys() <= {each.name for each in dataclasses.fields(SensorSettings)}
 
 
 @pytest.mark.parametrize("name", ["rack_force", "dashboard", "dashboard_diagnosis"])
