@@ -47,18 +47,22 @@ def _entry(effect: Effect) -> list[str]:
         facts.append("It can be named, but not be simulated.")
     if effect.twins:
         facts.append(f"Like {', '.join(f'`{twin}`' for twin in effect.twins)}.")
-    rows = []
+    rows: list[str] = []
+    pairs: list[str] = []
     ranges = effect.read is None or effect.on_bus
     names = [p.name for p in effect.parameters]
     for p in effect.parameters:
         if p.name.endswith("_2") and f"{p.name[:-1]}1" in names:
             continue
-        pair = p.name.endswith("_1") and f"{p.name[:-1]}2" in names
-        name = f"`{p.name}`" + (f", `{p.name[:-1]}2`" if pair else "")
-        meaning = p.meaning.replace(" input 1", " that input") if pair else p.meaning
+        if p.name.endswith("_1") and f"{p.name[:-1]}2" in names:
+            pairs.append(f"`{p.name}`, `_2`")
+            continue
         allowed = _allowed(p) if ranges else ""
         span = f" ({allowed})" if allowed else ""
-        rows.append(f"- {name}{'?' if p.default is not None else ''}{span}: {meaning}")
+        optional = "?" if p.default is not None else ""
+        rows.append(f"- `{p.name}`{optional}{span}: {p.meaning}")
+    if pairs:
+        rows.append(f"- {', '.join(pairs)}?: what the name says, of that input")
     return [". ".join(facts) if len(facts) > 1 else facts[0], "", *rows, ""]
 
 
