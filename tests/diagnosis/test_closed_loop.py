@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.diagnosis.balance.reference import torque_is_referenced
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
 from eps_hil.physics.model import Delays, Friction, Model
 from eps_hil.series import Series
@@ -99,3 +100,63 @@ def test_a_weight_on_a_joint_is_a_load(
     assert any("weight of 4 Nm" in one for one in found.content["limits"])
     figures = found.content["fit"]["holdout"]
     assert figures["augmented"]["torque_nrmse"] < 1.1 * figures["noise_floor"]["torque_nrmse"]
+
+
+def test_under_a_constant_push_no_channel_has_a_gain(
+    closed_loop_rig: ModuleType, reference_model: Model
+) -> None:
+    """The motor's torque is inertia, friction and a constant: levels that are off were its gain.
+
+    Rig 7 of ``benchmarks/nothing_missing.py --seed 601``.
+    """
+    rig = closed_loop_rig.Rig(
+        8.86e-5, 0.0586, 0.0563, 2.37e-4, 1.97e-4, 1.394, 1014.5, push=65.8, swing_rad=28.9,
+        speed_loop=False,
+    )  # fmt: skip
+    model = replace(
+        model_of(
+            rig,
+            reference_model,
+            offset_pos_nm=0.65 * rig.level_pos,
+            offset_neg_nm=0.65 * rig.level_neg,
+            load_pos_nm_per_n=0.66 * rig.grows,
+            load_neg_nm_per_n=0.66 * rig.grows,
+        ),
+        inertia_kg_m2=1.1 * rig.inertia,
+    )
+    found = told(rig, model, closed_loop_rig, noise=(1.7e-4, 0.032, 6.9e-4, 0.5))
+    names = {one["effect"] for one in found.content["findings"]}
+    assert {"coulomb_level", "inertia"} <= names
+    assert not names & {"motor_torque_gain", "rack_ratio", "torque_sensor_gain", "unknown"}
+    assert not torque_is_referenced(found.problem)
+
+
+def test_less_drag_and_a_softer_bristle_are_no_delay(
+    closed_loop_rig: ModuleType, reference_model: Model
+) -> None:
+    """Against a spring a torque that comes earlier is a drag. Rig 6 of the same seed."""
+    rig = closed_loop_rig.Rig(
+        5.81e-5, 0.1534, 0.1536, 4.09e-4, 1.18e-4, 2.991, 527.05, 5371.0, swing_rad=24.7
+    )
+    model = replace(
+        model_of(
+            rig,
+            reference_model,
+            offset_pos_nm=1.38 * rig.level_pos,
+            offset_neg_nm=1.38 * rig.level_neg,
+            viscous_pos_nm_s_per_rad=1.175 * rig.drag,
+            viscous_neg_nm_s_per_rad=1.175 * rig.drag,
+            load_pos_nm_per_n=0.674 * rig.grows,
+            load_neg_nm_per_n=0.674 * rig.grows,
+            sigma0_nm_per_rad=1.159 * rig.stiffness,
+        ),
+        inertia_kg_m2=0.665 * rig.inertia,
+    )
+    found = told(rig, model, closed_loop_rig, noise=(4.5e-4, 0.0179, 3.9e-4, 0.5))
+    assert {one["effect"] for one in found.content["findings"]} == {
+        "coulomb_level",
+        "inertia",
+        "load_dependent_friction",
+        "presliding_hysteresis",
+        "viscous_friction",
+    }

@@ -20,6 +20,7 @@ from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.baseline import ALL, HOLD
 from eps_hil.diagnosis.balance.fit import Fit, fit
 from eps_hil.diagnosis.balance.problem import Problem, huber, knee
+from eps_hil.diagnosis.balance.reference import gain_is_observable
 from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.data.drift import IN_BALANCE, MOTION, Drift, drift_matters
 from eps_hil.diagnosis.data.entry import place, unknown
@@ -147,7 +148,9 @@ def channel_fault(
             clocks = [name for name in CLOCKS if name in measured]
             tried += [(ChannelFault(name, ppm=0.0), _TIMING) for name in clocks]
     if LOAD_CELL in measured and (len(set(names) & set(SCALES)) > 1 or much):
-        tried.append((ChannelFault(LOAD_CELL, gain=1.0 + LEAST_GAIN), SCALES))
+        reads_more = ChannelFault(LOAD_CELL, gain=1.0 + LEAST_GAIN)
+        if gain_is_observable(problem, _sensitivity(problem, found, reads_more)):
+            tried.append((reads_more, SCALES))
     compared = {instead: _Compared(problem, found, instead) for _, instead in tried}
     told = [compared[instead].to(start) for start, instead in tried]
     best = _best([one for one in told if one is not None], problem)
@@ -286,6 +289,15 @@ def _best_delay(problem: Problem, fitted: Fit, one: ChannelFault) -> ChannelFaul
 
     least = -problem.model.delays_s.of(one.signal)
     return replace(one, late_s=_least(cost, least, MOST_S, _RESOLUTION_S))
+
+
+def _sensitivity(problem: Problem, fitted: Fit, one: ChannelFault) -> Floats:
+    """What a gain does to the weighted residual, (n, 1)."""
+    model = problem.with_entries(fitted.entries, fitted.own)
+    parts = [one.put_right(each).left_over(model) for each in problem.recordings]
+    before = [each.left_over(model) for each in problem.recordings]
+    moved = (np.concatenate(parts) - np.concatenate(before)) / problem.scale
+    return np.asarray(moved / (one.gain - 1.0))[:, None]
 
 
 def _best_gain(problem: Problem, fitted: Fit, one: ChannelFault) -> ChannelFault:

@@ -2,7 +2,8 @@
 
 A refit of all of them at once says that something is off, and spreads it over numbers that the
 recordings can hardly tell apart. Here sets of names are tried on the refit's own linear problem, a
-name costing what counts as a gain; the best sets are then fitted in earnest.
+name costing what counts as a gain; the best sets are then fitted in earnest. A torque that comes
+out later than holding it could make it costs as much: it will be a name, too.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -65,6 +66,8 @@ class _Linear:
     price: float
     scales: int
     """How many of SCALES may be off at once."""
+    held: float
+    """How far the first of the free columns moves where it only says how a torque is held."""
 
     def solved(self, chosen: frozenset[int]) -> tuple[float, Floats]:
         """(cost plus price, coefficients of the chosen columns in order)."""
@@ -79,7 +82,8 @@ class _Linear:
         a = np.linalg.solve(normal, self.gram[use, last])
         partners = {name[1:] for name in named if name.startswith("±")} - {"", *named}
         cost = float(self.size[-1] ** 2) * (1.0 - float(a @ self.gram[use, last]))
-        cost += self.price * (len(chosen) + len(partners))
+        late = abs(float(a[len(order)])) * self.size[-1] / self.size[len(self.names)] > self.held
+        cost += self.price * (len(chosen) + len(partners) + late)
         return cost, a[: len(order)] * self.size[-1] / self.size[order]
 
 
@@ -129,7 +133,8 @@ def numbers_off(
             soft = not seen and any(e["effect"] == BRISTLE for e in small)
             free_still = {STIFFNESS: 0.0} if soft else {}  # or others would stand in for it
             one = fit(problem, left, own={**TIMING, **one.own, **free_still}, like=one)
-        fits.append((one.cost + price * (len(one.entries) + len(free)), one))
+        late = matters(_delay(one), problem)  # and will be a name
+        fits.append((one.cost + price * (len(one.entries) + len(free) + late), one))
     best = min(fits, key=lambda pair: pair[0])[1]
     considered = any(one.effect.id == HOLD for one in pool)
     return _with_delay(problem, best) if considered else best
@@ -137,11 +142,16 @@ def numbers_off(
 
 def _with_delay(problem: Problem, found: Fit) -> Fit:
     """A torque that is later than holding it could make it is a finding, whatever it gains."""
-    delay = {"effect": HOLD, "delay_s": HOLD_S * found.own.get(HOLD, 0.0)}
+    delay = _delay(found)
     if any(entry["effect"] == HOLD for entry in found.entries) or not matters(delay, problem):
         return found
     own = {name: value for name, value in found.own.items() if name != HOLD}
     return fit(problem, [*found.entries, delay], own=own, like=found)
+
+
+def _delay(found: Fit) -> dict[str, Any]:
+    """How late the motor's torque is where no name says so, as an entry."""
+    return {"effect": HOLD, "delay_s": HOLD_S * found.own.get(HOLD, 0.0)}
 
 
 def levels_first(
@@ -221,7 +231,9 @@ def _linear(
     prior = np.full(len(size) - 1, 1e-9)
     prior[len(names)] += 1.0 / float(size[len(names)] ** 2)  # of how the torque is held
     gram = (everything / size).T @ (everything / size)
-    return _Linear(names, gram, size, prior, price, max(scales, 1))
+    probe = catalogue()[HOLD].probe
+    assert probe is not None
+    return _Linear(names, gram, size, prior, price, max(scales, 1), probe.least / HOLD_S)
 
 
 def _column(problem: Problem, one: Candidate) -> Floats:

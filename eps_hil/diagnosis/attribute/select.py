@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.attribute.exchange import bettered, exchanged
 from eps_hil.diagnosis.attribute.lag import as_lag
-from eps_hil.diagnosis.attribute.numbers import SPANNED, levels_first, numbers_off
+from eps_hil.diagnosis.attribute.numbers import SCALES, SPANNED, levels_first, numbers_off
 from eps_hil.diagnosis.attribute.scoring import (
     FINAL_SHARE,
     FORWARD_SHARE,
@@ -28,6 +28,7 @@ from eps_hil.diagnosis.balance.excerpt import excerpt
 from eps_hil.diagnosis.balance.fit import Fit, ablated, deviation, fit, matters
 from eps_hil.diagnosis.balance.probes import Candidate, candidates
 from eps_hil.diagnosis.balance.problem import Problem, knee, term_of
+from eps_hil.diagnosis.balance.reference import gain_is_observable
 from eps_hil.diagnosis.mismatch.curve import ID as CURVE
 from eps_hil.diagnosis.mismatch.curve import has_curve, levelled, with_curve
 
@@ -120,6 +121,11 @@ def _search(
         here.own,
         without,
     )
+    pool = [
+        one
+        for one in pool
+        if one.effect.id not in SCALES or gain_is_observable(problem, one.columns)
+    ]
     selection = Selection(null, found, pool, problem, found, settled=settled)
     structures = [one for one in pool if one.effect.id not in SPANNED]
     curves = any(is_curve(one) for one in structures)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eps_hil.diagnosis.balance.problem import Problem
-from eps_hil.diagnosis.balance.reference import torque_is_referenced
+from eps_hil.diagnosis.balance.reference import gain_is_observable, torque_is_referenced
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.remainder.sight import Sight
 from eps_hil.physics.model import Model
@@ -53,3 +53,21 @@ def test_a_load_that_only_follows_the_motion_is_none(
         springs.append(replace(one, raw={**raw, "rack_force_n": force}, _shifted={}))
     tied = {"unmodelled_spring": 0.0, "motor_torque_offset": 0.0}
     assert not torque_is_referenced(Problem(springs, reference_model, tied=tied))
+
+
+@pytest.mark.parametrize(("load", "shown"), [("measured", True), ("constant", False)])
+def test_a_gain_shows_beside_a_load_that_varies(problem: Problem, load: str, shown: bool) -> None:
+    one, *_ = problem.recordings
+    if load == "constant":  # and the motor's torque is what the model makes of the motion
+        force = np.full(len(one.time_s), 200.0) + 2.0 * np.sin(1e4 * one.time_s)
+        still = {**one.raw, "rack_force_n": force, "torque_sensor_nm": 0.0 * force}
+        bare = one.changed(raw={**still, "motor_torque_nm": 0.0 * force})
+        late = round(1e3 * problem.model.delays_s.motor_torque)
+        torque = np.roll(-bare.balance(problem.model), late)
+        one = bare.changed(raw={**still, "motor_torque_nm": torque})
+        assert np.std(one.left_over(problem.model)) < 0.01 * np.std(torque)
+    alone = Problem([one], problem.model)
+    more = one.changed(raw={**one.raw, "motor_torque_nm": 1.01 * one.raw["motor_torque_nm"]})
+    moved = (more.left_over(problem.model) - one.left_over(problem.model)) / alone.scale
+    assert gain_is_observable(alone, moved[:, None]) is shown
+    assert torque_is_referenced(alone) is shown
