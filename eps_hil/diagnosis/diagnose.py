@@ -43,6 +43,7 @@ from eps_hil.diagnosis.attribute.select import Say, Selection
 from eps_hil.diagnosis.balance.baseline import HOLD
 from eps_hil.diagnosis.balance.excerpt import only_part
 from eps_hil.diagnosis.balance.fit import BRISTLE, matters
+from eps_hil.diagnosis.balance.late_channel import late_channels
 from eps_hil.diagnosis.balance.load import (
     FREE,
     Load,
@@ -169,6 +170,8 @@ def diagnose(
     spare = list(zip(every[len(fitted) :], kept.values(), strict=True))
     same_load(every)
     doubts = channels_in_doubt({**recordings, **holdouts}, model, trust_channels)
+    if not missing(every):
+        doubts += late_channels(every, model, trusted=trust_channels)
     found = _found(model, ready, spare, say, without)
     if not doubts:
         return found

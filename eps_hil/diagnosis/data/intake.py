@@ -158,7 +158,18 @@ def unseen(recordings: Sequence[Prepared]) -> list[str]:
         "motor_speed_rad_s is mostly its own noise; the rate of motor_angle_rad is taken for it "
         f"({', '.join(hidden)})."
     ]
-    return [*(said if hidden else []), *_unheld(recordings)]
+    return [*(said if hidden else []), *_held_still(recordings), *_unheld(recordings)]
+
+
+def _held_still(recordings: Sequence[Prepared]) -> list[str]:
+    """A motor torque of one value: a motor that is off, or a channel that was not recorded."""
+    still = [one.name for one in recordings if np.ptp(one.raw["motor_torque_nm"]) == 0.0]
+    if not still:
+        return []
+    return [
+        f"motor_torque_nm has one value throughout ({', '.join(still)}). If the motor was not off "
+        "or held so, it was not recorded, and what is found there is the torque that is missing."
+    ]
 
 
 def _unheld(recordings: Sequence[Prepared]) -> list[str]:

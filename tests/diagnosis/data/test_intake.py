@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.data.intake import BELIEVABLE, RecordingError, prepared, split
+from eps_hil.diagnosis.data.intake import BELIEVABLE, RecordingError, prepared, split, unseen
 from eps_hil.series import Series
 
 
@@ -55,3 +55,12 @@ def test_a_signal_of_one_value_is_asked_for(signal: str) -> None:
     rest = {name: one for name, one in recording.items() if name != "motor_angle_rad"}
     with pytest.raises(RecordingError, match="a diagnosis needs"):
         prepared("weave", {**rest, signal: single}, 0.0)
+
+
+def test_a_motor_torque_of_one_value_is_said() -> None:
+    moving, still = signals(), signals()
+    torque = still["motor_torque_nm"]
+    still["motor_torque_nm"] = Series(torque.t_ns, np.full(len(torque.value), 0.7))
+    both = [prepared("moving", moving, 0.0), prepared("still", still, 0.0)]
+    (said,) = [one for one in unseen(both) if "one value" in one]
+    assert said.startswith("motor_torque_nm has one value throughout (still). If")

@@ -1,0 +1,132 @@
+"""A channel of one recording that is a good part of a second off the others, by the balance.
+
+``data/far_off.py`` asks without a model; a rough balance leaves too much to see a small torque by.
+Here the balance's residual of one recording, below 10 Hz, is held against every torque that was
+measured: one that is τ late leaves c(t + τ) − c(t) of its part c. The alternative is that the
+model's own numbers are off, or a spring is missing: in slow motion they do nearly as well, but only
+by errors that no file has. So both are weighed by evidence, n/2 ln of the mean square that is left
+and half the squared errors in units of their usual size (the prior of ``baseline.py``).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from eps_hil.diagnosis.balance.baseline import ALL, SPRING
+from eps_hil.diagnosis.balance.fit import own_column
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.data.far_off import ELSEWHERE, FARTHEST_S, NEAREST_S
+from eps_hil.diagnosis.data.intake import RecordingError
+from eps_hil.diagnosis.data.prepare import STEP_S, THIN, Prepared
+from eps_hil.physics.model import Model
+
+Floats = npt.NDArray[np.float64]
+
+LOADS = ("motor_torque_nm", "torque_sensor_nm", "rack_force_n")
+BLOCK = 6
+"""Thinned samples that are averaged: 48 ms, the step of the lags."""
+TOGETHER = 5
+"""Blocks that are one independent observation of what a model leaves: a quarter of a second."""
+LONGEST_S = 120.0
+"""Of a recording that is looked at, from its middle."""
+NATS = 30.0
+"""Evidence for a shift beyond that for other numbers, after the choice among lags."""
+ALIKE = 3.0
+"""Nats that do not tell one lag from another."""
+ABOUT = 6
+"""Lags from one to another that are the same shift."""
+_GAIN = 0.01
+_FEWEST = 200
+_ROUNDS = 4
+
+
+def late_channels(recordings: Sequence[Prepared], model: Model, *, trusted: bool) -> list[str]:
+    """A sentence for every such channel; :class:`RecordingError` unless they are ``trusted``."""
+    told = [said for one in recordings if (said := _said(one, model)) is not None]
+    if told and not trusted:
+        name, words = told[0]
+        raise RecordingError(name, f"{words}: put all channels on one clock")
+    return [f"{name}: {words}. The channels were trusted all the same." for name, words in told]
+
+
+def _said(one: Prepared, model: Model) -> tuple[str, str] | None:
+    found = late_channel(one, model)
+    if found is None:
+        return None
+    channel, late_s = found
+    word = "later" if late_s > 0.0 else "earlier"
+    words = f"{channel} comes some {abs(late_s):.1f} s {word} than the other channels"
+    return one.name, words
+
+
+def late_channel(one: Prepared, model: Model) -> tuple[str, float] | None:
+    """(channel, s by which it is late) where that is likelier than other numbers, or None."""
+    n, most = len(one.time_s), round(LONGEST_S / STEP_S)
+    if n > most:
+        one = one.cut((n - most) // 2, (n + most) // 2)
+    step_s = BLOCK * THIN * STEP_S
+    far = round(FARTHEST_S / step_s)
+    if len(one.thin_time_s) // BLOCK - 2 * far < _FEWEST:
+        return None
+    problem = Problem([one], model)
+    names = [name for name in LOADS if name in one.raw and np.any(one.raw[name])]
+    residual = _averaged(problem.residual(model) * problem.scale)
+    weight = 1.0 / _averaged(problem.scale)
+    parts = [_averaged(_part(problem, model, name)) for name in names]
+    inside = slice(far, len(residual) - far)
+    own = np.column_stack([own_column(problem, name) for name in (*ALL, SPRING)])
+    own = own * problem.scale[:, None]
+    columns = np.column_stack([_averaged(each) for each in own.T]) * weight[:, None]
+    refit = _Refit(columns[inside])
+
+    def moved(k: int, by: int) -> Floats:
+        late = parts[k][far + by : len(residual) - far + by] - parts[k][inside]
+        return (residual[inside] + late) * weight[inside]
+
+    shifts = range(-far + 1, far)
+    lags = [(k, by) for k in range(len(names)) for by in shifts if abs(by) * step_s >= NEAREST_S]
+    before, recorded = refit.believed(moved(0, 0))
+    nats = np.array([refit.believed(moved(*lag))[0] for lag in lags])
+    if before - nats.min() < NATS + np.log(len(lags)):
+        return None
+    alike = [lag for lag, one in zip(lags, nats, strict=True) if one < nats.min() + ALIKE]
+    k, near = min(alike, key=lambda lag: abs(lag[1]))  # periodic motion: a period later, too
+    about = [lag for lag in lags if lag[0] == k and abs(lag[1] - near) < ABOUT]
+    k, by = min(about, key=lambda lag: nats[lags.index(lag)])
+    _, left = refit.believed(moved(k, by))
+    half = len(left) // 2
+    for part in (slice(None, half), slice(half, None)):  # or it explains one event by chance
+        if np.sum(left[part] ** 2) > ELSEWHERE * np.sum(recorded[part] ** 2):
+            return None
+    return names[k], by * step_s
+
+
+class _Refit:
+    """The model's own numbers refitted, each column what a usual error of one does."""
+
+    def __init__(self, columns: Floats) -> None:
+        self.columns = columns
+        self.gram = columns.T @ columns
+
+    def believed(self, values: Floats) -> tuple[float, Floats]:
+        """(minus the log evidence, residual) by the numbers that are likeliest."""
+        variance, slope = 1.0, self.columns.T @ values
+        for _ in range(_ROUNDS):
+            prior = variance * TOGETHER * np.eye(len(slope))
+            errors = np.linalg.solve(self.gram + prior, slope)
+            left = values - self.columns @ errors
+            variance = max(float(np.mean(left**2)), 1.0)
+        nats = 0.5 * len(values) / TOGETHER * np.log(variance) + 0.5 * float(errors @ errors)
+        return float(nats), left
+
+
+def _part(problem: Problem, model: Model, name: str) -> Floats:
+    """What a channel does to the residual, Nm, (n,)."""
+    (one,) = problem.recordings
+    more = one.changed(raw={**one.raw, name: (1.0 + _GAIN) * one.raw[name]})
+    return np.asarray((more.left_over(model) - one.left_over(model)) / _GAIN)
+
+
+def _averaged(values: Floats) -> Floats:
+    return np.asarray(values[: len(values) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1))
