@@ -15,6 +15,8 @@ from eps_hil.physics.friction import bristle_step
 
 NOISE_SIGMA = 4.0
 """Deviations of a single angle within which a rotor did not creep."""
+GAIN = 0.25
+"""Share by which a way may differ from that of the speeds before and after it."""
 KNOWN_NM = 1e-6
 """Less than this is nothing, and costs no exponential."""
 
@@ -56,8 +58,8 @@ def bridge(
     changed by less than the bristle can bend, has kept its bristle. Without an angle it may have
     moved and come back: no further than the acceleration that counts as rest (SP_B of eq. 4a) takes
     it, a path of SP_B T²/8. A rotor that slid on, its angle measured and its speed changed by no
-    more than noise (SP_A) and SP_B T, has taken the bristle along by that angle, and the same path
-    is all that it may have hidden.
+    more than noise (SP_A) and SP_B T, has taken the bristle along by that angle, where such speeds
+    go so far, and the same path is all that it may have hidden.
 
     Creep that is no more than the angle's noise is followed from where it was, noise filtered.
     More of it bends the bristle at once: were the rotor then judged as moving, it would leave
@@ -78,7 +80,11 @@ def bridge(
     hidden = 0.125 * c.limiter_acceleration * gap_s * gap_s
     turning = abs(s.acceleration) > c.limiter_acceleration
     rested = max(abs(s.speed), abs(speed)) < c.limiter_speed and not turning
-    steady = abs(speed - s.speed) < c.limiter_speed + c.limiter_acceleration * gap_s
+    off = c.limiter_speed + c.limiter_acceleration * gap_s
+    went = 0.5 * (s.speed + speed) * gap_s
+    far = NOISE_SIGMA * math.sqrt(2.0 * max(s.angle_noise, c.first_angle_noise))
+    as_told = abs(change - went) < far + off * gap_s + GAIN * abs(went)
+    steady = as_told and abs(speed - s.speed) < off
     if c.angle_seen and rested:
         hidden = 0.0
     kept = abs(change) + hidden < end if rested else c.angle_seen and steady

@@ -27,6 +27,8 @@ _LOW_SCALE = _SCALE / (1.0 - _SCALE)
 """The same wrong gain, in parts of the angle's way."""
 _MOST = 1.5
 """Tolerances that the slow residual may grow to: it is to be over soon after the fault."""
+_PAIR = math.sqrt(2.0)
+"""Noise of two angles, whose difference is looked at, in that of one."""
 _SPEED_JUMP = 1.5
 """A jump of the speed (rad/s) from one step to the next that is looked at."""
 
@@ -45,10 +47,13 @@ def angle_off(w: "Watch", p: "Limits", u: Inputs, before: float) -> bool:
     w.path = p.leak * w.path + way
     w.gain = p.leak * w.gain + (speed - before)
     w.angle = u.motor_angle_rad
+    lag = _SMOOTHED_S * abs(speed - before)
+    noise = _PAIR * max(p.angle_tolerance, math.sqrt(p.jump * max(u.angle_noise, 0.0)))
+    jumped = abs(apart) > noise + _SCALE * abs(way) + lag
     tolerance = p.angle_tolerance + _SCALE * abs(w.path) + _SMOOTHED_S * abs(w.gain)
     on_average = _off_on_average(w, p, u)
     alone = _slides_alone(w, p, u, apart, turned, speed - before)
-    return abs(w.slip) > tolerance or on_average or alone
+    return abs(w.slip) > tolerance or on_average or alone or jumped
 
 
 def mean_noise(leak: float, mean: float, step_s: float) -> tuple[float, float]:

@@ -129,6 +129,18 @@ def test_a_dropout_just_before_rest(
         assert trace.rack_force_n[-1] == pytest.approx(expected.rack_force_n[-1], abs=25.0)
 
 
+def test_an_angle_that_jumps_in_a_hole_tells_no_way(reference_model: Model) -> None:
+    """No such speeds go 6 rad in 3 ms: where the rotor went is unknown, and so is the bristle."""
+    series = back_and_rest()
+    series["motor_angle_rad"].value[472:] -= 6.0
+    holed = cut(series, lambda t: (t > 470 * MS) & (t <= 473 * MS))
+    settings = replace(EstimatorSettings(), stale_after_s=0.002)
+    trace = estimate(
+        {**series, "motor_torque_nm": holed["motor_torque_nm"]}, reference_model, settings
+    )
+    assert np.all(within(trace, 1.3, 2.9) & UNKNOWN)
+
+
 def test_the_limit_is_a_setting(reference_model: Model) -> None:
     begun = cut(back_and_rest(), lambda t: t < 700 * MS)
     settings = replace(EstimatorSettings(), friction_unknown_n=1e9)

@@ -460,6 +460,18 @@ def told_at(model: Model, torque: Any, speed: Any, angle: Any) -> int:
 
 
 @pytest.mark.parametrize("gain", [0.85, 1.0, 1.2])
+@pytest.mark.parametrize("jump", [0.065, -0.14])
+def test_an_angle_that_jumps_alone_is_told_at_once(
+    reference_model: Model, jump: float, gain: float
+) -> None:
+    """In fast motion, where a way of some milliseconds may be off by more for a wrong gain."""
+    t = 1e-3 * np.arange(400)
+    true = 30.0 + 100.0 * t
+    angle = np.r_[0.0, np.cumsum(0.5 * (true[1:] + true[:-1]) * 1e-3)]
+    assert told_at(reference_model, 0.0 * t, gain * true, angle + jump * (t >= 0.2)) in {200, 201}
+
+
+@pytest.mark.parametrize("gain", [0.85, 1.0, 1.2])
 @pytest.mark.parametrize("jump", [5.0, -3.0, 15.0])
 def test_a_speed_that_jumps_alone_is_told(reference_model: Model, jump: float, gain: float) -> None:
     """At 30 rad/s, faster and faster; where the angle goes with the speed it was an impact."""
