@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
+from eps_hil.series import Series
 
 Floats = npt.NDArray[np.float64]
 
@@ -87,6 +88,34 @@ def between(t_ns: npt.NDArray[np.int64], values: Floats, grid_ns: npt.NDArray[np
     bent = np.asarray(CubicSpline(t_ns * 1e-9, values)(inside * 1e-9), dtype=np.float64)
     step = np.clip(np.searchsorted(t_ns, inside, side="right") - 1, 0, len(steps) - 1)
     return np.where(steps[step] > _HOLE * usual, straight, bent)
+
+
+def on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:
+    """A signal at ``t_ns`` (1 kHz, ns) since ``origin``, its samples without a value left out."""
+    good = np.isfinite(one.value)
+    if not good.all():
+        one = Series(one.t_ns[good], one.value[good])
+    at, value = one.t_ns - origin, one.value
+    first = int(np.searchsorted(at, 0))
+    if np.array_equal(at[first : first + len(t_ns)], t_ns):
+        return value[first : first + len(t_ns)]  # on the grid as it is
+    if float(np.median(np.diff(at))) > 0.9e9 * STEP_S:
+        return between(at, value, t_ns)
+    # faster than the grid: the mean over a step, so that noise above it does not fold down
+    area = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(at))])
+    half = round(0.5e9 * STEP_S)
+    low, high = np.clip(t_ns - half, at[0], at[-1]), np.clip(t_ns + half, at[0], at[-1])
+    return np.asarray((np.interp(high, at, area) - np.interp(low, at, area)) / (high - low))
+
+
+def every_so_many(values: Floats, every: int, first: int, *, summed: bool) -> Floats:
+    """Every so many samples (n,) from the ``first`` on, or what their steps add up to."""
+    if every == 1:
+        return values
+    if summed:
+        way = np.cumsum(values)[first::every]
+        return np.diff(way, prepend=way[0] - values[first])
+    return np.ascontiguousarray(values[first::every])
 
 
 def slope(values: Floats) -> Floats:

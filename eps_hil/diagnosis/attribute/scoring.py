@@ -20,7 +20,10 @@ Flags = npt.NDArray[np.bool_]
 LEAST_SHARE = 0.006
 """Least share of the residual's energy that an accepted effect explains on unfitted blocks."""
 LEAST_GAIN = 30.0
-"""Least gain in units of the noise's own variance."""
+"""Least gain in units of the noise's own variance, at as many independent samples in a thinned one
+as the filter leaves of signals at 1 kHz…"""
+_USUAL = 0.64
+"""…which is so many: what is recorded slowly repeats the same noise."""
 FORWARD_SHARE, FINAL_SHARE = 0.02, 0.10
 """Least shares of what is still unexplained: on the way, and in the end."""
 NEAR = 0.8
@@ -86,7 +89,8 @@ def threshold(problem: Problem, residual: Floats, of_excess: float) -> float:
     energy = clipped(residual, knee(residual)) ** 2
     excess = float(np.sum(energy[problem.sliding] - 1.0))
     share = LEAST_SHARE * float(np.sum(energy))
-    return max(LEAST_GAIN, share, of_excess * excess, problem.hidden)
+    repeated = _USUAL * float(np.sum(problem.sliding)) / max(problem.independent, 1.0)
+    return max(LEAST_GAIN * max(repeated, 1.0), share, of_excess * excess, problem.hidden)
 
 
 def penalised(one: Fit) -> float:

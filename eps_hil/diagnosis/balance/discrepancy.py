@@ -31,8 +31,6 @@ Flags = npt.NDArray[np.bool_]
 KNOTS, KNOTS_OF_PLACE, KNOTS_OF_TWO = 10, 40, 5
 TIME_S, MOST_TIME_KNOTS = 4.0, 40
 """Between knots over a recording's time, and how many there are at most."""
-INDEPENDENT = 0.64
-"""Observations per thinned sample: the filter passes 40 of the 62.5 Hz that are kept."""
 _ROUNDS, _SETTLED = 60, 0.3
 """Of evidence updates, and the change of the log evidence (nats) that ends them."""
 _NONE = 1e-3
@@ -136,6 +134,7 @@ class Discrepancy:
         """``residual`` (n,) of a fit nearby says what counts as an outlier."""
         self.basis = Basis.of(problem)
         self._problem = problem
+        self._independent = problem.independent / max(float(np.sum(problem.sliding)), 1.0)
         self._root = np.sqrt(huber(residual, problem.knee)) * problem.sliding
         columns, group = self.basis.columns(problem)
         self._columns, self._group = columns * self._root[:, None], group
@@ -156,10 +155,10 @@ class Discrepancy:
         gram[np.diag_indices(len(gram))] += lost
         start = None if like is None else (like.variance, like.sigma**2)
         return _updated(
-            INDEPENDENT * gram,
-            INDEPENDENT * slope,
-            INDEPENDENT * float(y @ y),
-            INDEPENDENT * count,
+            self._independent * gram,
+            self._independent * slope,
+            self._independent * float(y @ y),
+            self._independent * count,
             self._group,
             start,
         )

@@ -253,9 +253,19 @@ def own_without(found: Fit, places: Collection[int]) -> dict[str, float]:
 
 
 def ablated(problem: Problem, found: Fit, k: int, rounds: int = 6) -> Fit:
-    """The fit without entry ``k``, the others refitted."""
-    others = [e for i, e in enumerate(found.entries) if i != k]
-    return fit(problem, others, rounds, own_without(found, (k,)), found)
+    """The fit without entry ``k``, the others refitted.
+
+    Several steps of a search ask this of the same fit: those of the last one are kept.
+    """
+    of, at, kept = problem.ablations
+    if of is not found or at != problem.knee:
+        kept = {}
+        problem.ablations = found, problem.knee, kept
+    if (k, rounds) not in kept:
+        others = [e for i, e in enumerate(found.entries) if i != k]
+        kept[k, rounds] = fit(problem, others, rounds, own_without(found, (k,)), found)
+    told: Fit = kept[k, rounds]
+    return told
 
 
 def deviation(entry: Mapping[str, Any], problem: Problem) -> float:

@@ -68,6 +68,10 @@ class Problem:
     """Where the sensitivities to the model's own numbers are taken."""
     columns: dict[str, Floats] = field(init=False, default_factory=dict)
     """Sensitivities to the model's own numbers, kept for all fits (they are nearly linear)."""
+    ablations: tuple[Any, float, dict[tuple[int, int], Any]] = field(
+        init=False, default=(None, 0.0, {})
+    )
+    """Of the last fit that names were taken off: the fit, the knee then, the fits without one."""
     visited_m: tuple[float, float] = field(init=False)
     """Rack positions (m) between which all but the outermost few percent of the samples are."""
     farthest_m: float = field(init=False)
@@ -123,8 +127,9 @@ class Problem:
 
     @property
     def independent(self) -> float:
-        """Independent samples: the filter passes 40 of the 62.5 Hz that are kept."""
-        return 0.64 * float(np.sum(self.sliding))
+        """Independent samples that slide."""
+        pairs = zip(self.recordings, self._masks, strict=True)
+        return sum(one.independent * float(np.sum(mask)) for one, mask in pairs)
 
     def residual(self, model: Model) -> Floats:
         """Weighted residual (n,): 1 is the sensor noise.

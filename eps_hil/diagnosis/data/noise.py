@@ -5,6 +5,7 @@ from math import comb
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.identification.butterworth import passed
 from eps_hil.series import Series
 
 Floats = npt.NDArray[np.float64]
@@ -99,3 +100,17 @@ def _noise_of(bends: Floats, order: int) -> float:
     if usual == 0.0:  # of a value that is held for some rows, now more, now fewer
         usual = float(np.median(bends[bends > 0.0])) / 0.6745
     return float(np.sqrt(np.mean(np.minimum(bends, _TAIL * usual) ** 2) / scale))
+
+
+def half_rate_hz(one: Series) -> float:
+    """Half its rate; no limit for what is at least as fast as the grid."""
+    step_s = float(np.median(np.diff(one.t_ns))) * 1e-9
+    return 0.5 / step_s if step_s > 1.5 * _STEP_S else np.inf
+
+
+def passed_of_band(band_hz: float, corner_hz: float, power: int) -> float:
+    """What the low-pass leaves of noise that is white up to a band's end, as ``passed``."""
+    if band_hz > 2.0 * corner_hz:
+        return passed(corner_hz, power)
+    whole = 2.0 * band_hz * _STEP_S * (2.0 * np.pi * band_hz) ** power / (power + 1)
+    return min(passed(corner_hz, power), float(whole))

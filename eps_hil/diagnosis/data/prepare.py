@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
-from eps_hil.diagnosis.data.noise import noise_at_1_khz
+from eps_hil.diagnosis.data.noise import half_rate_hz, noise_at_1_khz, passed_of_band
 from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.identification.butterworth import low_pass, passed
-from eps_hil.identification.filters import between, shifted
+from eps_hil.identification.filters import every_so_many, on_grid, shifted
 from eps_hil.physics.balance import Motion, residual_nm
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
@@ -44,6 +44,8 @@ _LOST_SIGMAS = 5.0
 """Noise that a turn of a resting rotor has to stand out of, of the low-passed angle."""
 _FORCE_HZ, _NO_FORCE = 10.0, 1.6
 """A rack force whose mean size is below so many noise deviations (of noise alone: 0.8) is slow."""
+FEWEST_STEPS = 2.0
+"""Of the balance's grid in one step of the fastest signal, where all are slower than 1 kHz."""
 EDGE_S = 0.25
 """Left out at both ends of a recording, where a filter without phase has only one side."""
 
@@ -88,7 +90,7 @@ class Prepared:
     """Half the rate that a signal was sampled at: between samples there is no noise of its own."""
     speed_is_hidden: bool = False
     """Whether a speed was measured, but mostly noise, so that the angle's rate took its place."""
-    _shifted: dict[tuple[int, float], Floats] = field(default_factory=dict)
+    _shifted: dict[tuple[int, float, int], Floats] = field(default_factory=dict)
 
     def changed(self, **values: Any) -> "Prepared":
         """A copy with fields changed; what is remembered of the signals goes with them."""
@@ -148,40 +150,69 @@ class Prepared:
 
     def motion(self, model: Model) -> Motion:
         """The motion at physical instants under the delays of ``model`` (its effects included)."""
+        return self._motion(model, 1)
+
+    def _motion(self, model: Model, every: int) -> Motion:
+        """The same at every so many samples, of which thinned ones are some."""
         delays = with_model_effects(model).delays_s
         late = delays.of("motor_angle_rad" if self.speed_is_derived else "motor_speed_rad_s")
         late_angle = delays.of("motor_angle_rad")
         kinematics = self._kinematics
-        angle = self._at(kinematics["angle"], late_angle)
+        angle = self._at(kinematics["angle"], late_angle, every)
         if "rack_position_m" in self.raw:
-            position = self._at(self.raw["rack_position_m"], 0.0)
+            position = self._at(self.raw["rack_position_m"], 0.0, every)
         else:
             position = rack_position_m(model, angle)
         return Motion(
-            self.time_s,
-            self._signal("motor_torque_nm", delays.of("motor_torque_nm")),
-            self._signal("torque_sensor_nm", delays.of("torque_sensor_nm")),
-            self._signal("rack_force_n", delays.of("rack_force_n")),
+            self._at(self.time_s, 0.0, every),
+            self._signal("motor_torque_nm", delays.of("motor_torque_nm"), every),
+            self._signal("torque_sensor_nm", delays.of("torque_sensor_nm"), every),
+            self._signal("rack_force_n", delays.of("rack_force_n"), every),
             position,
-            self._at(kinematics["speed"], late),
+            self._at(kinematics["speed"], late, every),
             angle,
-            self._at(kinematics["travel"], late),
-            self._at(kinematics["slip"], late),
-            self._at(kinematics["acceleration"], late),
+            self._at(kinematics["travel"], late, every, summed=True),
+            self._at(kinematics["slip"], late, every, summed=True),
+            self._at(kinematics["acceleration"], late, every),
         )
 
     def residual(self, model: Model) -> tuple[Floats, Floats]:
         """(residual, friction plus load torque), filtered and thinned, Nm at the rotor, (m,)."""
-        raw, torque = residual_nm(model, self.motion(model), self._rubbing_n(model))
-        return self.thin(self._told(raw)), self.thin(torque)
+        raw, torque = self._balance(model, self.every)
+        return self._thinned(self._told(raw), self.every), self._thinned(torque, self.every)
 
     def left_over(self, model: Model) -> Floats:
         """The residual alone, filtered and thinned, Nm at the rotor, (m,)."""
-        return self.thin(self._told(self.balance(model)))
+        return self._thinned(self._told(self._balance(model, self.every)[0]), self.every)
 
     def balance(self, model: Model) -> Floats:
         """The residual at 1 kHz, not filtered, Nm at the rotor, (n,)."""
-        return residual_nm(model, self.motion(model), self._rubbing_n(model))[0]
+        return self._balance(model, 1)[0]
+
+    def _balance(self, model: Model, every: int) -> tuple[Floats, Floats]:
+        return residual_nm(model, self._motion(model, every), self._rubbing_n(model, every))
+
+    @cached_property
+    def every(self) -> int:
+        """Samples of 1 ms in a step of the balance: between slow signals' samples nothing is told.
+
+        A power of two, for thinned samples are on any such grid.
+        """
+        if self.taken_from is not None:
+            return 1
+        most = 1.0 / (FEWEST_STEPS * 2.0 * self.band_hz * STEP_S)
+        return max(k for k in (1, 2, 4) if k <= max(most, 1.0))
+
+    @cached_property
+    def band_hz(self) -> float:
+        """Half the rate of its fastest signal; no limit at 1 kHz."""
+        own = [name for name in self.raw if name != "rack_force_n" or not self.load_is_assumed]
+        return max(self.bands_hz.get(name, np.inf) for name in own)
+
+    @property
+    def independent(self) -> float:
+        """Independent samples in a thinned one: what filter and signals pass of what is kept."""
+        return 2.0 * min(CUTOFF_HZ, self.band_hz) * THIN * STEP_S
 
     def _told(self, balance: Floats) -> Floats:
         """The balance, less what the force would have taken of it too (``taken_from``)."""
@@ -194,8 +225,13 @@ class Prepared:
 
     def thin(self, signal: Floats) -> Floats:
         """Low-pass without phase at CUTOFF_HZ, edges off, every THIN-th sample."""
-        edge = round(EDGE_S / STEP_S)
-        return np.ascontiguousarray(low_pass(signal, CUTOFF_HZ)[edge : len(signal) - edge : THIN])
+        return self._thinned(signal, 1)
+
+    def _thinned(self, signal: Floats, every: int) -> Floats:
+        """The same of a signal at every so many samples."""
+        first, step = round(EDGE_S / STEP_S) // every, THIN // every
+        last = first + step * len(self.thin_time_s)
+        return np.ascontiguousarray(low_pass(signal, CUTOFF_HZ * every)[first:last:step])
 
     @property
     def since_start_s(self) -> Floats:
@@ -269,7 +305,7 @@ class Prepared:
             return None
         rate = np.gradient(low_pass(self.raw["motor_angle_rad"], SLOW_HZ), STEP_S)
         band_hz = self.bands_hz.get("motor_angle_rad", np.inf)
-        variance = _passed(band_hz, SLOW_HZ, 2)
+        variance = passed_of_band(band_hz, SLOW_HZ, 2)
         return rate, self.noise["motor_angle_rad"] * float(np.sqrt(variance))
 
     def _acceleration_variance(self) -> float:
@@ -281,24 +317,27 @@ class Prepared:
     def _noise_left(self, name: str, power: int = 0) -> float:
         """Variance of a filtered signal by noise alone, times (2πf) to this power."""
         band_hz = self.bands_hz.get(name, np.inf)
-        return self.noise.get(name, 0.0) ** 2 * _passed(band_hz, CUTOFF_HZ, power)
+        return self.noise.get(name, 0.0) ** 2 * passed_of_band(band_hz, CUTOFF_HZ, power)
 
-    def _signal(self, name: str, delay_s: float) -> Floats:
+    def _signal(self, name: str, delay_s: float, every: int) -> Floats:
         if name not in self.raw:
-            return np.zeros(len(self.time_s))
-        return self._at(self.raw[name], delay_s)
+            return np.zeros(len(self._at(self.time_s, 0.0, every)))
+        return self._at(self.raw[name], delay_s, every)
 
-    def _at(self, values: Floats, delay_s: float) -> Floats:
-        if delay_s == 0.0:
+    def _at(
+        self, values: Floats, delay_s: float, every: int = 1, *, summed: bool = False
+    ) -> Floats:
+        if delay_s == 0.0 and every == 1:
             return values
-        key = (id(values), delay_s)
+        key = (id(values), delay_s, every)
         found = self._shifted.get(key)  # other threads may clear them at any time
         if found is None:
             most = _MOST_SHIFTED_BYTES // values.nbytes
             if len(self._shifted) > min(_MOST_SHIFTED, max(most, _LEAST_SHIFTED)):
                 self._shifted.clear()
+            first = round(EDGE_S / STEP_S) % every  # the first thinned sample is one of them
             # straight lines would take noise off between the samples, and a delay would gain by it
-            found = shifted(values, delay_s)
+            found = every_so_many(shifted(values, delay_s), every, first, summed=summed)
             self._shifted[key] = found
         return found
 
@@ -326,11 +365,11 @@ class Prepared:
             + (0.0 if self.slack_rad_s2 is None else self.slack_rad_s2),
         }
 
-    def _rubbing_n(self, model: Model) -> Floats | None:
+    def _rubbing_n(self, model: Model, every: int) -> Floats | None:
         """The rack force that friction grows with, at physical instants."""
         force = self._without_noise
         delays = with_model_effects(model).delays_s
-        return None if force is None else self._at(force, delays.of("rack_force_n"))
+        return None if force is None else self._at(force, delays.of("rack_force_n"), every)
 
     @cached_property
     def _without_noise(self) -> Floats | None:
@@ -385,9 +424,9 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
         raise ValueError("is shorter than 2 s, too short for a diagnosis")
     t_ns = np.arange(n, dtype=np.int64) * 1_000_000
     start = min(int(one.t_ns[0]) for one in used.values())
-    raw = {name: _on_grid(one, origin, t_ns) for name, one in used.items()}
+    raw = {name: on_grid(one, origin, t_ns) for name, one in used.items()}
     noise = {name: noise_at_1_khz(one, moving=name in _MOVING) for name, one in used.items()}
-    bands = {name: _band_hz(one) for name, one in used.items()}
+    bands = {name: half_rate_hz(one) for name, one in used.items()}
     if derived:
         bands["motor_speed_rad_s"] = bands["motor_angle_rad"]
         speed, sigma = _rate(
@@ -416,41 +455,10 @@ def _seen_by_angle(one: Prepared) -> Prepared:
     return other.changed(speed_is_hidden=True) if clearer else one
 
 
-def _band_hz(one: Series) -> float:
-    """Half its rate; no limit for what is at least as fast as the grid."""
-    step_s = float(np.median(np.diff(one.t_ns))) * 1e-9
-    return 0.5 / step_s if step_s > 1.5 * STEP_S else np.inf
-
-
-def _passed(band_hz: float, corner_hz: float, power: int) -> float:
-    """What the low-pass leaves of noise that is white up to a band's end, as ``passed``."""
-    if band_hz > 2.0 * corner_hz:
-        return passed(corner_hz, power)
-    whole = 2.0 * band_hz * STEP_S * (2.0 * np.pi * band_hz) ** power / (power + 1)
-    return min(passed(corner_hz, power), float(whole))
-
-
 def _rate(angle: Floats, noise: float, band_hz: float) -> tuple[Floats, float]:
     """(speed, its noise: white, as strong in the smoothed speed) from an angle and its noise."""
-    share = _passed(band_hz, SMOOTH_HZ, 2) / _passed(band_hz, SMOOTH_HZ, 0)
+    share = passed_of_band(band_hz, SMOOTH_HZ, 2) / passed_of_band(band_hz, SMOOTH_HZ, 0)
     return np.gradient(low_pass(angle, SMOOTH_HZ), STEP_S), noise * float(np.sqrt(share))
-
-
-def _on_grid(one: Series, origin: int, t_ns: npt.NDArray[np.int64]) -> Floats:
-    good = np.isfinite(one.value)
-    if not good.all():
-        one = Series(one.t_ns[good], one.value[good])
-    at, value = one.t_ns - origin, one.value
-    first = int(np.searchsorted(at, 0))
-    if np.array_equal(at[first : first + len(t_ns)], t_ns):
-        return value[first : first + len(t_ns)]  # on the grid as it is
-    if float(np.median(np.diff(at))) > 0.9e9 * STEP_S:
-        return between(at, value, t_ns)
-    # faster than the grid: the mean over a step, so that noise above it does not fold down
-    area = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(at))])
-    half = round(0.5e9 * STEP_S)
-    low, high = np.clip(t_ns - half, at[0], at[-1]), np.clip(t_ns + half, at[0], at[-1])
-    return np.asarray((np.interp(high, at, area) - np.interp(low, at, area)) / (high - low))
 
 
 @njit

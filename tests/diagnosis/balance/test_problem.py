@@ -1,11 +1,12 @@
 """The weighted residual: its cost, by Huber's own formula."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.balance.fit import fit
+from eps_hil.diagnosis.balance.fit import ablated, fit
 from eps_hil.diagnosis.balance.problem import Floats, Problem
 from eps_hil.physics.model import Model
 
@@ -41,3 +42,15 @@ def test_a_fit_that_cannot_begin_where_it_should_begins_nearer(
     assert found.own == {"inertia": 0.2}
     assert np.isfinite(found.cost)
     assert asked[0] > asked[1] > asked[2]
+
+
+def test_a_fit_without_a_name_is_made_once(problem: Problem) -> None:
+    """As long as outliers are the same ones; of another fit it is made anew."""
+    entry = {"effect": "coulomb_level", "scale": 1.1}
+    found = fit(problem, [entry], 1)
+    once = ablated(problem, found, 0, 1)
+    assert ablated(problem, found, 0, 1) is once
+    assert ablated(problem, replace(found), 0, 1) is not once
+    once = ablated(problem, found, 0, 1)
+    problem.knee *= 2.0
+    assert ablated(problem, found, 0, 1) is not once

@@ -102,3 +102,19 @@ def test_what_a_rest_holds_bends_no_level() -> None:
         found[name] = 0.5 * (friction.offset_pos_nm + friction.offset_neg_nm)
     assert found["held"] == pytest.approx(LEVEL_NM, rel=0.06)
     assert abs(found["independent"] - LEVEL_NM) > 2.0 * abs(found["held"] - LEVEL_NM)
+
+
+def test_between_slow_samples_the_balance_is_told_at_fewer_instants() -> None:
+    """What slow signals leave is the same on a coarser grid; it counts for as much as they tell."""
+    model = rough()
+    fast, usual, slow = (recorded(model, every=every) for every in (1, 4, 20))
+    assert [one.every for one in (fast, usual, slow)] == [1, 2, 4]
+    assert [round(one.independent, 3) for one in (fast, usual, slow)] == [0.64, 0.64, 0.4]
+    for one in (fast, usual, slow):
+        fine = one.thin(one.balance(model))
+        use = sliding(one, model)
+        difference = (one.left_over(model) - fine)[use]
+        assert np.sqrt(np.mean(difference**2)) <= 0.1 * one.floor_nm(model) * (one.every > 1)
+    whole, part = slow.motion(model), slow._motion(model, 4)
+    assert np.sum(part.travel_rad) == pytest.approx(np.sum(whole.travel_rad), abs=1e-3)
+    np.testing.assert_array_equal(part.time_s, whole.time_s[2::4])
