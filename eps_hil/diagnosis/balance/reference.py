@@ -36,7 +36,7 @@ def torque_is_referenced(problem: Problem) -> bool:
     """Whether the loads that were measured vary as the motor's torque does, and nothing else."""
     motor, load = [], []
     for one in problem.recordings:
-        motion, model = one.motion(problem.model), problem.model
+        motion, model = one.as_measured().motion(problem.model), problem.model
         motor.append(one.thin(motion.motor_torque_nm))
         hand = model.sensor_to_rotor * motion.torque_sensor_nm
         load.append(one.thin(hand - motion.rack_force_n / model.rack_to_rotor_ratio_rad_per_m))

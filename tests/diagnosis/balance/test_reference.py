@@ -71,3 +71,19 @@ def test_a_gain_shows_beside_a_load_that_varies(problem: Problem, load: str, sho
     moved = (more.left_over(problem.model) - one.left_over(problem.model)) / alone.scale
     assert gain_is_observable(alone, moved[:, None]) is shown
     assert torque_is_referenced(alone) is shown
+
+
+def test_a_load_that_was_assumed_measures_nothing(problem: Problem) -> None:
+    """Whatever it does: it was fitted to the motor's torque itself."""
+    assumed = [
+        replace(
+            one,
+            raw={k: v for k, v in one.raw.items() if k != "torque_sensor_nm"},
+            load_is_assumed=True,
+            _shifted={},
+        )
+        for one in problem.recordings
+    ]
+    measured = [replace(one, load_is_assumed=False, _shifted={}) for one in assumed]
+    assert torque_is_referenced(replace(problem, recordings=measured))
+    assert not torque_is_referenced(replace(problem, recordings=assumed))
