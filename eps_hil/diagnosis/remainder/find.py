@@ -33,10 +33,13 @@ MOST_OF_IT = 0.5
 """A term that takes off so much of recordings it never saw needs no null search beside it."""
 LAW_MARGIN = 0.05
 """Share of the excess by which a curve or map has to be better than a law to be written."""
+TIME_LEAVES = 0.5
+"""Most that a law of the time since a recording began may leave of what all others leave: that time
+is no state of a rig, and says nothing of a recording that begins warm."""
 _LEFT, _MORE = 0.08, 0.04
 """Excess of the hold-outs in noise variances, and as a share of what it was, below which nothing
 more is looked for; no further term is worth less than the latter."""
-_REFINED, _SIMPLE = 6, 4
+_REFINED, _SIMPLE, _OF_TIME = 6, 4, 2
 _BEYOND = 0.02
 _DRAWS = 400
 _OWN_STEP = 0.05
@@ -180,14 +183,16 @@ def _best(
     if own.columns is not None:
         free = own.columns, own.of(kept)
     screening = screen(fitted, kept, jacobian, free)
-    trials = [_law(fitted, kept, one.law, ranges, own) for one in _shortlist(screening.best)]
-    law = max((one for one in trials if one is not None), key=_worth, default=None)
+    tried = [_law(fitted, kept, one.law, ranges, own) for one in _shortlist(screening.best)]
+    trials = [one for one in tried if one is not None]
     drawings = tables(fitted, kept, maps=maps) if drawn else ()
     others = [_table(fitted, kept, one.entry(ranges), own) for one in drawings]
-    table = max(others, key=_worth, default=None)
-    chosen = law
-    if table is not None and (law is None or table.worth > law.worth + LAW_MARGIN):
+    lasting, timed = ([one for one in trials if _of_time(one) is of] for of in (False, True))
+    chosen, table, late = (max(k, key=_worth, default=None) for k in (lasting, others, timed))
+    if table is not None and (chosen is None or table.worth > chosen.worth + LAW_MARGIN):
         chosen = table
+    if late is not None and (chosen is None or _leaves_less(late, chosen, kept)):
+        chosen = late
     if chosen is None or not _passes(chosen, kept, screening):
         return None
     return chosen
@@ -195,6 +200,16 @@ def _best(
 
 def _worth(trial: _Trial) -> float:
     return trial.worth
+
+
+def _of_time(trial: _Trial) -> bool:
+    return trial.term.law is not None and trial.term.law.of_time
+
+
+def _leaves_less(late: _Trial, best: _Trial, kept: Sight) -> bool:
+    """Whether a law of time leaves so much less than the best of all others that it has to be."""
+    _, (low, _) = share_removed(kept, late.kept, best.kept)
+    return low > 0.0 and 1.0 - late.worth < TIME_LEAVES * (1.0 - best.worth)
 
 
 def _passes(trial: _Trial, kept: Sight, screening: Screening) -> bool:
@@ -205,28 +220,38 @@ def _passes(trial: _Trial, kept: Sight, screening: Screening) -> bool:
 
 
 def _shortlist(best: Sequence[Screened]) -> list[Screened]:
-    """The best laws of different families, and among them the best simple ones."""
+    """The best laws of different families, among them the best simple ones; those of time apart."""
     chosen: dict[Any, Screened] = {}
-    for one in best:
+    lasting = [one for one in best if not one.law.of_time]
+    for one in lasting:
         if len(chosen) < _REFINED:
             chosen.setdefault(one.law.family, one)
-    simple = [one for one in best if len(one.law.inputs) == 1]
+    simple = [one for one in lasting if len(one.law.inputs) == 1]
     for one in simple:
         if sum(len(other.law.inputs) == 1 for other in chosen.values()) >= _SIMPLE:
             break
         chosen.setdefault(one.law.family, one)
-    return list(chosen.values())
+    timed: dict[Any, Screened] = {}
+    for one in best:
+        if one.law.of_time and len(timed) < _OF_TIME:
+            timed.setdefault(one.law.family, one)
+    return [*chosen.values(), *timed.values()]
 
 
 def _law(fitted: Sight, kept: Sight, law: Law, ranges: Ranges, own: Own) -> _Trial | None:
     found = refine(fitted.problem, fitted.model, law, ranges, own.columns)
-    if not np.isfinite(found.law.size) or found.law.size == 0.0:
+    if not np.isfinite(found.law.size) or found.law.size == 0.0 or _is_a_clock(found.law, fitted):
         return None
     entry = _rounded(found.law.entry(ranges))
     trial = _table(fitted, kept, entry, own)
     return replace(
         trial, term=Term(entry, found.law), worth=trial.worth - found.law.price * abs(trial.worth)
     )
+
+
+def _is_a_clock(law: Law, sight: Sight) -> bool:
+    slow = [one for one in law.inputs if one.memory in ("lag", "heat")]
+    return any(one.numbers["memory"] > sight.longest_s for one in slow)
 
 
 def _table(fitted: Sight, kept: Sight, entry: Entry, own: Own) -> _Trial:
@@ -247,15 +272,18 @@ def _excess(sight: Sight, residual: Floats) -> float:
     return float(np.sum(sight.weight**2 * (residual**2 - 1.0)))
 
 
-def share_removed(sight: Sight, after: Floats) -> tuple[float, tuple[float, float]]:
-    """Share of the excess that is gone, with a 95 % interval over blocks of time."""
+def share_removed(
+    sight: Sight, after: Floats, before: Floats | None = None
+) -> tuple[float, tuple[float, float]]:
+    """Share of the excess that is gone (since ``before``), with a 95 % interval over blocks."""
+    before = sight.residual if before is None else before
     block = sight.block
     n = int(np.max(block)) + 1
     use = sight.use.astype(np.float64)
     sums = np.array(
         [
             np.bincount(block, use * one, minlength=n)
-            for one in (sight.residual**2 - after**2, sight.residual**2 - 1.0)
+            for one in (before**2 - after**2, sight.residual**2 - 1.0)
         ]
     )
     rng = np.random.default_rng(20)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.remainder.sight import STEP, Sight
+from eps_hil.diagnosis.remainder.sight import Sight
 
 Floats = npt.NDArray[np.float64]
 
@@ -82,6 +82,11 @@ class Law:
         memory = sum(one.memory != "none" for one in self.inputs)
         numbers = sum(len(one.numbers) for one in self.inputs)
         return 0.02 * (len(self.inputs) - 1) + 0.01 * memory + 0.004 * numbers
+
+    @property
+    def of_time(self) -> bool:
+        """Whether it depends on the time since a recording began, which is no state of a rig."""
+        return any(one.name == "time_s" for one in self.inputs)
 
     @property
     def family(self) -> tuple[Any, ...]:
@@ -185,11 +190,10 @@ def _factors(sight: Sight) -> Iterator[Input]:
 
 def _memories(sight: Sight) -> Iterator[tuple[str, str, float]]:
     rows = sight.inputs
-    longest = max(part.stop - part.start for part in sight.parts) * STEP
     for name in _LAGGED:
-        yield from ((name, "lag", t) for t in _LAGS_S if name in rows and t < longest)
+        yield from ((name, "lag", t) for t in _LAGS_S if name in rows and t < sight.longest_s)
     for name in _HEATED:
-        yield from ((name, "heat", t) for t in _HEATS_S if name in rows and t < longest)
+        yield from ((name, "heat", t) for t in _HEATS_S if name in rows and t < sight.longest_s)
     for name in _WAYED:
         if name not in rows:
             continue

@@ -59,6 +59,11 @@ class Sight:
         self._values: dict[Hashable, Floats] = {}
 
     @cached_property
+    def longest_s(self) -> float:
+        """Of the recordings: what fades more slowly is a clock, by another name."""
+        return max(part.stop - part.start for part in self.parts) * STEP
+
+    @cached_property
     def weight(self) -> Floats:
         """Roots of Huber's weights (n,): 0 where nothing slides."""
         return np.sqrt(np.where(self.use, huber(self.residual, knee(self.residual)), 0.0))

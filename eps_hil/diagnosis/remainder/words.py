@@ -120,6 +120,20 @@ _SPEED, _TORQUE, _SENSOR = "motor_speed_rad_s", "motor_torque_nm", "torque_senso
 _ANGLE, _FORCE, _PLACE = "motor_angle_rad", "rack_force_n", "rack_position_m"
 _FALLING = ("above", "step", "square", "linear", "rational", "exponential")
 _WAYS = ("stop", "hysteresis", "play")
+_WARMS_S = 3.0
+"""A lubricant's film settles in less, its heat takes longer."""
+
+
+def _warms(entry: Entry) -> bool:
+    """Friction that falls with what was rubbed, pressed or turned over lately."""
+    slow = [
+        float(entry[f"memory_{i}"]) >= _WARMS_S
+        for i, memory in enumerate(entry["memory"], 1)
+        if memory in ("lag", "heat")
+    ]
+    return any(slow) and entry["shapes"][-1] in ("linear", "saturating") and entry["size"] < 0.0
+
+
 _KNOWN: Sequence[tuple[str, str, Callable[[Entry], bool]]] = (
     ("load cell that reads too much or too little", "the rack force is worth another share",
      lambda e: _at(e, "load") and e.get("shapes") == ["one"]),
@@ -135,12 +149,12 @@ _KNOWN: Sequence[tuple[str, str, Callable[[Entry], bool]]] = (
      lambda e: _at(e, "rotor") and _has(e, _SPEED, ("square",)) and _has(e, _ANGLE, ("sine",))),
     ("rack-guide friction", "friction grows with the torque at the pinion, which lifts the rack",
      lambda e: _at(e, "friction") and _has(e, _SENSOR)),
+    ("grease that warms", "friction falls with the heat of motion",
+     lambda e: _at(e, "friction") and (_warms(e) or _has(e, _SPEED, memory=("heat",)))),
     ("velocity-memory friction", "the lubricant film follows speed late",
      lambda e: _at(e, "friction") and _has(e, _SPEED, memory=("lag",))),
     ("friction that follows the load late", "contacts settle under load",
      lambda e: _at(e, "friction") and _has(e, _FORCE, memory=("lag",))),
-    ("grease that warms", "friction falls with the heat of motion",
-     lambda e: _at(e, "friction") and _has(e, _SPEED, memory=("heat",))),
     ("torque ripple of another order", "motor torque ripples with the angle",
      lambda e: _at(e, "motor") and _has(e, _ANGLE, ("sine",))),
     ("ripple that grows with the load", "a tooth or ball error under force",

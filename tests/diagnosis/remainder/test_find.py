@@ -10,9 +10,11 @@ import pytest
 
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.diagnosis.remainder import find as find_module
 from eps_hil.diagnosis.remainder.find import Own, find, share_removed
 from eps_hil.diagnosis.remainder.grammar import Input, Law, columns_of, laws
 from eps_hil.diagnosis.remainder.refine import refine
+from eps_hil.diagnosis.remainder.screen import Screened
 from eps_hil.diagnosis.remainder.sight import Sight
 from eps_hil.diagnosis.remainder.table import tables
 from eps_hil.physics.effects.catalogue import values_of
@@ -32,6 +34,13 @@ def eddy(record: Record, other_rig: ModuleType, reference_model: Model) -> tuple
     """An eddy-current brake, which no name of the catalogue stands for: fitted and kept."""
     plant = {other_rig.EDDY: 0.06, other_rig.EDDY_W: 30.0}
     made = [record(plant, ("sweep", "weave"), seed=seed, seconds=10.0) for seed in (1, 2)]
+    return over(made[0], reference_model), over(made[1], reference_model)
+
+
+@pytest.fixture(scope="module")
+def eddy_free(record: Record, reference_model: Model) -> tuple[Problem, Problem]:
+    """The same programme on a rig that lacks nothing."""
+    made = [record({}, ("sweep", "weave"), seed=seed, seconds=20.0) for seed in (1, 2)]
     return over(made[0], reference_model), over(made[1], reference_model)
 
 
@@ -198,3 +207,51 @@ def test_a_map_s_band_holds_what_made_it(eddy: tuple[Problem, Problem]) -> None:
     assert half[3][1] < 0.06  # slow and in the middle, where most samples are; the peak is 0.06 Nm
     far = {**entry, "knots": [np.linspace(500.0, 560.0, 7).tolist(), places]}
     assert band(Sight(problem, problem.model), far)[3:] == [[None] * 3] * 4
+
+
+_WARM = Input("abs_motor_speed_rad_s", "saturating", "lag", {"memory": 5.0, "width": 15.0})
+_WARMS = Law("friction", "factor", (_WARM,), -0.4)
+_AGES = Law("friction", "factor", (Input("time_s", "saturating", numbers={"width": 4.0}),), -0.4)
+
+
+@pytest.mark.parametrize("true", [_WARMS, _AGES], ids=["warms", "ages"])
+def test_a_law_of_time_is_the_last_resort(true: Law, eddy_free: tuple[Problem, Problem]) -> None:
+    """Time since the recording began stands for nothing that a state of the rig says as well."""
+    lacking = replace(eddy_free[0].model, effects=(replace(true, size=0.4).entry({}),))
+    fitted, kept = (Problem(one.recordings, lacking) for one in eddy_free)
+    found = find(fitted, kept, lacking, np.zeros((len(fitted.scale), 0)), one_law=True)
+    assert found is not None
+    law = found.terms[0].law
+    assert law is not None
+    assert law.of_time == true.of_time
+
+
+@pytest.mark.parametrize(
+    ("late", "best", "has_to_be"), [(0.963, 0.957, False), (0.995, 0.967, True)]
+)
+def test_a_law_of_time_has_to_leave_half_of_what_others_leave(
+    late: float, best: float, has_to_be: bool, eddy: tuple[Problem, Problem]
+) -> None:
+    kept = Sight(eddy[1], eddy[1].model)
+
+    def trial(worth: float) -> find_module._Trial:
+        left = np.sqrt(1.0 + (1.0 - worth) * (kept.residual**2 - 1.0).clip(0.0))
+        return find_module._Trial(find_module.Term({}, None), left, left, worth, kept.model)
+
+    assert find_module._leaves_less(trial(late), trial(best), kept) is has_to_be
+
+
+def test_laws_of_time_take_no_place_of_others() -> None:
+    timed = [
+        Screened(replace(_AGES, where=where, how=how), 9.0, 9.0)
+        for where in ("rotor", "friction", "motor", "load")
+        for how in ("sum", "factor")
+    ]
+    chosen = find_module._shortlist([*timed, Screened(_WARMS, 1.0, 1.0)])
+    assert [one.law.of_time for one in chosen] == [False, True, True]
+
+
+def test_a_memory_longer_than_any_recording_is_a_clock(eddy: tuple[Problem, Problem]) -> None:
+    sight = Sight(eddy[0], eddy[0].model)
+    longer = _WARMS.with_numbers({(0, "memory"): 1.1 * sight.longest_s})
+    assert [find_module._is_a_clock(one, sight) for one in (_WARMS, longer)] == [False, True]

@@ -54,6 +54,8 @@ def test_a_map_over_two_signals_is_like_nothing() -> None:
              size=0.03, memory_1=5.0), "hysteretic bushing (Bouc–Wen)"),
         (law(where="friction", inputs=["abs_motor_speed_rad_s"], memory=["lag"],
              shapes=["linear"], size=1e-3, memory_1=0.6), "velocity-memory friction"),
+        (law(where="friction", how="factor", inputs=["abs_motor_speed_rad_s"], memory=["lag"],
+             shapes=["saturating"], size=-0.4, width_1=20.0, memory_1=12.0), "grease that warms"),
         (law(where="motor", how="factor", inputs=["abs_motor_power_w"], shapes=["saturating"],
              size=-0.1, width_1=20.0), "iron losses of the motor"),
         (law(where="rotor", inputs=["rack_position_m", "motor_angle_rad"],
