@@ -121,11 +121,13 @@ def _search(
         here.own,
         without,
     )
-    pool = [
-        one
-        for one in pool
-        if one.effect.id not in SCALES or gain_is_observable(problem, one.columns)
-    ]
+    # of a rack that nothing loads no gain is named in the end, but the search goes by it
+    if any(np.any(one.raw.get("rack_force_n", 0.0)) for one in problem.recordings):
+        pool = [
+            one
+            for one in pool
+            if one.effect.id not in SCALES or gain_is_observable(problem, one.columns)
+        ]
     selection = Selection(null, found, pool, problem, found, settled=settled)
     structures = [one for one in pool if one.effect.id not in SPANNED]
     curves = any(is_curve(one) for one in structures)
