@@ -99,7 +99,7 @@ def _clean(world: World, program: np.ndarray) -> dict[str, np.ndarray]:
 
 def test_effects_are_those_of_the_contract() -> None:
     text = (ROOT / "docs" / "reference-effects.md").read_text()
-    catalogue = set(re.findall(r"^## .+: `(\w+)`$", text, re.MULTILINE))
+    catalogue = set(re.findall(r"^\*\*.+\*\* `(\w+)`:", text, re.MULTILINE))
     assert set(CATALOGUED) <= catalogue
     assert catalogue - set(CATALOGUED) == {"clock_drift", "dropped_frames", "empirical"}
     assert not set(ALIENS) & catalogue
