@@ -61,19 +61,13 @@ def _number(one: dict[str, Any]) -> str:
     unit = f" {one['unit']}" if one["unit"] else ""
     value = "–" if one["value"] is None else f"{one['value']:.3g}"
     sign = {"at least": "≥", "at most": "≤"}[one["limit_is"]]
-    asked = " where it should be" if one["outcome"] != "agrees" else ""
-    return f"{value}{asked} {sign} {one['agrees_limit']:.3g}{unit}"
+    return f"{value} where it should be {sign} {one['agrees_limit']:.3g}{unit}"
 
 
 def _figure(key: str, figure: dict[str, Any]) -> list[str]:
     lines = [f"## {figure['title']}", "", f"![{key}](images/paper_{key}.png)", ""]
-    agree = [
-        f"{one['claim']} ({_number(one)})"
-        for one in figure["statements"]
-        if one["outcome"] == "agrees"
-    ]
-    if agree:
-        lines += ["Agrees: " + "; ".join(agree) + ".", ""]
+    outcomes = [one["outcome"] for one in figure["statements"]]
+    lines += [f"{outcomes.count('agrees')} of {len(outcomes)} statements agree.", ""]
     for table in figure["tables"]:
         if table["title"] not in SHOWN:
             continue
