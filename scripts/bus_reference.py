@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
-"""Write the tables of docs/reference-bus.md from dbc/eps_rig.dbc.
+"""Write the tables of docs/reference-bus.md, and dbc/eps_hil.dbc, from dbc/eps_rig.dbc.
 
-The text between the markers of the document is generated, the rest is written by hand. A test
-fails when the two have drifted apart; running this script puts them in step again.
+The text between the markers of the document is generated, the rest is written by hand.
+dbc/eps_hil.dbc holds only the messages that we send, for a rig with a database of its own, whose
+ids may be those of the simulated rig. A test fails when they have drifted apart; running this
+script puts them in step again.
 """
 
 import re
@@ -15,7 +17,10 @@ from eps_hil.bus.load import classic_bits, fd_seconds
 
 ROOT = Path(__file__).resolve().parents[1]
 DBC = ROOT / "dbc" / "eps_rig.dbc"
+OURS = ROOT / "dbc" / "eps_hil.dbc"
 DOCUMENT = ROOT / "docs" / "reference-bus.md"
+_NODE = "EPS_HIL"
+_ABOUT = "What the service and its tools send, to stand beside a rig's own database."
 _CHECKS = ("Crc", "Counter")
 """Signals that stand with their message."""
 _I_APA, _I_PI, _J = 2513.0, 125.7, 2.0e-4
@@ -117,5 +122,28 @@ def rendered(document: str) -> str:
     return document
 
 
+def ours(text: str) -> str:
+    """A DBC with the messages of our node only, from the text of dbc/eps_rig.dbc."""
+    sent = set(re.findall(rf"^BO_ (\d+) \w+: \d+ {_NODE}$", text, re.MULTILINE))
+    lines: list[str] = []
+    inside = True  # of a message that we send, or of none
+    for line in text.splitlines():
+        if not line.startswith(" SG_"):
+            inside = _is_ours(line, sent)
+        if inside and (line or lines[-1:] != [""]):
+            lines.append(re.sub(r"^( SG_ .* )\S+$", r"\1Vector__XXX", line))
+    made = "\n".join(lines) + "\n"
+    made = re.sub(r'^CM_ ".*";$', f'CM_ "{_ABOUT}";', made, flags=re.MULTILINE)
+    return re.sub(r"^BU_:.*$", f"BU_: {_NODE}", made, flags=re.MULTILINE)
+
+
+def _is_ours(line: str, sent: set[str]) -> bool:
+    """Whether a line speaks of a message with one of these ids, of our node, or of neither."""
+    message = re.match(r'(?:(?:CM_|BA_ "\w+") (?:BO_|SG_)|BO_|VAL_) (\d+) ', line)
+    node = re.match(r"CM_ BU_ (\w+) ", line)
+    return message[1] in sent if message else not node or node[1] == _NODE
+
+
 if __name__ == "__main__":
+    OURS.write_text(ours(DBC.read_text(encoding="utf-8")), encoding="utf-8")
     DOCUMENT.write_text(rendered(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")

@@ -144,6 +144,25 @@ def test_the_document_is_in_step_with_the_database() -> None:
     assert document == reference.rendered(document), "run scripts/bus_reference.py"
 
 
+def test_the_database_of_our_messages_is_in_step() -> None:
+    text = (ROOT / "dbc" / "eps_rig.dbc").read_text(encoding="utf-8")
+    file = ROOT / "dbc" / "eps_hil.dbc"
+    assert file.read_text(encoding="utf-8") == script().ours(text), "run scripts/bus_reference.py"
+    ours = {message.name: message for message in load_database([file]).messages}
+    assert ours.keys() == {m.name for m in DATABASE.messages if m.senders == ["EPS_HIL"]}
+    assert {"EPSHIL_Estimate", "EPSHIL_Verdict", "EPSHIL_Health"} < ours.keys()
+    for name, message in ours.items():
+        whole = DATABASE.get_message_by_name(name)
+        assert (message.frame_id, message.cycle_time) == (whole.frame_id, whole.cycle_time)
+        for one, other in ((message, whole), *zip(message.signals, whole.signals, strict=True)):
+            said, meant = one.dbc.attributes, other.dbc.attributes
+            assert {k: v.value for k, v in said.items()} == {k: v.value for k, v in meant.items()}
+        assert message.comment == whole.comment
+        for one, other in zip(message.signals, whole.signals, strict=True):
+            for kind in ("name", "start", "length", "scale", "offset", "choices", "comment"):
+                assert getattr(one, kind) == getattr(other, kind), (name, one.name, kind)
+
+
 def test_bus_load_of_one_frame_is_that_of_the_standard() -> None:
     reference = script()
     # ISO 11898-1, base format, 8 bytes, with 3 bits of intermission: 111 bits, at most 24 stuffed
