@@ -36,13 +36,15 @@ _WORDS: dict[str, tuple[tuple[str, ...], ...]] = {
     "lateral_acceleration_m_s2": (("lateral", "lat"), ("acceleration", "acc", "accel")),
     "yaw_rate_rad_s": (("yaw",), ("rate", "speed", "velocity")),
 }
-"""One word of each group has to be in the name."""
+"""One word of each group has to be in the name, one of them at least in the signal's own."""
 _NEVER = (
     "setpoint", "set", "request", "requested", "target", "desired", "limit", "max", "min",
     "estimate", "applied", "commanded", "command", "status", "valid", "offset", "counter", "crc",
     "checksum", "suggested", "friction",
 )  # fmt: skip
 LEAST = 0.5
+_BY_MESSAGE = 0.2
+"""So much less sure where the message's name has to help: SpdAct of MotorStatus."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +104,11 @@ def _offer(canonical: str, candidate: Candidate) -> Guess | None:
         return None
     exact = candidate.name.lower() == canonical
     groups = _WORDS[canonical]
+    around = words(candidate.message)
     hits = sum(bool(there & set(group)) for group in groups)
+    by_message = sum(bool(around & set(group)) for group in groups if not there & set(group))
     wanted, known = units.quantity(CANONICAL[canonical].unit), units.known(candidate.unit)
-    if not exact and (hits < len(groups)):
+    if not exact and (not hits or hits + by_message < len(groups)):
         return None
     if known is not None and known[0] != wanted:
         return None
@@ -112,8 +116,11 @@ def _offer(canonical: str, candidate: Candidate) -> Guess | None:
     if exact:
         return Guess(canonical, candidate, 1.0, 0.99, "the canonical name")
     extra = len(there - set().union(*map(set, groups)))
-    base = 0.9 if known is not None else 0.55
-    said = f"name and unit ({unit})" if known is not None else f"name; unit '{unit}' is not known"
+    base = (0.9 if known is not None else 0.55) - (_BY_MESSAGE if by_message else 0.0)
+    name = "names of message and signal" if by_message else "name"
+    said = (
+        f"{name} and unit ({unit})" if known is not None else f"{name}; unit '{unit}' is not known"
+    )
     return Guess(canonical, candidate, known[1] if known else 1.0, base - 0.02 * extra, said)
 
 

@@ -56,6 +56,23 @@ def test_names_of_other_houses() -> None:
     assert found["motor_speed_rad_s"].scale == pytest.approx(np.pi / 30)
 
 
+def test_the_message_says_what_the_name_does_not() -> None:
+    found = guess(
+        [
+            Candidate("TrqAct", "Nm", "MotorStatus"), Candidate("SpdAct", "rpm", "MotorStatus"),
+            Candidate("Alive", None, "MotorStatus"), Candidate("TrqTorsionBar", "Nm", "Column"),
+            Candidate("SpdAct", "km/h", "Body"), Candidate("TrqReq", "Nm", "MotorRequest"),
+        ]
+    )  # fmt: skip
+    assert {name: (one.of.message, one.of.name) for name, one in found.items()} == {
+        "motor_speed_rad_s": ("MotorStatus", "SpdAct"),
+        "motor_torque_nm": ("MotorStatus", "TrqAct"),
+        "torque_sensor_nm": ("Column", "TrqTorsionBar"),
+    }
+    plain = guess([Candidate("MotorSpeed", "rpm", "Status")])["motor_speed_rad_s"]
+    assert found["motor_speed_rad_s"].sure < plain.sure - 0.1
+
+
 def test_two_that_fit_alike_are_less_sure() -> None:
     one = guess([Candidate("MotorSpeed", "rpm")])["motor_speed_rad_s"]
     two = guess([Candidate("MotorSpeed1", "rpm"), Candidate("MotorSpeed2", "rpm")])
