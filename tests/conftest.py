@@ -57,11 +57,10 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark them; under pytest-xdist the others go to the workers file by file."""
+    """Mark them."""
     for item in items:
         if watches_a_clock(item.path):
             item.add_marker(pytest.mark.real_time)
-        item.add_marker(pytest.mark.xdist_group(str(item.path.relative_to(ROOT / "tests"))))
 
 
 def _module(name: str, folder: str) -> ModuleType:
