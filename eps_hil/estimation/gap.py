@@ -47,6 +47,17 @@ def another_time(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
 
 
 @kernel
+def _cannot_turn(c: Constants, turn_rad: float, time_s: float) -> bool:
+    """Whether a rotor cannot turn so far from rest to rest, by half the time up and half down.
+
+    A jump that a single sample may make is never taken for one: of that the step at the gap's end
+    may be read half way.
+    """
+    furthest = 0.25 * c.largest_acceleration * time_s * time_s
+    return abs(turn_rad) > max(furthest, c.largest_turn)
+
+
+@kernel
 def bridge(
     c: Constants, s: Moment, u: Inputs, pos: float, neg: float, way: float, sigma0: float
 ) -> None:
@@ -59,7 +70,8 @@ def bridge(
     moved and come back: no further than the acceleration that counts as rest (SP_B of eq. 4a) takes
     it, a path of SP_B T²/8. A rotor that slid on, its angle measured and its speed changed by no
     more than noise (SP_A) and SP_B T, has taken the bristle along by that angle, where such speeds
-    go so far, and the same path is all that it may have hidden.
+    go so far, and the same path is all that it may have hidden. An angle that jumped tells nothing
+    of a rotor at rest on both sides: it is as if there were none, and has another zero since.
 
     Creep that is no more than the angle's noise is followed from where it was, noise filtered.
     More of it bends the bristle at once: were the rotor then judged as moving, it would leave
@@ -85,9 +97,14 @@ def bridge(
     far = NOISE_SIGMA * math.sqrt(2.0 * max(s.angle_noise, c.first_angle_noise))
     as_told = abs(change - went) < far + off * gap_s + GAIN * abs(went)
     steady = as_told and abs(speed - s.speed) < off
-    if c.angle_seen and rested:
+    jumped = rested and c.angle_seen and _cannot_turn(c, change, gap_s + c.step_s)
+    change = 0.0 if jumped else change
+    if c.angle_seen and rested and not jumped:
         hidden = 0.0
     kept = abs(change) + hidden < end if rested else c.angle_seen and steady
+    if kept and jumped:
+        s.unknown_nm = min(s.unknown_nm + sigma0 * hidden, sigma0 * abs(s.bristle) + most)
+        return
     if kept and rested and c.angle_seen:
         crept = u.motor_angle_rad - held
         noise = NOISE_SIGMA * NOISE_SIGMA * s.angle_noise

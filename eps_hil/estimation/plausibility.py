@@ -222,10 +222,10 @@ def watch_anew(watch: Records) -> None:
 def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Limits:
     """Limits of a model and its settings; what is not set follows from the model."""
     chosen, ratio = settings.plausibility, model.rack_to_rotor_ratio_rad_per_m
-    torque = chosen.motor_torque_nm or 1.2 * chosen.estimate_n / ratio
+    torque = chosen.largest_torque_nm(ratio)
     most = (torque, chosen.torque_sensor_nm, chosen.motor_speed_rad_s, math.inf, math.inf)
-    fastest = 3.0 * torque / model.inertia_kg_m2
-    rate = (math.inf, math.inf, fastest, 2.0 * chosen.motor_speed_rad_s, math.inf)
+    fastest = chosen.largest_acceleration_rad_s2(ratio, model.inertia_kg_m2)
+    rate = (math.inf, math.inf, fastest, chosen.largest_turning_rad_s, math.inf)
     step_s, step_ms = settings.step_s, settings.step_s * 1e3
     stiff = math.sqrt(model.friction.sigma0_nm_per_rad / model.inertia_kg_m2)
     window = min(max(round(1.5 / stiff / step_s), 4), round(_WINDOW_S / step_s))

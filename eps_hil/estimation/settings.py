@@ -58,6 +58,19 @@ class PlausibilitySettings:
     """How long after a jump that no motion followed the torque is doubted, if it does not jump
     back."""
 
+    def largest_torque_nm(self, ratio: float) -> float:
+        """At the rotor, which turns ``ratio`` rad per metre of the rack."""
+        return self.motor_torque_nm or 1.2 * self.estimate_n / ratio
+
+    def largest_acceleration_rad_s2(self, ratio: float, inertia_kg_m2: float) -> float:
+        """Of the rotor, by three such torques: motor, driver and rack."""
+        return 3.0 * self.largest_torque_nm(ratio) / inertia_kg_m2
+
+    @property
+    def largest_turning_rad_s(self) -> float:
+        """What an angle's samples may turn by, before one of them is refused."""
+        return 2.0 * self.motor_speed_rad_s
+
 
 @with_config(ConfigDict(extra="forbid"))
 @dataclass(frozen=True, slots=True)

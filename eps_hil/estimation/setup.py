@@ -51,6 +51,8 @@ class Constants(NamedTuple):
     level_step: float
     use_dead_zone: bool
     angle_seen: bool
+    largest_acceleration: float
+    largest_turn: float
     limiter_speed: float
     limiter_acceleration: float
     settle_steps: int
@@ -140,6 +142,10 @@ def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = Fals
         level_step=step_s * settings.level_slew_nm_per_s,
         use_dead_zone=settings.dead_zone,
         angle_seen=angle_seen,
+        largest_acceleration=settings.plausibility.largest_acceleration_rad_s2(
+            model.rack_to_rotor_ratio_rad_per_m, model.inertia_kg_m2
+        ),
+        largest_turn=settings.plausibility.largest_turning_rad_s * step_s,
         limiter_speed=settings.limiter_speed_rad_s,
         limiter_acceleration=settings.limiter_acceleration_rad_s2,
         settle_steps=round(settings.settle_s / step_s),

@@ -184,3 +184,30 @@ def test_what_crept_in_a_gap_bends_the_bristle(reference_model: Model, lost_ms: 
     back = sum(ends) * (1.0 - np.exp(-0.02 / ends[1]))  # eq. 2a, from one end towards the other
     expected = before + ratio * law.sigma0_nm_per_rad * back
     assert trace.rack_force_n[-1] == pytest.approx(expected, abs=40.0)
+
+
+@pytest.mark.parametrize("kind", ["observer", "bristle_filter"])
+@pytest.mark.parametrize(
+    ("jump_rad", "lost_ms", "known"),
+    [(-4.0, 0, True), (4.0, 0, True), (-4.0, 3, True), (-2.9, 3, False), (-6.0, 12, False)],
+)
+def test_an_angle_that_jumps_at_rest_bends_no_bristle(
+    reference_model: Model, kind: Any, jump_rad: float, lost_ms: int, known: bool
+) -> None:
+    """From rest to rest no load turns a rotor 4 rad in some ms; 6 rad in 12 ms one could."""
+    series, settings = back_and_rest(3.5), EstimatorSettings(kind=kind, stale_after_s=0.002)
+    expected = estimate(series, reference_model, settings)
+    series["motor_angle_rad"].value[1000:1400] += jump_rad
+    away = (1000 * MS, 1400 * MS)
+    for name in NAMES[2:]:
+        s = series[name]
+        lost = sum((s.t_ns > t - 2 * MS) & (s.t_ns < t - 2 * MS + lost_ms * MS) for t in away) > 0
+        s.value[lost] = np.nan
+    trace = estimate(series, reference_model, settings)
+    assert np.all(within(trace, 1.003, 1.1) != 0)
+    amid = within(trace, 1.2, 1.38) & UNKNOWN
+    assert np.all(amid == 0) == known
+    after = within(trace, 2.4, 3.4)
+    assert np.all((after == 0) == known)
+    if known:
+        assert trace.rack_force_n[-1] == pytest.approx(expected.rack_force_n[-1], abs=1.0)
