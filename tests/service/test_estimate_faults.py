@@ -12,10 +12,11 @@ from eps_hil.bus.sample_clock import SampleClock
 from eps_hil.estimation.stream import StreamEstimator
 from eps_hil.oracle.faults import case, in_nodes
 from eps_hil.oracle.faults.drive import drive
+from eps_hil.oracle.faults.judge import errors
 from eps_hil.oracle.faults.scene import STATE, Scene
 from eps_hil.oracle.faults.stretch import MS, Stretch
 from eps_hil.oracle.faults.table import table
-from eps_hil.oracle.faults.traffic import T0_NS, Published, World
+from eps_hil.oracle.faults.traffic import T0_NS, VALID, Published, World
 from eps_hil.service.core import ServiceCore
 
 pytestmark = pytest.mark.slow
@@ -156,6 +157,28 @@ def test_a_restarted_ecu_has_its_zero_from_an_angle(world: World) -> None:
     assert told[:200] == [missing] * 200
     assert told[200] == 0.0
     assert max(abs(each) for each in told[200:]) < 20.0
+
+
+@pytest.mark.parametrize("by_rad", [-4.0, 4.0])
+def test_an_angle_that_jumps_at_rest_and_back_costs_the_wait_for_a_hole(
+    world: World, by_rad: float
+) -> None:
+    """The manoeuvre rests from 22.7 to 24 s; the bristle stays known, so nothing has to slide."""
+    start, demo = T0_NS + 22_500 * MS, world.recordings["demo"]
+    stretch = Stretch(start, start + 1_490 * MS, demo.between(start, start + 1_490 * MS))
+    stretch.world.append((start, "demo", 0))
+    scene, layout = Scene(world, stretch, np.random.default_rng(0)), world.layouts[STATE]
+    by = round(by_rad / layout.fields["MotorAngle"].scale)
+    in_nodes._values(
+        scene, STATE, start + 300 * MS, start + 400 * MS,
+        lambda lay, data: lay.with_raw(data, MotorAngle=lay.raw(data, "MotorAngle") + by),
+    )  # fmt: skip
+    sent = drive(world, world.copy(demo.cores[22_500]), stretch)
+    off = errors(scene, sent)
+    valid = {each.at // MS - start // MS: each.status == VALID for each in sent}
+    assert not any(valid.get(k, True) for k in range(305, 1_100))
+    assert all(valid.get(k, True) for k in range(1_250, 1_490))
+    assert np.nanmax(np.abs(off)) < 30.0
 
 
 def _judged(
