@@ -20,6 +20,7 @@ from eps_hil.estimation.speed_and_angle import (
     LEAK_PER_MS,
     RING,
     SLOW_LEAK_PER_MS,
+    SUDDEN,
     WRAP,
     angle_off,
     jumped_alone,
@@ -129,8 +130,11 @@ class Watch:
     unsure: int
     missed_now: int
     started: int
-    # Whether speed and angle part at this step.
+    # Whether speed and angle part at this step; for how many steps in a row (1, or more: 2); and
+    # whether the angle jumped at one of the first two, which is one jump that was read half way.
     parted: int
+    parting: int
+    sudden: int
     # Angle less the speed's path, and what scales its tolerance; the angle of the step before.
     slip: float
     path: float
@@ -185,6 +189,7 @@ class Limits(NamedTuple):
     angle_seen: bool
     angle_noise: float
     angle_tolerance: float
+    sudden_turn: float
     estimate_n: float
 
 
@@ -263,6 +268,7 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
         angle_seen=angle_seen,
         angle_noise=settings.angle_noise_rad**2,
         angle_tolerance=_ANGLE_SIGMA * settings.angle_noise_rad,
+        sudden_turn=max(fastest * step_s**2, 3.0 * _ANGLE_SIGMA * settings.angle_noise_rad),
         estimate_n=chosen.estimate_n,
     )
 
@@ -384,7 +390,7 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     if not p.on:
         return 0, False
     w = watch[0]
-    w.parted = 0
+    parting, w.parted, w.parting = w.parting, 0, 0
     if missing != 0:
         w.slip, w.path, w.gain = 0.0, 0.0, 0.0
         w.mean_slip, w.mean_path, w.mean_gain = 0.0, 0.0, 0.0
@@ -408,11 +414,13 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     watch_jump(w, p, u)
     reason |= latched(w, p)
     now = w.told > 0
-    off = p.angle_seen and angle_off(w, p, u, before)
+    off = angle_off(w, p, u, before) if p.angle_seen else 0
     if p.angle_seen and jumped_alone(w, p, u):
-        w.stalled, w.missed, off = p.stalled_steps, 1, True
+        w.stalled, w.missed, off = p.stalled_steps, 1, 1
     if off:
-        w.parted = 1
+        w.parted, w.parting = 1, min(parting + 1, 2)
+        if parting < 2:
+            w.sudden = 1 if off == SUDDEN else 0
         reason |= _INCONSISTENT
         now = True
     for i in range(COUNT):

@@ -29,15 +29,17 @@ _MOST = 1.5
 """Tolerances that the slow residual may grow to: it is to be over soon after the fault."""
 _PAIR = math.sqrt(2.0)
 """Noise of two angles, whose difference is looked at, in that of one."""
+SUDDEN = 2
 _SPEED_JUMP = 1.5
 """A jump of the speed (rad/s) from one step to the next that is looked at."""
 
 
 @kernel
-def angle_off(w: "Watch", p: "Limits", u: Inputs, before: float) -> bool:
+def angle_off(w: "Watch", p: "Limits", u: Inputs, before: float) -> int:
     """Whether the angle's way and the speed's differ by more than noise, gain and lag make.
 
-    ``before``: speed (rad/s) of the step before.
+    ``before``: speed (rad/s) of the step before. ``SUDDEN``: by more than any load turns a rotor
+    in two steps from rest to rest (a jump may be read half way), so that the angle is wrong.
     """
     speed = u.motor_speed_rad_s
     way, turned = 0.5 * (speed + before) * p.step_s, u.motor_angle_rad - w.angle
@@ -53,7 +55,9 @@ def angle_off(w: "Watch", p: "Limits", u: Inputs, before: float) -> bool:
     tolerance = p.angle_tolerance + _SCALE * abs(w.path) + _SMOOTHED_S * abs(w.gain)
     on_average = _off_on_average(w, p, u)
     alone = _slides_alone(w, p, u, apart, turned, speed - before)
-    return abs(w.slip) > tolerance or on_average or alone or jumped
+    if not (abs(w.slip) > tolerance or on_average or alone or jumped):
+        return 0
+    return SUDDEN if abs(apart) > p.sudden_turn else 1
 
 
 def mean_noise(leak: float, mean: float, step_s: float) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from eps_hil.estimation import alignment, levels
 from eps_hil.estimation.plausibility import judge_sample, judge_step, new_watch, watch_anew
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
+    HELD,
     NOBODY_KNOWS,
     RUNS,
     Carried,
@@ -211,6 +212,26 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
     return inputs, reason, seen
 
 
+@kernel
+def _go_back(m: Memory, c: Constants, angle_rad: float) -> None:
+    """The state from before what is doubted; where speed and angle part, moved by the angle.
+
+    Not where the angle jumped and the rotor rested by its speed: then the angle is wrong. A jump
+    that is read half way may show as one only a step later.
+    """
+    w, s = m.watch[0], m.carried.moment[0]
+    rolled = s.running == RUNS
+    if rolled:
+        roll_back(m.carried, m.kept)
+    if not w.parted or s.running != HELD:
+        return
+    before = m.kept.moments[0]
+    if w.sudden and abs(before.speed) < c.limiter_speed:
+        s.speed, s.acceleration = before.speed, before.acceleration
+    elif rolled:
+        move_by_angle(m.carried, angle_rad, c.step_s)
+
+
 @kernel(inline="always")
 def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     """Step the grid up to sync stamp ``t``; results in m.t_ns, m.estimate, m.reason [0:n]."""
@@ -246,10 +267,8 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         inputs, reason, seen = gather(m, timing, at)
         reason |= extra
         doubt, now_seen = judge_step(m.watch, timing.limits, inputs, seen, reason)
-        if now_seen and m.carried.moment[0].running == RUNS:
-            roll_back(m.carried, m.kept)
-            if m.watch[0].parted:
-                move_by_angle(m.carried, inputs.motor_angle_rad, c.step_s)
+        if now_seen:
+            _go_back(m, c, inputs.motor_angle_rad)
         reason = step(c, x, m.carried, inputs, reason | (doubt if now_seen else 0))
         seen_since = m.watch[0].unsure == 0 or m.watch[0].started != 0
         sound = (reason | doubt) & ~_SOUND == 0 and seen_since

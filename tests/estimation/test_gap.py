@@ -211,3 +211,30 @@ def test_an_angle_that_jumps_at_rest_bends_no_bristle(
     assert np.all((after == 0) == known)
     if known:
         assert trace.rack_force_n[-1] == pytest.approx(expected.rack_force_n[-1], abs=1.0)
+
+
+@pytest.mark.parametrize("kind", ["observer", "bristle_filter"])
+@pytest.mark.parametrize("away_ms", [30, 100, 400])
+@pytest.mark.parametrize(("jump_rad", "late_us"), [(-2.0, 0), (0.2, 0), (-2.0, 32), (2.0, 968)])
+def test_an_angle_that_was_away_for_a_moment_bends_no_bristle(
+    reference_model: Model, kind: Any, away_ms: int, jump_rad: float, late_us: int
+) -> None:
+    """It tells of no way at rest, read half way or whole: neither going nor once it is back."""
+    series, settings = back_and_rest(3.5), EstimatorSettings(kind=kind)
+    s = series["motor_angle_rad"]
+    series["motor_angle_rad"] = Series(s.t_ns + 1000 * late_us, s.value)
+    expected = estimate(series, reference_model, settings)
+    series["motor_angle_rad"].value[1000 : 1000 + away_ms] += jump_rad
+    trace = estimate(series, reference_model, settings)
+    assert np.all(within(trace, 1.003, 1.1) != 0)
+    assert np.all(within(trace, 2.4, 3.4) == 0)
+    assert trace.rack_force_n[-1] == pytest.approx(expected.rack_force_n[-1], abs=1.0)
+
+
+def test_a_rotor_that_stays_where_its_angle_jumped_to_has_another_bristle(
+    reference_model: Model,
+) -> None:
+    """Up to 3 rad a rotor may have turned meanwhile: nobody looks until speed and angle agree."""
+    series = back_and_rest(3.5)
+    series["motor_angle_rad"].value[1000:] += 2.0
+    assert np.all(within(estimate(series, reference_model), 1.5, 3.4) & UNKNOWN)
