@@ -31,6 +31,9 @@ LEAST_SHARE, LEAST_LOWER = 0.10, 0.02
 """Of the hold-outs' excess that a term has to take off; the same of its 95 % interval's end."""
 MOST_OF_IT = 0.5
 """A term that takes off so much of recordings it never saw needs no null search beside it."""
+LEFT_OF_SIMPLE = 0.5
+"""Most that a costlier law may leave of what a cheaper one leaves to be taken in its place, where
+what that one leaves can be seen: a share of the gain says nothing where nearly all is gained."""
 LAW_MARGIN = 0.05
 """Share of the excess by which a curve or map has to be better than a law to be written."""
 TIME_LEAVES = 0.5
@@ -188,7 +191,8 @@ def _best(
     drawings = tables(fitted, kept, maps=maps) if drawn else ()
     others = [_table(fitted, kept, one.entry(ranges), own) for one in drawings]
     lasting, timed = ([one for one in trials if _of_time(one) is of] for of in (False, True))
-    chosen, table, late = (max(k, key=_worth, default=None) for k in (lasting, others, timed))
+    simple, table, late = (max(k, key=_worth, default=None) for k in (lasting, others, timed))
+    chosen = None if simple is None else _costlier(simple, lasting, fitted, kept)
     if table is not None and (chosen is None or table.worth > chosen.worth + LAW_MARGIN):
         chosen = table
     if late is not None and (chosen is None or _leaves_less(late, chosen, kept)):
@@ -200,6 +204,36 @@ def _best(
 
 def _worth(trial: _Trial) -> float:
     return trial.worth
+
+
+def _costlier(simple: _Trial, trials: Sequence[_Trial], fitted: Sight, kept: Sight) -> _Trial:
+    """The law that clearly leaves less than half of what ``simple`` leaves, or that one.
+
+    Prices are shares of the whole gain: beside a large effect they would hide a wrong shape that
+    stands far out of the noise. So the cheaper law has to leave what is worth another term, and
+    the costlier less than half of it on the fitted recordings and, by its interval, on hold-outs.
+    """
+    chosen = simple
+    while _excess(kept, chosen.kept) > _LEFT * float(np.sum(kept.weight**2)):
+        most = LEFT_OF_SIMPLE * _excess(fitted, chosen.fitted)
+        better = [
+            one
+            for one in trials
+            if _excess(fitted, one.fitted) < most and _clearly_halves(kept, one.kept, chosen.kept)
+        ]
+        if not better:
+            break
+        chosen = max(better, key=_worth)
+    return chosen
+
+
+def _clearly_halves(sight: Sight, after: Floats, before: Floats) -> bool:
+    """Whether ``after`` leaves less than its share of the excess of ``before``, block by block."""
+    block, share = sight.block, LEFT_OF_SIMPLE
+    more = sight.weight**2 * ((after**2 - 1.0) - share * (before**2 - 1.0))
+    sums = np.bincount(block, more, minlength=int(np.max(block)) + 1)
+    drawn = np.random.default_rng(20).integers(0, len(sums), (_DRAWS, len(sums)))
+    return float(np.percentile(np.sum(sums[drawn], axis=1), 97.5)) < 0.0
 
 
 def _of_time(trial: _Trial) -> bool:

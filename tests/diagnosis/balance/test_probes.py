@@ -94,6 +94,18 @@ def test_friction_does_not_fall_with_the_load(problem: Problem) -> None:
     assert high == gain.upper
 
 
+def test_drag_does_not_drive(problem: Problem) -> None:
+    """Less than none at all cannot be missing; what a model file holds can be."""
+    effect = catalogue()["viscous_friction"]
+    (coefficient,) = effect.parameters
+    friction = problem.model.friction
+    own = min(friction.viscous_pos_nm_s_per_rad, friction.viscous_neg_nm_s_per_rad)
+    assert bounds(effect, coefficient, problem) == (-own, coefficient.upper)
+    held = {"effect": effect.id, coefficient.name: 3e-4}
+    more = replace(problem, model=replace(problem.model, effects=(held,)))
+    assert bounds(effect, coefficient, more)[0] == pytest.approx(-own - 3e-4)
+
+
 @pytest.mark.slow
 def test_what_fades_many_times_more_slowly_than_was_recorded_is_another_level(
     problem: Problem,

@@ -159,7 +159,9 @@ def test_what_has_no_name_is_modelled(eddy: tuple[Problem, Problem]) -> None:
     assert found is not None
     assert found.share > 0.9
     assert found.ci95[0] > 0.7
-    assert any("motor_speed_rad_s" in name for name in found.entries[0]["inputs"])
+    assert sorted(found.entries[0]["shapes"]) == ["linear", "rational"]
+    assert all("motor_speed_rad_s" in name for name in found.entries[0]["inputs"])
+    assert found.entries[0]["width_2"] == pytest.approx(30.0, rel=0.05)
     for entry in found.entries:
         values_of(entry, fitted.model)
 
@@ -255,3 +257,53 @@ def test_a_memory_longer_than_any_recording_is_a_clock(eddy: tuple[Problem, Prob
     sight = Sight(eddy[0], eddy[0].model)
     longer = _WARMS.with_numbers({(0, "memory"): 1.1 * sight.longest_s})
     assert [find_module._is_a_clock(one, sight) for one in (_WARMS, longer)] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("simple", "costly", "chosen"),
+    [(2e-2, 5e-4, "costly"), (2e-2, 1.4e-2, "simple"), (5e-5, 1e-6, "simple")],
+    ids=["half of it is gone", "a third of it is gone", "there is nothing to see"],
+)
+def test_a_costlier_law_has_to_leave_half_of_what_a_cheaper_leaves(
+    simple: float, costly: float, chosen: str, eddy: tuple[Problem, Problem]
+) -> None:
+    """The brake is 700 times the noise: two hundredths of it are far out of it, 5e-5 are not."""
+    sights = [Sight(one, one.model) for one in eddy]
+
+    def trial(share: float, price: float) -> find_module._Trial:
+        fitted, kept = (np.sqrt(1.0 + share * (one.residual**2 - 1.0).clip(0.0)) for one in sights)
+        worth = (1.0 - share) * (1.0 - price)
+        return find_module._Trial(find_module.Term({}, None), kept, fitted, worth, sights[0].model)
+
+    both = {"simple": trial(simple, 0.004), "costly": trial(costly, 0.024)}
+    best = find_module._costlier(both["simple"], list(both.values()), *sights)
+    assert best is both[chosen]
+
+
+_SIMPLE = [
+    Law("rotor", "sum", (Input("motor_speed_rad_s", "saturating", numbers={"width": 20.0}),),
+        -0.04),
+    Law("rotor", "sum", (Input("motor_speed_rad_s", "gaussian",
+                               numbers={"centre": 15.0, "width": 8.0}),), -0.04),
+    Law("rotor", "sum", (Input("rack_force_n", "saturating", numbers={"width": 200.0}),), -0.04),
+]  # fmt: skip
+_BESIDE = Law(
+    "rotor", "sum", (Input("motor_angle_rad", "sine", numbers={"order": 3.0, "phase": 0.5}),), 2e-3
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("true", _SIMPLE, ids=["tanh", "peak", "load"])
+def test_a_simple_law_stays_simple_beside_a_small_one(
+    true: Law, eddy_free: tuple[Problem, Problem]
+) -> None:
+    """What it leaves, a ripple that stands out of the noise, is no reason for a costlier law."""
+    lacking = replace(eddy_free[0].model, effects=(true.entry({}), _BESIDE.entry({})))
+    fitted, kept = (Problem(one.recordings, lacking) for one in eddy_free)
+    found = find(fitted, kept, lacking, np.zeros((len(fitted.scale), 0)))
+    assert found is not None
+    law = found.terms[0].law
+    assert law is not None
+    assert law.family == true.family
+    assert law.inputs[0].shape == true.inputs[0].shape
+    assert law.size == pytest.approx(-true.size, rel=0.1)
