@@ -23,12 +23,12 @@ from eps_hil.diagnosis.attribute.scoring import (
     score,
     threshold,
 )
-from eps_hil.diagnosis.balance.baseline import ALL, TIMING
+from eps_hil.diagnosis.balance.baseline import ALL, HOLD, TIMING
 from eps_hil.diagnosis.balance.excerpt import excerpt
 from eps_hil.diagnosis.balance.fit import Fit, ablated, deviation, fit, matters
 from eps_hil.diagnosis.balance.probes import Candidate, candidates
 from eps_hil.diagnosis.balance.problem import Problem, knee, term_of
-from eps_hil.diagnosis.balance.reference import gain_is_observable
+from eps_hil.diagnosis.balance.reference import OF_MOTOR, gain_is_observable
 from eps_hil.diagnosis.mismatch.curve import ID as CURVE
 from eps_hil.diagnosis.mismatch.curve import has_curve, levelled, with_curve
 
@@ -38,8 +38,9 @@ MOST_EFFECTS = 8
 CURVE_MARGIN = 0.6
 """A free curve is only looked at where no simpler effect reaches this share of its gain."""
 _CURVE_ROUNDS = 3
-FARTHEST = 3.0
-"""Usual errors by which a believable refit moves the model's own numbers at most."""
+FARTHEST, LATEST = 3.0, 7.9
+"""Usual errors by which a believable refit moves the model's own numbers at most; the motor's
+torque, up to where a fit stops."""
 
 
 Say = Callable[[str, float], None]
@@ -126,7 +127,7 @@ def _search(
         pool = [
             one
             for one in pool
-            if one.effect.id not in SCALES or gain_is_observable(problem, one.columns)
+            if one.effect.id not in (*SCALES, *OF_MOTOR) or gain_is_observable(problem, one.columns)
         ]
     selection = Selection(null, found, pool, problem, found, settled=settled)
     structures = [one for one in pool if one.effect.id not in SPANNED]
@@ -162,8 +163,11 @@ def _search(
 
 
 def _believable(found: Fit) -> bool:
-    """Whether the model's own numbers stayed within what errors of them may be."""
-    return all(abs(value) < FARTHEST for value in found.own.values())
+    """Whether the model's own numbers stayed within what errors of them may be.
+
+    How late the motor's torque is bends no other number: it may be as late as it is looked for.
+    """
+    return all(abs(v) < (LATEST if name == HOLD else FARTHEST) for name, v in found.own.items())
 
 
 def _where_to_look(problem: Problem, found: Fit) -> Fit:
