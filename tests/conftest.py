@@ -57,7 +57,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark them."""
+    """Mark those that watch a clock."""
     for item in items:
         if watches_a_clock(item.path):
             item.add_marker(pytest.mark.real_time)

@@ -25,7 +25,7 @@ from eps_hil.diagnosis.attribute.scoring import (
 )
 from eps_hil.diagnosis.balance.baseline import ALL, HOLD, TIMING
 from eps_hil.diagnosis.balance.excerpt import excerpt
-from eps_hil.diagnosis.balance.fit import Fit, ablated, deviation, fit, matters
+from eps_hil.diagnosis.balance.fit import FARTHEST_OWN, Fit, ablated, deviation, fit, matters
 from eps_hil.diagnosis.balance.probes import Candidate, candidates
 from eps_hil.diagnosis.balance.problem import Problem, knee, term_of
 from eps_hil.diagnosis.balance.reference import OF_MOTOR, gain_is_observable
@@ -38,9 +38,10 @@ MOST_EFFECTS = 8
 CURVE_MARGIN = 0.6
 """A free curve is only looked at where no simpler effect reaches this share of its gain."""
 _CURVE_ROUNDS = 3
-FARTHEST, LATEST = 3.0, 7.9
-"""Usual errors by which a believable refit moves the model's own numbers at most; the motor's
-torque, up to where a fit stops."""
+FARTHEST = 3.0
+"""Usual errors by which a believable refit moves the model's own numbers at most."""
+LATEST = 0.99 * FARTHEST_OWN
+"""The same of the motor torque's delay: what ends where a fit stops is no delay."""
 
 
 Say = Callable[[str, float], None]

@@ -24,7 +24,7 @@ _FIXED = ("belt_ratio", "pole_pairs", "harmonic", "curve")
 BRISTLE, _LOST_PATHS = "presliding_hysteresis", 1.25
 """A bristle stiffer by no more than so many lost paths is what the angle's noise makes of it."""
 _PLACE = ("centre_m", "width_m")
-_FARTHEST = 8.0
+FARTHEST_OWN = 8.0
 """Usual errors beyond which the model's own numbers are not moved: it is another rig then."""
 _TRUSTED = 0.7
 """Share of the promised gain below which sensitivities are out of date."""
@@ -170,7 +170,7 @@ class _Knobs:
         return np.column_stack([own_column(self.problem, name) for name in self.names])
 
     def moved(self, step: Floats) -> "_Knobs":
-        turned = np.clip(self.vector + step, -_FARTHEST, _FARTHEST)
+        turned = np.clip(self.vector + step, -FARTHEST_OWN, FARTHEST_OWN)
         values = dict(zip(self.names, turned.tolist(), strict=True))
         return _Knobs(self.problem, values)
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.baseline import ALL, OFFSET, STIFFNESS
-from eps_hil.diagnosis.balance.fit import own_column
+from eps_hil.diagnosis.balance.fit import FARTHEST_OWN, own_column
 from eps_hil.diagnosis.balance.problem import (
     NOTHING_NM,
     PRESLIDING_SIGMA_NM,
@@ -32,7 +32,7 @@ _RIGHT = 2.0
 """Times what rest and presliding leave in a right model, up to which they count as they are."""
 _NOT_SLIDING = (STIFFNESS, "sigma1_nm_s_per_rad", OFFSET)
 """Numbers that sliding says nothing of, or nothing beside both directions' levels."""
-_ROUNDS, _FARTHEST, _TAIL = 5, 8.0, 3.0
+_ROUNDS, _TAIL = 5, 3.0
 
 
 def problem_of(
@@ -81,7 +81,7 @@ def _left(problem: Problem) -> Floats:
         moved = np.asarray(-np.linalg.solve(normal, weighted.T @ y), dtype=np.float64)
         left = y + columns @ moved
         weight = huber(left, knee(left))
-    own = dict(zip(names, np.clip(moved, -_FARTHEST, _FARTHEST).tolist(), strict=True))
+    own = dict(zip(names, np.clip(moved, -FARTHEST_OWN, FARTHEST_OWN).tolist(), strict=True))
     fitted = problem.residual(problem.with_entries([], own))
     better = np.median(np.abs(fitted[problem.sliding])) < np.median(np.abs(y))
     return fitted if better else given
