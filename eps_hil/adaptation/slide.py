@@ -12,6 +12,7 @@ depends on k0, a few rounds are made. docs/theory-adaptation.md derives it.
 """
 
 import math
+from collections.abc import Generator
 from typing import NamedTuple
 
 import numpy as np
@@ -81,6 +82,18 @@ def slide_level(
     bristle to one of :data:`FULL_SHARES`, the second half of the way is used, and the result leans
     on the bristle's form (few ``lengths``, and ``form_nm``, say so).
     """
+    pieces = slide_level_in_pieces(slide, model, positive=positive, guess_nm=guess_nm)
+    while True:
+        try:
+            next(pieces)
+        except StopIteration as end:
+            return end.value
+
+
+def slide_level_in_pieces(
+    slide: Slide, model: Model, *, positive: bool, guess_nm: float
+) -> Generator[None, None, SlideLevel | None]:
+    """:func:`slide_level` a piece at each ``next``: for a loop that has a millisecond."""
     f = model.friction
     viscous = f.viscous_pos_nm_s_per_rad if positive else f.viscous_neg_nm_s_per_rad
     load = f.load_pos_nm_per_n if positive else f.load_neg_nm_per_n
@@ -91,7 +104,6 @@ def slide_level(
     momentum = model.inertia_kg_m2 * slide.speed_rad_s
     way = np.maximum(np.maximum.accumulate(slide.travel_rad), 0.0)
     offset = max(guess_nm, _LEAST_NM)
-    found: SlideLevel | None = None
     for _ in range(_ROUNDS):
         level = offset + float(np.mean(beside))
         start = min(max(slide.preload_nm / level, -1.0), 1.0)
@@ -102,22 +114,24 @@ def slide_level(
         taken = drive - share * beside - damping * (1.0 - share)
         line = momentum - _integral(taken, slide.step_s)
         part = slice(begin, None)
-        noise = _noise(slide.torque_nm[part])
-        found = _fit(line[part], share[part], way[part], slide.step_s, noise)
-        at_once = momentum - _integral(drive - beside, slide.step_s)
-        full = np.ones_like(share[part])
-        other = _fit(at_once[part], full, way[part], slide.step_s, noise)
-        found = found._replace(form_nm=abs(other.offset_nm - found.offset_nm))
-        lengths = float(way[-1]) * f.sigma0_nm_per_rad / level
-        found = found._replace(lengths=lengths, travel_rad=float(way[-1]))
-        if not _LEAST_NM < found.offset_nm < _MOST_NM:
+        before, offset = offset, _slope(line[part], share[part], slide.step_s)
+        if not _LEAST_NM < offset < _MOST_NM:
             return None
-        if abs(found.offset_nm - offset) < 1e-7:
+        yield
+        if abs(offset - before) < 1e-7:
             break
-        offset = found.offset_nm
-    if found is not None:
-        found = found._replace(bent_rad=_bent_rad(slide, model, found.offset_nm))
-    return found
+    noise = _noise(slide.torque_nm[part])
+    found = _fit(line[part], share[part], way[part], slide.step_s, noise)
+    yield
+    at_once = momentum - _integral(drive - beside, slide.step_s)
+    other = _slope(at_once[part], np.ones_like(share[part]), slide.step_s)
+    yield
+    return found._replace(
+        form_nm=abs(other - found.offset_nm),
+        lengths=float(way[-1]) * f.sigma0_nm_per_rad / level,
+        travel_rad=float(way[-1]),
+        bent_rad=_bent_rad(slide, model, found.offset_nm),
+    )
 
 
 def _bent_rad(slide: Slide, model: Model, torque_nm: float) -> float:
@@ -155,6 +169,13 @@ def _integral(values: Floats, step_s: float) -> Floats:
     """Trapezoids from the first sample on, shape (n,)."""
     inner = 0.5 * (values[1:] + values[:-1])
     return np.concatenate([[0.0], np.cumsum(inner)]) * step_s
+
+
+def _slope(line: Floats, share: Floats, step_s: float) -> float:
+    """Of the momentum over ∫g dt, which is −k0: k0 (Nm)."""
+    weight = _integral(share, step_s)
+    columns = np.column_stack([np.ones_like(weight), -weight])
+    return float(np.linalg.lstsq(columns, line, rcond=None)[0][1])
 
 
 def _fit(line: Floats, share: Floats, way: Floats, step_s: float, noise_nm: float) -> SlideLevel:

@@ -2,11 +2,12 @@
 
 import math
 from collections import deque
+from collections.abc import Generator
 
 import numpy as np
 
 from eps_hil.adaptation.gates import InjectionInputs
-from eps_hil.adaptation.slide import Floats, Slide, SlideLevel, slide_level
+from eps_hil.adaptation.slide import Floats, Slide, SlideLevel, slide_level_in_pieces
 from eps_hil.physics.model import Model
 
 _STEP_S = 1e-3
@@ -76,14 +77,22 @@ class SlideRecord:
         self._stamps[:kept], self._table[:kept] = self._stamps[part], self._table[part]
         self._n = kept
 
-    def level(self, guess_nm: float, positive: bool) -> SlideLevel | None:
-        """k0 of what was recorded since :meth:`begin`; ends the record."""
+    def level(self, guess_nm: float, positive: bool) -> Generator[None, None, SlideLevel | None]:
+        """k0 of what was recorded since :meth:`begin`, a piece of the sum at each ``next``.
+
+        The record is read with the first, and ends.
+        """
         whole = self._n > 0 and int(self._stamps[0]) < self._start_ns
         self.end()
         if not whole:  # longer than can be kept
             return None
         slide = self._slide()
-        return slide_level(slide, self._model, positive=positive, guess_nm=guess_nm)
+        yield
+        return (
+            yield from slide_level_in_pieces(
+                slide, self._model, positive=positive, guess_nm=guess_nm
+            )
+        )
 
     def _slide(self) -> Slide:
         time_s = (self._stamps[: self._n] - self._start_ns) * 1e-9

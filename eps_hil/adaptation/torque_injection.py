@@ -6,6 +6,7 @@ turns towards positive speed; k0+ belongs to ω ≥ 0).
 """
 
 import math
+from collections.abc import Generator
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from typing import NamedTuple
 from eps_hil.adaptation.gates import Gates, GateState, InjectionInputs
 from eps_hil.adaptation.injection_result import InjectionResult, Repetition, Seen, result_of
 from eps_hil.adaptation.injection_settings import InjectionSettings
+from eps_hil.adaptation.slide import SlideLevel
 from eps_hil.adaptation.slide_record import SlideRecord
 from eps_hil.physics.model import Model
 
@@ -110,6 +112,7 @@ class TorqueInjection:
         self._gates = Gates(settings.gates, model)
         self._filters = _Filters()
         self._record = SlideRecord(model)
+        self._evaluation: Generator[None, None, SlideLevel | None] | None = None
         self._found: list[Repetition] = []
         self._t_ns: int | None = None
         self._since_s = self._held_s = self._torque_nm = self._integral_nm = 0.0
@@ -149,7 +152,9 @@ class TorqueInjection:
             self._record.add(t_ns, inputs)
         self._since_s += max(dt_s, 0.0)
         if self.phase is Phase.ABORTING:
-            self._ramp_down(dt_s, self.settings.abort_nm_per_s, Phase.ABORTED)
+            self._lower(dt_s, self.settings.abort_nm_per_s)
+            if self._torque_nm == 0.0:
+                self._enter(Phase.ABORTED)
         elif not bad:
             self._advance(dt_s)
         return self._command()
@@ -244,22 +249,29 @@ class TorqueInjection:
             self._enter(Phase.RETURN)
 
     def _return(self, dt_s: float) -> None:
-        self._ramp_down(dt_s, self.settings.return_nm_per_s, Phase.REST)
+        """Torque down; meanwhile the slide is evaluated, a piece at each step.
+
+        At once it would take longer than a step has, and a command would be late.
+        """
+        self._lower(dt_s, self.settings.return_nm_per_s)
         slow = _STUCK_SHARE * self.settings.breakaway_speed_rad_s
-        if self._record.running and (
-            self._direction * self._filters.quick_rad_s < slow or self.phase is Phase.REST
-        ):
-            self._evaluate()
+        stuck = self._direction * self._filters.quick_rad_s < slow
+        if self._record.running and (stuck or self._torque_nm == 0.0):
+            self._evaluation = self._record.level(self._detection_nm, self._direction > 0)
+        if self._evaluation is not None:
+            try:
+                next(self._evaluation)
+            except StopIteration as end:
+                self._evaluation = None
+                self._evaluated(end.value)
+        elif self._torque_nm == 0.0:
+            self._enter(Phase.REST)
 
-    def _ramp_down(self, dt_s: float, rate: float, then: Phase) -> None:
-        self._torque_nm -= rate * max(dt_s, 0.0)
-        if self._torque_nm <= 0.0:
-            self._torque_nm = 0.0
-            self._enter(then)
+    def _lower(self, dt_s: float, rate: float) -> None:
+        self._torque_nm = max(self._torque_nm - rate * max(dt_s, 0.0), 0.0)
 
-    def _evaluate(self) -> None:
-        """Level of the slide that just ended."""
-        level = self._record.level(self._detection_nm, self._direction > 0)
+    def _evaluated(self, level: SlideLevel | None) -> None:
+        """Level of the slide that ended."""
         if level is None:
             self._failed("the rotor did not slide")
             return

@@ -88,6 +88,30 @@ def test_the_same_samples_give_the_same_result(reference_model: Model, bench: An
     assert runs[0].commands == runs[1].commands
 
 
+def test_no_step_has_more_than_a_piece_of_the_evaluation_to_do(
+    reference_model: Model, bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A slide is evaluated while a torque is on, within the millisecond that a step has."""
+    injection, sums = TorqueInjection(QUICK, reference_model), []
+    real_step, real_sum = TorqueInjection.step, np.linalg.lstsq
+
+    def step(self: TorqueInjection, *words: Any) -> Any:
+        sums.append(0)
+        return real_step(self, *words)
+
+    def counted(*words: Any, **options: Any) -> Any:
+        sums[-1] += 1
+        return real_sum(*words, **options)
+
+    monkeypatch.setattr(TorqueInjection, "step", step)
+    monkeypatch.setattr(np.linalg, "lstsq", counted)
+    bench(reference_model).run(injection)
+    assert injection.phase is Phase.DONE
+    assert len(injection.repetitions) == 4
+    assert sum(sums) >= 4 * 4
+    assert max(sums) <= 2
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [
@@ -192,4 +216,6 @@ def test_a_ramp_too_long_to_be_kept_gives_no_level(reference_model: Model) -> No
     record.begin(1)
     for k in range(300, 61_000):
         record.add(k * 1_000_000, inputs._replace(motor_speed_rad_s=5.0, motor_torque_nm=0.1))
-    assert record.level(0.1, positive=True) is None
+    with pytest.raises(StopIteration) as end:
+        next(record.level(0.1, positive=True))
+    assert end.value.value is None
