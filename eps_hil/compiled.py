@@ -10,11 +10,13 @@ every process: slower, and just as right.
 """
 
 import contextlib
+import functools
 import hashlib
 import inspect
 import os
 import shutil
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -266,8 +268,10 @@ class _Kept:
         with contextlib.suppress(OSError, ImportError):
             self._lock = _locked(self._place)
         found = self._cache.load_overload(signature, context)
-        if found is None and os.nice(0) >= _BACKGROUND_NICE:
-            self.let_go()
+        if found is None:
+            _tell()
+            if os.nice(0) >= _BACKGROUND_NICE:
+                self.let_go()
         return found
 
     def let_go(self) -> None:
@@ -275,6 +279,15 @@ class _Kept:
         if self._lock is not None:
             self._lock.close()
             self._lock = None
+
+
+@functools.cache
+def _tell() -> None:
+    """Once, to a person at a terminal: why nothing seems to happen."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        if sys.stderr.isatty():
+            sys.stderr.write("compiling, once after installation: up to a minute\n")
+            sys.stderr.flush()
 
 
 def _locked(place: Path) -> Any:

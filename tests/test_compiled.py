@@ -1,5 +1,6 @@
 """Where compiled functions are kept: the user's cache, else a private folder, else nowhere."""
 
+import contextlib
 import importlib
 import json
 import os
@@ -74,6 +75,28 @@ def test_where_the_users_cache_can_be_written(read_only_install: Path, tmp_path:
     assert folder.is_relative_to(tmp_path / ".cache" / "eps_hil" / "compiled")
     assert len(list(folder.rglob("*.nbi"))) == 2
     assert said["numba"] == ""  # other users of numba in the process keep their folder
+
+
+def test_at_a_terminal_it_says_once_why_it_takes_so_long(
+    read_only_install: Path, tmp_path: Path
+) -> None:
+    environment = os.environ | {"HOME": str(tmp_path), "PYTHONPATH": str(read_only_install)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    environment.pop("XDG_CACHE_HOME", None)
+
+    def told() -> bytes:
+        ours, theirs = os.openpty()
+        subprocess.run(
+            [sys.executable, "-c", PROGRAM], env=environment, cwd=read_only_install, check=True,
+            stdout=subprocess.DEVNULL, stderr=theirs,
+        )  # fmt: skip
+        os.close(theirs)
+        with contextlib.suppress(OSError):  # Linux: nobody writes there any more
+            return os.read(ours, 4096)
+        return b""
+
+    assert told().count(b"compiling, once after installation") == 1
+    assert told() == b""
 
 
 def test_another_install_of_the_same_source_compiles_nothing(

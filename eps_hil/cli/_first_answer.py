@@ -38,7 +38,6 @@ def prepare(series: "Mapping[str, Series]", recordings: int, *, effects: bool) -
         return
     samples = recordings * sum(len(one.t_ns) for one in series.values())
     if samples > MOST_SAMPLES or not compiled.interpret():
-        _say("compiling the estimator, once: about a minute")
         return
     if compiled.FOLDER is None:
         return
