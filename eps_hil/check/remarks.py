@@ -9,6 +9,7 @@ from typing import Any
 
 from eps_hil.bus.database import find_message
 from eps_hil.bus.mapping import SignalMapping
+from eps_hil.bus.protection import E2E_P01
 from eps_hil.check import units
 from eps_hil.physics.model import Model
 from eps_hil.service.config import ServiceConfig
@@ -130,15 +131,15 @@ def of_mapping(path: Path, mapping: SignalMapping, database: Any) -> Iterator[Re
         yield _warning(path, "sync", f"{sync.name} comes every {1e3 * cycle_s:g} ms only")
     for carrier in sorted({one.carrier for one in mapping.signals.values() if one.carrier}):
         message, rules = find_message(database, carrier), mapping.rules(carrier)
-        for what, words, used in (
-            ("counter", _COUNTERS, rules.counter),
-            ("crc", _CHECKSUMS, rules.crc),
+        for what, words, used, beside in (
+            ("counter", _COUNTERS, rules.counter, ""),
+            ("crc", _CHECKSUMS, rules.crc, f" and crc_profile, if it is not {E2E_P01}"),
         ):
             spare = [] if message is None or used is not None else _named(message, words)
             if spare:
                 yield _warning(
                     path, f"messages.{carrier}", f"{spare[0]} of the database is not checked",
-                    f"'{what}: {spare[0]}'",
+                    f"'{what}: {spare[0]}'{beside}",
                 )  # fmt: skip
 
 

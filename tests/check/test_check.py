@@ -104,6 +104,7 @@ def test_units_counters_and_crcs_of_the_database(tmp_path: Path) -> None:
     assert "MotorSpeed is in rpm, scale is 1; to rad/s it is 0.1047198" in lines
     assert "no counter: a lost or repeated frame is not noticed" in lines
     assert "is not checked; 'crc: " in lines
+    assert "and crc_profile, if it is not e2e_p01" in lines
     change(signals, "signals", "motor_torque_nm", "signal", to="TorsionBarTorque")
     change(
         signals,
