@@ -19,7 +19,8 @@ AGE_LIMIT_S = 0.02
 """By how much an estimate may be older than its look-back and be called valid."""
 AGE_DOUBT_N = 50.0
 """By how much the force may change in the time by which frames wait, or the clock was set."""
-_LATE_NS = 1_500_000  # a move of the line that counts
+_LATE_NS = 1_500_000  # a move of the line, or a lateness, that counts
+_WINDOW_NS = 5_000_000  # frames that waited catch up within one to two of these
 _RATE_MEMORY = 400  # sync frames after which nothing is left of a rate
 _STALE = int(Reason.STALE)
 
@@ -49,12 +50,15 @@ class AgeDoubt:
 
     Where the line of the samples' instants moves against the stamps, the clock was set or the
     sender paused: the estimate's age is wrong by as much, until what was sampled before is out of
-    the ``look_back_ns``. Frames that only waited catch up, and move no line.
+    the ``look_back_ns``. Frames that only waited catch up, and move no line. While none has for
+    5 to 10 ms, by their counters alone, the sender may have paused as well: the least lateness of
+    that time is in doubt, long before the line moves (which bursts may put off).
     """
 
     def __init__(self, look_back_ns: int) -> None:
         self._look_back_ns = look_back_ns
         self._late_ns, self._moved_ns, self._until_ns = 0, 0, 0
+        self._window, self._lowest = -1, (0, 0, 0)
         self._t_ns, self._force_n, self._rate = 0, 0.0, 0.0
 
     def stale(self, estimate: Estimate, receive_ns: int, sample_ns: int) -> bool:
@@ -66,13 +70,25 @@ class AgeDoubt:
             self._t_ns, self._force_n = estimate.t_ns, estimate.rack_force_n
         elif since < 0:
             self._t_ns, self._rate = 0, 0.0
-        moved = self._late_ns - (receive_ns - sample_ns)
-        self._late_ns = receive_ns - sample_ns
+        late = receive_ns - sample_ns
+        moved = self._late_ns - late
+        self._late_ns = late
         if moved > _LATE_NS:
             self._moved_ns, self._until_ns = moved, receive_ns + self._look_back_ns
         if not 0 <= self._until_ns - receive_ns <= self._look_back_ns:
             self._moved_ns = 0
-        return self._moved_ns * self._rate > AGE_DOUBT_N
+        return (self._moved_ns + self._waited(receive_ns, late)) * self._rate > AGE_DOUBT_N
+
+    def _waited(self, receive_ns: int, late: int) -> int:
+        """By how much all frames of the window and of the two before it were late at least."""
+        window = receive_ns // _WINDOW_NS
+        a, b, c = self._lowest
+        if window != self._window:
+            self._window, self._lowest = window, (b, c, late)
+        elif late < c:
+            self._lowest = a, b, late
+        lowest = min(self._lowest)
+        return lowest if lowest > _LATE_NS else 0
 
 
 class ShiftDoubt:
@@ -155,25 +171,25 @@ def run_aged(
 def _look_back_doubt(
     stale: npt.NDArray[np.bool_], trace: Trace, newest: Ints, arrivals: Arrivals, look_back_ns: int
 ) -> None:
-    """Ask :class:`AgeDoubt` around the moves of the line that count."""
+    """Ask :class:`AgeDoubt` around the moves of the line that count, and where frames are late."""
     receive_ns, sample_ns = arrivals.receive_ns, arrivals.sample_ns
     earlier: list[int] = []
     for at in blocks(len(receive_ns) - 1):
         pair = slice(at.start, at.stop + 1)
-        moved = np.diff(receive_ns[pair] - sample_ns[pair])
-        earlier += (at.start + np.flatnonzero(-moved > _LATE_NS)).tolist()
-    done = 0
-    for k in earlier:
-        if k + 1 < done:
-            continue
+        late = receive_ns[pair] - sample_ns[pair]
+        stay = (late[:-1] > _LATE_NS) & (late[1:] > _LATE_NS)
+        earlier += (at.start + np.flatnonzero((-np.diff(late) > _LATE_NS) | stay)).tolist()
+    i = 0
+    while i < len(earlier):
+        last = earlier[i]
         doubt = AgeDoubt(look_back_ns)
-        for j in range(max(k - _RATE_MEMORY, 0), len(receive_ns)):
-            receive, row = int(arrivals.receive_ns[j]), int(newest[j])
+        for j in range(max(last - _RATE_MEMORY, 0), len(receive_ns)):
+            receive, row = int(receive_ns[j]), int(newest[j])
             told = Estimate(
                 int(trace.t_ns[row]), float(trace.rack_force_n[row]), 0.0, False, Reason.FINE
             )
-            found = doubt.stale(told, receive, int(arrivals.sample_ns[j]))
-            stale[j] |= found
-            done = j
-            if j > k + 1 and receive - int(arrivals.receive_ns[k + 1]) > look_back_ns:
+            stale[j] |= doubt.stale(told, receive, int(sample_ns[j]))
+            while i < len(earlier) and earlier[i] < j:
+                last, i = earlier[i], i + 1
+            if j > last + 1 and receive - int(receive_ns[last + 1]) > look_back_ns:
                 break

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eps_hil.bus.frame import Frame
+from eps_hil.bus.sample_clock import SampleClock
 from eps_hil.estimation.age import AgeDoubt, ShiftDoubt
 from eps_hil.estimation.stream import SIGNALS, Estimate
 from eps_hil.estimation.validity import Reason
@@ -91,7 +92,10 @@ def test_a_start_amid_traffic_is_waited_for(
 def test_an_age_that_nobody_knows_is_told_where_the_force_is_fast(
     late_ms: int, rate_n_per_ms: float, told: bool
 ) -> None:
-    """Frames waited, or the clock was set: until what was sampled then is out of the look-back."""
+    """The clock was set: until what was sampled then is out of the look-back.
+
+    Frames that wait are late for as long as nobody can tell: from the third window of 5 ms on.
+    """
     doubt, ms = AgeDoubt(22 * 10**6), 10**6
     said = []
     for k in range(200):  # the clock is set at 100, and the samples' line begins anew at 116
@@ -99,10 +103,34 @@ def test_an_age_that_nobody_knows_is_told_where_the_force_is_fast(
         sample = k + (late_ms if k >= 116 else 0)
         estimate = Estimate((sample - 22) * ms, rate_n_per_ms * k, 0.0, True, Reason.FINE)
         said.append(doubt.stale(estimate, receive * ms, sample * ms))
-    assert not any(said[:116])
-    assert all(said[116:138]) == told
+    assert not any(said[:110])
+    assert all(said[110:138]) == told
     assert not any(said[145:])
     assert any(said) == told
+
+
+@pytest.mark.parametrize("paused_ms", [0.0, 1.0, 15.7])
+def test_frames_that_never_catch_up_are_not_taken_to_have_waited(paused_ms: float) -> None:
+    """By their counters they did wait; or the sender paused, and instants are off by as much.
+
+    A bus that is blocked again and again puts off the clock's own verdict for 128 ms.
+    """
+    ms, rate_n_per_ms = 10**6, 9.0
+    clock, doubt, free = SampleClock(ms, 256), AgeDoubt(22 * ms), 0
+    wrong, told = [], 0
+    for n in range(500):
+        sent = T0_NS + n * ms + (round(paused_ms * ms) if n >= 300 else 0)
+        blocked = max(6 * ms - (sent - T0_NS) % (10 * ms), 0) if 300 <= n < 450 else 0
+        free = max(sent + blocked, free + 300_000)
+        at = clock.instant(free, n % 256)
+        assert at is not None
+        estimate = Estimate(at.t_ns - 22 * ms, rate_n_per_ms * n, 0.0, True, Reason.FINE)
+        stale = doubt.stale(estimate, free, at.t_ns)
+        told += stale
+        if abs(at.t_ns - sent) * rate_n_per_ms > 100 * ms and not stale:
+            wrong.append(free)
+    assert max(wrong, default=0) - min(wrong, default=0) < 20 * ms
+    assert bool(told) == bool(wrong) == (paused_ms > 11)
 
 
 @pytest.mark.parametrize(("speed_up", "told"), [(0.0, False), (2_000.0, True)])
