@@ -14,9 +14,7 @@ HELD_S = 0.5e-3
 """This rig holds its torque for a sample of 1 ms."""
 
 
-@pytest.mark.parametrize(
-    ("dead_s", "lag_s"), [(10e-3, 0.0), (0.0, 10e-3), (0.0, 20e-3), (6e-3, 12e-3), (4e-3, 0.0)]
-)
+@pytest.mark.parametrize(("dead_s", "lag_s"), [(10e-3, 0.0), (0.0, 20e-3), (6e-3, 12e-3)])
 def test_a_late_torque_says_how_much_of_it_is_a_lag(
     record: Callable[..., Any], reference_model: Model, dead_s: float, lag_s: float
 ) -> None:
