@@ -60,6 +60,7 @@ from eps_hil.diagnosis.balance.load import (
 from eps_hil.diagnosis.balance.problem import Problem, sliding
 from eps_hil.diagnosis.balance.resting import problem_of
 from eps_hil.diagnosis.balance.spread import left_open
+from eps_hil.diagnosis.balance.still import is_still, of_motor_torque, sentence
 from eps_hil.diagnosis.data.channels import channels_in_doubt
 from eps_hil.diagnosis.data.held import own_samples
 from eps_hil.diagnosis.data.intake import (
@@ -360,6 +361,9 @@ def _under(
     look = first_look(ready, spare, model, without)
     problem = problem_of(look.fitted, look.model, load_knobs(load))
     _slides(look.fitted, problem.sliding)
+    untold = of_motor_torque(problem) if is_still(look.fitted) else []
+    if untold:
+        without = {*without, *untold, EMPIRICAL}
     judged = kept_holdouts(look, kept)
     if sum(int(np.sum(one.judging(look.model))) for one in judged) < LEAST_JUDGED:
         raise RecordingError(
@@ -367,7 +371,7 @@ def _under(
         )
     look, problem, selection = searched(look, problem, load_knobs(load), judged, say, without)
     measured = set.intersection(*(set(series) for _, series in ready))
-    case = _Case(load, model, ready, spare, say, without, again)
+    case = _Case(load, model, ready, spare, say, without, again, untold)
     given = look, problem, selection, judged
     wrong = channel_fault(selection.part, selection, measured, without)
     right = wrong and put_right(wrong, given, load_knobs(load), say, without, kept)
@@ -381,7 +385,10 @@ def _under(
 
 @dataclass(frozen=True)
 class _Case:
-    """What a diagnosis is made of; ``again``: the same, without some effects (ids)."""
+    """What a diagnosis is made of; ``again``: the same, without some effects (ids).
+
+    ``untold``: those of which a motor torque that never changes says nothing.
+    """
 
     load: Load | None
     model: Model
@@ -390,6 +397,7 @@ class _Case:
     say: Say | None
     without: Collection[str]
     again: Callable[[Collection[str]], Diagnosis]
+    untold: Sequence[str] = ()
 
 
 def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None) -> Diagnosis:
@@ -453,6 +461,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     content["limits"] = [
         *([] if load is None else [load.sentence]),
         *unseen(every),
+        *([sentence(case.untold)] if case.untold else []),
         *look.remarks,
         *only_part(problem, selection.part),
         *_not_explained(
