@@ -1,6 +1,7 @@
 """What many tests share: the reference rig, and recordings of a rig of other code."""
 
 import importlib.util
+import os
 import re
 import sys
 from pathlib import Path
@@ -8,6 +9,9 @@ from types import ModuleType
 
 import pytest
 from hypothesis import settings
+
+# as eps-hil does, before NumPy is there
+os.environ.update({f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")} | os.environ)
 
 from eps_hil.physics.model import Model, load_model
 

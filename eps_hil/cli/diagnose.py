@@ -1,6 +1,5 @@
 """``eps-hil diagnose``: what physics does the model lack? (CONTRACT 6, 7)."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,9 +21,6 @@ if TYPE_CHECKING:
     from eps_hil.diagnosis.diagnose import Diagnosis
     from eps_hil.series import Series
 
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Matrices here have a few dozen columns: beside others at work, threads of their own only wait for
-one another, which costs as much processor time again. Recordings are worked on side by side."""
 _TOO_LONG_MIN = 60.0
 """A test that needs longer than this to separate two effects does not separate them."""
 
@@ -110,8 +106,6 @@ def diagnose(
     or robot turns the wheel. Without --holdout a part of the recordings is kept from the fit.
     With --simulation the question is what the recordings hold and those traces lack.
     """
-    for name in _ONE_THREAD:  # before NumPy is there
-        os.environ.setdefault(name, "1")
     import eps_hil
     from eps_hil.api.jobs import known_effects
     from eps_hil.errors import InputError

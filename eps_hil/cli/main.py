@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib
+import os
 import pkgutil
 import sys
 import traceback
@@ -47,6 +48,9 @@ _schema.everywhere(app)
 
 INTERRUPTED = 130
 """Status after Ctrl-C, as a shell gives it."""
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Matrices here have a few dozen columns: beside others at work, threads of their own only wait for
+one another, which costs as much processor time again. Recordings are worked on side by side."""
 SEVERAL = ("--recording", "--holdout", "--simulation", "--before", "--after", "--free")
 """Options that several files may follow (CONTRACT 6)."""
 
@@ -67,6 +71,8 @@ def spread(words: list[str]) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; return its exit status (0 done, 2 wrong input, 3 safety, 1 else)."""
+    for name in ONE_THREAD:  # before NumPy is there
+        os.environ.setdefault(name, "1")
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     words = spread(_schema.with_kind(app, [word for word in words if word != "--debug"]))
