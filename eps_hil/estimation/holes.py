@@ -61,6 +61,17 @@ def blind(w: "Watch", p: "Limits", speed: float, refused: bool) -> None:
 
 
 @kernel
+def in_the_dark(w: "Watch", p: "Limits", drawn: bool) -> None:
+    """Count the steps of a hole of the speed, ``drawn`` straight from its one end to the other.
+
+    Friction that turns over in it is given back in its own time (``add_pace``), and bends the
+    course there as no load does; for as long as the windows reach into the hole.
+    """
+    w.drawn = w.drawn + 1 if drawn else 0
+    w.dark = 3 * p.window if w.drawn > p.window // 2 else max(w.dark - 1, 0)
+
+
+@kernel
 def course(w: "Watch", p: "Limits", torque: float, noise: float, seen: bool) -> float:
     """``torque`` (Nm) of this step, or how it would have gone on where it was not seen.
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import kernel
-from eps_hil.estimation.holes import blind, course, unseen
+from eps_hil.estimation.holes import blind, course, in_the_dark, unseen
 from eps_hil.estimation.records import copy
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Inputs
@@ -117,6 +117,10 @@ class Watch:
     guess_before: float
     guesses: int
     swing: float
+    # For how many steps the speed was drawn straight between samples until now, and for how many
+    # more its bend may be that of the drawing.
+    drawn: int
+    dark: int
     # Innovation of the motion after a torque jump: its spread, the jumps that nothing followed.
     spread: float
     innovation: float
@@ -403,6 +407,7 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
         w.angle = u.motor_angle_rad - before * p.step_s
     if w.hole > 0:
         bridge(w, p, u)
+    in_the_dark(w, p, u.speed_periods > 1.0)
     at = w.steps & WRAP
     reason = unseen(w, p)
     torque = u.motor_torque_nm + p.sensor_to_rotor * u.torque_sensor_nm

@@ -13,7 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import kernel
-from eps_hil.estimation.holes import guessed, learn_swing, lose_course, undecided
+from eps_hil.estimation.holes import (
+    guessed,
+    in_the_dark,
+    learn_swing,
+    lose_course,
+    undecided,
+)
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.speed_and_angle import WRAP
 from eps_hil.estimation.state import Records
@@ -106,14 +112,15 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
         due += weights[n + j] * speed
         most, before = max(most, abs(off)), off
     w.innovation = done - due
-    if abs(edge) < 0.3 * most or edge * due <= 0.0 or _followed(done, due, limit):
+    if abs(edge) < 0.3 * most or edge * due <= 0.0 or due * due < limit:
         return
-    if due * due < limit or w.innovation * w.innovation < limit:
+    unclear = w.dark > 0 and _contradict(done, w.bend[k & WRAP], due, limit)
+    clear = w.innovation * w.innovation >= limit and not _followed(done, due, limit)
+    if not clear and not unclear:
         return
     if w.stalled > 0 and w.unexplained_nm == 0.0:  # what stood still catches up, or is wrong anew
         w.stalled, w.missed = p.stalled_steps, 1
-        return
-    if undecided(w, p, edge):
+    elif unclear or undecided(w, p, edge):
         lose_course(w)
     else:
         _found(w, p, base, slope, before)
@@ -124,6 +131,15 @@ def _followed(done: float, due: float, limit: float) -> bool:
     """Whether the speed's bend ``done`` is that of the torque, ``due`` (rad/s); not zero."""
     share = max(_FOLLOWS, 0.5 - _FOLLOWS * math.sqrt(limit / (due * due)))
     return done * due > share * due * due
+
+
+@kernel
+def _contradict(done: float, bent: float, due: float, limit: float) -> bool:
+    """Whether a bend that is ``bent``, and ``done`` less that of before, do not say the same."""
+    followed = _followed(done, due, limit)
+    if followed != _followed(bent, due, limit):
+        return True
+    return not followed and min((done - due) ** 2, (bent - due) ** 2) < limit
 
 
 @kernel
@@ -250,6 +266,7 @@ def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
         w.torque[at] = guessed(w, p, u.drive_noise)
         if not math.isfinite(w.speed[at]):
             w.speed[at] = speed + j * slope
+            in_the_dark(w, p, True)
         add_pace(w, p)
         w.steps += 1
         watch_jump(w, p, u)
