@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import threadpool_limits
 
 from eps_hil.diagnosis.accept.as_written import (
     as_the_file_does,
@@ -159,6 +160,23 @@ def diagnose(
     channel is not what its name says; with ``trust_channels`` the latter is only said in
     ``limits``.
     """
+    # Matrices here have a few dozen columns: BLAS threads only wait for one another.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _diagnosed(
+            model, recordings, holdouts, say, without, unexplained_nm, trust_channels, began_s
+        )
+
+
+def _diagnosed(
+    model: Model,
+    recordings: Mapping[str, Mapping[str, Series]],
+    holdouts: Mapping[str, Mapping[str, Series]],
+    say: Say | None,
+    without: Collection[str],
+    unexplained_nm: float,
+    trust_channels: bool,
+    began_s: Mapping[str, float],
+) -> Diagnosis:
     recordings, holdouts = measured(recordings), measured(holdouts)
     fitted, kept = split(own_samples(recordings), own_samples(holdouts))
     series = [*fitted.items(), *kept.items()]
