@@ -119,13 +119,14 @@ def disagreement(
 def free_run_noise(holdouts: "Sequence[Holdout]", model: Model) -> dict[str, float]:
     """What the noise of the driving torques and force makes of either error (rms over draws)."""
     rng = np.random.default_rng(_SEED)
+    motions = [one.prepared.motion(with_model_effects(model)) for one in holdouts]
+    quiet = [_whole(motion, model) for motion in motions]
 
     found: list[list[float]] = []
     for _ in range(_DRAWS):
         pairs = []
-        for one in holdouts:
+        for one, motion, here in zip(holdouts, motions, quiet, strict=True):
             ready = one.prepared
-            motion = ready.motion(with_model_effects(model))
             wide = np.sqrt(ready.interval_s / STEP_S)  # as dense a spectrum as its own samples have
             moved = motion._replace(
                 **{
@@ -134,7 +135,7 @@ def free_run_noise(holdouts: "Sequence[Holdout]", model: Model) -> dict[str, flo
                     for k in _DRIVEN
                 }
             )
-            here, there = (_whole(each_one, model) for each_one in (motion, moved))
+            there = _whole(moved, model)
             pairs.append((there.speed_rad_s - here.speed_rad_s, there.angle_rad - here.angle_rad))
         found.append([_rms(np.concatenate([p[k] for p in pairs])) or np.inf for k in (0, 1)])
     rms = np.sqrt(np.mean(np.square(found), axis=0)).tolist()
