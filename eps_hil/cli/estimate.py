@@ -168,8 +168,13 @@ def _say(name: str, found: "Estimate") -> None:
         typer.echo(
             f"{name}: no torsion-bar torque: what the driver holds counts as rack force", err=True
         )
-    if error := found.score:
-        typer.echo(
-            f"{name}: error against the load cell: {error.rmse_moving_n:.1f} N rms moving, "
-            f"{error.rmse_overall_n:.1f} N rms overall, of {error.rms_force_n:.0f} N rms"
-        )
+    if not (error := found.score):
+        return
+    if math.isnan(error.rmse_overall_n):
+        typer.echo(f"{name}: no estimate is valid: nothing to compare with the load cell")
+        return
+    moving = "" if math.isnan(error.rmse_moving_n) else f"{error.rmse_moving_n:.1f} N rms moving, "
+    typer.echo(
+        f"{name}: error against the load cell: {moving}"
+        f"{error.rmse_overall_n:.1f} N rms overall, of {error.rms_force_n:.0f} N rms"
+    )

@@ -36,6 +36,16 @@ def read(path: Path) -> Any:
     return np.genfromtxt(path, delimiter=",", names=True)
 
 
+def test_where_nothing_is_valid_no_error_is_told(
+    tmp_path: Path, weave_truth: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = write_csv(tmp_path / "short.csv", weave_truth, rows=100)
+    assert main(["estimate", str(short), "--model", MODEL, "--out", str(tmp_path / "e.csv")]) == 0
+    told = capsys.readouterr().out
+    assert "no estimate is valid: nothing to compare with the load cell" in told
+    assert "nan" not in told
+
+
 def test_estimate_writes_the_contracts_columns(
     tmp_path: Path, weave: Path, weave_truth: Any
 ) -> None:

@@ -1,5 +1,6 @@
 """The FMU's C against the kernels: the same trajectory, for every effect of the catalogue."""
 
+import ctypes
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -202,9 +203,26 @@ def _slave(path: Path, folder: Path, name: str = "one") -> Any:
         modelIdentifier=about.coSimulation.modelIdentifier,
         instanceName=name,
     )
-    slave.instantiate()
+    slave.instantiate(callbacks=_callbacks())
     slave.vr = {one.name: one.valueReference for one in about.modelVariables}
     return slave
+
+
+_MADE: list[Any] = []
+"""Loggers that are never freed: FMPy calls the one that was made last, whoever's FMU logs."""
+
+
+def _callbacks() -> Any:
+    from fmpy import calloc, fmi2, free
+    from fmpy.logging import addLoggerProxy
+
+    made = fmi2.fmi2CallbackFunctions()
+    made.logger = fmi2.fmi2CallbackLoggerTYPE(fmi2.printLogMessage)
+    made.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
+    made.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+    addLoggerProxy(ctypes.byref(made))
+    _MADE.append(made)
+    return made
 
 
 def _start(slave: Any, **values: float) -> None:
