@@ -162,39 +162,29 @@ def diagnose(
     """
     # Matrices here have a few dozen columns: BLAS threads only wait for one another.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _diagnosed(
-            model, recordings, holdouts, say, without, unexplained_nm, trust_channels, began_s
+        recordings, holdouts = measured(recordings), measured(holdouts)
+        fitted, kept = split(own_samples(recordings), own_samples(holdouts))
+        series = [*fitted.items(), *kept.items()]
+        every = each(
+            lambda one: prepared(one[0], one[1], unexplained_nm, {} if holdouts else recordings),
+            series,
         )
-
-
-def _diagnosed(
-    model: Model,
-    recordings: Mapping[str, Mapping[str, Series]],
-    holdouts: Mapping[str, Mapping[str, Series]],
-    say: Say | None,
-    without: Collection[str],
-    unexplained_nm: float,
-    trust_channels: bool,
-    began_s: Mapping[str, float],
-) -> Diagnosis:
-    recordings, holdouts = measured(recordings), measured(holdouts)
-    fitted, kept = split(own_samples(recordings), own_samples(holdouts))
-    series = [*fitted.items(), *kept.items()]
-    every = each(
-        lambda one: prepared(one[0], one[1], unexplained_nm, {} if holdouts else recordings), series
-    )
-    size = size_of(every, model)
-    every = [one.changed(size=size, begins_s=began_s.get(one.name, one.begins_s)) for one in every]
-    ready = list(zip(every[: len(fitted)], fitted.values(), strict=True))
-    spare = list(zip(every[len(fitted) :], kept.values(), strict=True))
-    same_load(every)
-    doubts = channels_in_doubt({**recordings, **holdouts}, model, trust_channels)
-    if not missing(every):
-        doubts += late_channels(every, model, trusted=trust_channels)
-    found = _found(model, ready, spare, say, without)
-    if not doubts:
-        return found
-    return replace(found, content={**found.content, "limits": [*doubts, *found.content["limits"]]})
+        size = size_of(every, model)
+        every = [
+            one.changed(size=size, begins_s=began_s.get(one.name, one.begins_s)) for one in every
+        ]
+        ready = list(zip(every[: len(fitted)], fitted.values(), strict=True))
+        spare = list(zip(every[len(fitted) :], kept.values(), strict=True))
+        same_load(every)
+        doubts = channels_in_doubt({**recordings, **holdouts}, model, trust_channels)
+        if not missing(every):
+            doubts += late_channels(every, model, trusted=trust_channels)
+        found = _found(model, ready, spare, say, without)
+        if not doubts:
+            return found
+        return replace(
+            found, content={**found.content, "limits": [*doubts, *found.content["limits"]]}
+        )
 
 
 def _found(
