@@ -232,7 +232,7 @@ def _start(
     unsure = _RELAXED * level / stiffness
     if s.running == HELD:
         unsure = min(unsure, s.bristle_rms)
-    bridge(c, s, u, pos, neg, way, stiffness)
+    bridge(c, s, u, torque, pos, neg, way, stiffness)
     bend = s.bristle
     if s.unknown_nm > _KEPT * level:
         bend, unsure = 0.0, _RELAXED * level / stiffness

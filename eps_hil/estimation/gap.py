@@ -30,6 +30,12 @@ def still_unknown(unknown_nm: float, slip_rad: float, level_nm: float, sigma0: f
 
 
 @kernel
+def _most_torque(c: Constants, s: Moment) -> float:
+    """By how much T_1m (Nm) of two steps may differ that balance the same load."""
+    return c.unknown_limit_n / c.ratio + NOISE_SIGMA * math.sqrt(2.0 * s.drive_noise)
+
+
+@kernel
 def another_time(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
     """Whether nobody knows how long inputs were missing, nor that nothing happened meanwhile.
 
@@ -38,11 +44,12 @@ def another_time(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
     """
     if s.held_steps < NOBODY_KNOWS:
         return False
-    most_nm = c.unknown_limit_n / c.ratio + NOISE_SIGMA * math.sqrt(2.0 * s.drive_noise)
     most_rad = NOISE_SIGMA * math.sqrt(2.0 * max(s.angle_noise, c.first_angle_noise))
     rests = abs(s.speed) < c.limiter_speed and abs(u.motor_speed_rad_s) < c.limiter_speed
     turned = abs(u.motor_angle_rad - s.last_angle)
-    same = rests and c.angle_seen and turned < most_rad and abs(torque - s.drive) < most_nm
+    same = (
+        rests and c.angle_seen and turned < most_rad and abs(torque - s.drive) < _most_torque(c, s)
+    )
     return s.running != HELD or not same
 
 
@@ -59,11 +66,19 @@ def _cannot_turn(c: Constants, turn_rad: float, time_s: float) -> bool:
 
 @kernel
 def bridge(
-    c: Constants, s: Moment, u: Inputs, pos: float, neg: float, way: float, sigma0: float
+    c: Constants,
+    s: Moment,
+    u: Inputs,
+    torque: float,
+    pos: float,
+    neg: float,
+    way: float,
+    sigma0: float,
 ) -> None:
     """Bristle and what is unknown of it as estimating begins, or begins again after held steps.
 
-    ``pos``, ``neg``: T_fs (Nm) of either direction; that of ``way`` is the one that counts.
+    ``torque``: T_1m (Nm) now. ``pos``, ``neg``: T_fs (Nm) of either direction; that of ``way`` is
+    the one that counts.
 
     A rotor at rest on both sides of a gap (one that turns round is not, by eq. 4a), its angle
     changed by less than the bristle can bend, has kept its bristle. Without an angle it may have
@@ -71,7 +86,11 @@ def bridge(
     it, a path of SP_B T²/8. A rotor that slid on, its angle measured and its speed changed by no
     more than noise (SP_A) and SP_B T, has taken the bristle along by that angle, where such speeds
     go so far, and the same path is all that it may have hidden. An angle that jumped tells nothing
-    of a rotor at rest on both sides: it is as if there were none, and has another zero since.
+    of a rotor at rest on both sides: it is as if there were none, and has another zero since. So
+    it is where speed and angle parted, and the angle shows in the end another way than the speed
+    did, or than none: nobody knows which of them was wrong. And where its change is too small for
+    the torque's: another load bends the bristle that holds a rotor, and an angle that begins again
+    at zero where it was near zero says that nothing moved.
 
     Creep that is no more than the angle's noise is followed from where it was, noise filtered.
     More of it bends the bristle at once: were the rotor then judged as moving, it would leave
@@ -97,7 +116,11 @@ def bridge(
     far = NOISE_SIGMA * math.sqrt(2.0 * max(s.angle_noise, c.first_angle_noise))
     as_told = abs(change - went) < far + off * gap_s + GAIN * abs(went)
     steady = as_told and abs(speed - s.speed) < off
-    jumped = rested and c.angle_seen and _cannot_turn(c, change, gap_s + c.step_s)
+    stood = abs(torque - s.drive) > _most_torque(c, s) + sigma0 * (abs(change) + far)
+    disputed = s.parted != 0 and min(abs(change), abs(change - s.went)) > far
+    jumped = disputed or stood or _cannot_turn(c, change, gap_s + c.step_s)
+    jumped = jumped and rested and c.angle_seen
+    s.parted = 0
     change = 0.0 if jumped else change
     if c.angle_seen and rested and not jumped:
         hidden = 0.0

@@ -59,12 +59,12 @@ def start(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
     law = x.law
     torque = drive_torque_nm(c, x, instant_of(c, x, s, r, u), u)
     s.phi, s.omega = u.motor_angle_rad, u.motor_speed_rad_s
-    s.drive = s.drive_before = torque
     load = s.force if s.running == HELD else c.ratio * torque
     way = s.bristle if s.running == HELD else u.motor_speed_rad_s
     pos = adapted_level_nm(x, r, 1.0, s.local * load)
     neg = adapted_level_nm(x, r, -1.0, s.local * load)
-    bridge(c, s, u, pos, neg, way, law.sigma0_nm_per_rad)
+    bridge(c, s, u, torque, pos, neg, way, law.sigma0_nm_per_rad)
+    s.drive = s.drive_before = torque
     s.acceleration = s.slope = s.path = 0.0
     if s.running == NEVER_RAN:  # a rotor at rest balances its torque with the rack
         s.speed_noise, s.drive_noise = c.first_noise, c.first_drive_noise

@@ -51,9 +51,14 @@ class Moment:
     unknown_nm: float
     unknown_n: float
     unknown_steps: int
-    # Across held steps: the last measured angle, and how many there were.
+    # Across held steps: the last measured angle, how many there were, and whether speed and angle
+    # parted meanwhile (0 or 1); then the way that the speed told (rad).
     last_angle: float
     held_steps: int
+    parted: int
+    went: float
+    # Way by the speed since the first step (rad).
+    turned: float
     # Dead zone: the noise that is there (second differences), path inside the zone, creep.
     speed_before: float
     speed_noise: float

@@ -220,11 +220,13 @@ def _go_back(m: Memory, c: Constants, angle_rad: float) -> None:
     that is read half way may show as one only a step later.
     """
     w, s = m.watch[0], m.carried.moment[0]
-    rolled = s.running == RUNS
+    rolled, turned = s.running == RUNS, s.turned
     if rolled:
         roll_back(m.carried, m.kept)
     if not w.parted or s.running != HELD:
         return
+    if rolled or s.parted == 0:
+        s.parted, s.went = 1, turned - s.turned
     before = m.kept.moments[0]
     if w.sudden and abs(before.speed) < c.limiter_speed:
         s.speed, s.acceleration = before.speed, before.acceleration
@@ -275,6 +277,8 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         keep(m.carried, m.kept, sound, c.keep_steps)
         m.t_ns[n] = at - lag
         now = m.carried.moment[0]
+        if now.running == RUNS:
+            now.turned += inputs.motor_speed_rad_s * c.step_s
         known = now.running == RUNS and now.unknown_n <= c.unknown_limit_n
         take_friction(m.watch, now.unlimited, known)
         if timing.limits.on and abs(now.out_force) > timing.limits.estimate_n:

@@ -238,3 +238,34 @@ def test_a_rotor_that_stays_where_its_angle_jumped_to_has_another_bristle(
     series = back_and_rest(3.5)
     series["motor_angle_rad"].value[1000:] += 2.0
     assert np.all(within(estimate(series, reference_model), 1.5, 3.4) & UNKNOWN)
+
+
+@pytest.mark.parametrize("kind", ["observer", "bristle_filter"])
+def test_an_angle_that_jumps_against_a_creep_tells_no_way(
+    reference_model: Model, kind: Any
+) -> None:
+    """The rotor crept back by 0.07 rad as its angle jumped by 0.1 rad, and then inputs were lost.
+
+    Their sum is less than the bristle can bend, but neither the way of the speed nor none.
+    """
+    series = back_and_rest()
+    t = series["motor_speed_rad_s"].t_ns
+    speed = np.where((t >= 950 * MS) & (t < 1000 * MS), -1.4, 0.0)
+    series["motor_speed_rad_s"].value[:] += speed
+    series["motor_angle_rad"].value[:] += np.cumsum(speed) * 1e-3 + 0.0985 * (t >= 1001 * MS)
+    holed = cut(series, lambda t: (t > 1002 * MS) & (t < 1118 * MS))
+    trace = estimate(holed, reference_model, EstimatorSettings(kind=kind))
+    assert np.all(within(trace, 1.3, 2.9) & UNKNOWN)
+
+
+@pytest.mark.parametrize("kind", ["observer", "bristle_filter"])
+@pytest.mark.parametrize(("more_nm", "known"), [(0.3, False), (0.02, True)])
+def test_an_angle_that_stood_while_the_load_changed_tells_no_way(
+    reference_model: Model, kind: Any, more_nm: float, known: bool
+) -> None:
+    """An ECU that began again with its angle from zero, where the rotor stood at zero before."""
+    series = back_and_rest()
+    series["motor_torque_nm"].value[1200:] += more_nm
+    holed = cut(series, lambda t: (t > 1000 * MS) & (t < 1500 * MS))
+    trace = estimate(holed, reference_model, EstimatorSettings(kind=kind))
+    assert np.all(within(trace, 2.4, 2.9) & UNKNOWN == 0) == known
