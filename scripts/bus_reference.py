@@ -64,8 +64,10 @@ def _messages(database: Any) -> list[str]:
                 continue
             newton = f"{s.scale * NEWTON_PER[s.name]:.3g} N" if s.name in NEWTON_PER else ""
             none = [str(raw) for raw, text in (s.choices or {}).items() if str(text) == "SNA"]
-            cells = f"  {s.name:24} {_bits(s):8} {s.scale:<8.10g} {newton:12} "
-            cells += f"{_range(s) + ' ' + (s.unit or ''):24} {' '.join(none)}"
+            plain = s.scale == 1 and not s.unit  # a count, or one of the labels below
+            scale = "" if plain else f"{s.scale:.10g}"
+            span = "" if plain else f"{_range(s)} {s.unit or ''}"
+            cells = f"  {s.name:24} {_bits(s):8} {scale:8} {newton:12} {span:24} {' '.join(none)}"
             lines.append(cells.rstrip())
     return [*lines, "```"]
 
