@@ -46,7 +46,7 @@ def main() -> None:
 def _verdicts(content: dict[str, Any]) -> list[str]:
     """How many statements agree, and those that do not, with what was measured."""
     counts = ", ".join(f"{count} {word}" for word, count in content["outcomes"].items())
-    lines = [f"Seed {content['seed']}: {counts}. Not, or partly:", ""]
+    lines = [f"Statements, seed {content['seed']}: {counts}. Not, or partly:", ""]
     for figure in content["figures"].values():
         for one in figure["statements"]:
             if one["outcome"] != "agrees":
@@ -67,11 +67,11 @@ def _number(one: dict[str, Any]) -> str:
 def _figure(key: str, figure: dict[str, Any]) -> list[str]:
     lines = [f"## {figure['title']}", "", f"![{key}](images/paper_{key}.png)", ""]
     outcomes = [one["outcome"] for one in figure["statements"]]
-    lines += [f"{outcomes.count('agrees')} of {len(outcomes)} statements agree.", ""]
+    lines += [f"{outcomes.count('agrees')} of {len(outcomes)} agree.", ""]
     for table in figure["tables"]:
         if table["title"] not in SHOWN:
             continue
-        columns = tuple(table["rows"][0])
+        columns = tuple(name for name in table["rows"][0] if name != "off by %")
         rows = [tuple(_cell(row[column]) for column in columns) for row in table["rows"]]
         lines += [f"**{table['title']}**", "", *_table(columns, rows)]
     return lines
