@@ -11,11 +11,11 @@ PAGE = Path(__file__).parents[1] / "docs" / "reference-effects.md"
 
 HEAD = """# Effects that a model file may add
 
-Made by `scripts/effects_reference.py` from `eps_hil/physics/effects/`. In a model file, indented
-below `model:`, `effects: [{effect: stribeck, level_nm: 0.045, speed_rad_s: 12.0}]`; `simulate`,
-`estimate`, `run` and `rig` obey them. Torques and angles are at the rotor: ω its speed, φ its
-angle; x rack position, F rack force, ψ pinion angle. Units end the names; brackets hold what a
-value may be, `?` an optional one. *Like*: effects that recordings may confuse with it.
+Made by `scripts/effects_reference.py`. In a model file, indented below `model:`,
+`effects: [{effect: stribeck, level_nm: 0.045, speed_rad_s: 12.0}]`; `simulate`, `estimate`, `run`
+and `rig` obey them. At the rotor: ω its speed, φ its angle; x rack position, F rack force, ψ pinion
+angle. Units end the names; brackets hold what a value may be, `?` an optional one. *Like*: effects
+that recordings may confuse with it.
 """
 
 WHERE = {

@@ -65,9 +65,10 @@ def _number(one: dict[str, Any]) -> str:
 
 
 def _figure(key: str, figure: dict[str, Any]) -> list[str]:
-    lines = [f"## {figure['title']}", "", f"![{key}](images/paper_{key}.png)", ""]
     outcomes = [one["outcome"] for one in figure["statements"]]
-    lines += [f"{outcomes.count('agrees')} of {len(outcomes)} agree.", ""]
+    agree = f"{outcomes.count('agrees')} of {len(outcomes)} agree"
+    title = figure["title"].split(",")[0]
+    lines = [f"## {title}: {agree}", "", f"![{key}](images/paper_{key}.png)", ""]
     for table in figure["tables"]:
         if table["title"] not in SHOWN:
             continue
