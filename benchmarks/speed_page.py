@@ -168,21 +168,19 @@ def page(told: list[Told], quick: bool) -> str:
         + (": **the machine was busy**." if load > _BUSY else "."),
         *(["", "**Small inputs: this says only that every row works.**"] if quick else []),
         "",
-        "| what | peer | figure | goal | reached | in the way |",
-        "|---|---|---|---|---|---|",
+        "| what | peer | figure | goal | reached; else in the way |",
+        "|---|---|---|---|---|",
     ]
     for one in told:
         row = one.row
         if one.figure is None:
-            figure, reached, limit = "the command failed", "no", ""
+            figure, reached = "the command failed", "no"
         else:
             figure = f"{one.figure:g} {row.unit}"
             good = one.figure >= row.goal if row.more else one.figure <= row.goal
-            reached, limit = ("yes", "") if good else ("**no**", row.limit)
+            reached = "yes" if good else f"**no**: {row.limit}"
         sign = "≥" if row.more else "≤"
-        lines.append(
-            f"| {row.what} | {row.peer} | {figure} | {sign} {row.goal:g} | {reached} | {limit} |"
-        )
+        lines.append(f"| {row.what} | {row.peer} | {figure} | {sign} {row.goal:g} | {reached} |")
     return "\n".join(lines) + "\n"
 
 

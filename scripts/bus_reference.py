@@ -96,13 +96,13 @@ def _bus_load(database: Any) -> list[str]:
         for messages in (listening, everything):
             plain = load(messages, lambda n, r=rate: classic_bits(n)[0] / r)  # type: ignore[misc]
             worst = load(messages, lambda n, r=rate: classic_bits(n)[1] / r)  # type: ignore[misc]
-            cells.append(f"{plain:.0f} % (at most {worst:.0f} %)")
+            cells.append(f"{plain:.0f} % ({worst:.0f} %)")
         lines.append(f"| classic, {rate / 1e3:.0f} kbit/s | {cells[0]} | {cells[1]} |")
     for nominal, data in ((500e3, 2e6), (1e6, 5e6)):
         cells = []
         for messages in (listening, everything):
             worst = load(messages, lambda n, a=nominal, d=data: fd_seconds(n, a, d))  # type: ignore[misc]
-            cells.append(f"at most {worst:.0f} %")
+            cells.append(f"({worst:.0f} %)")
         name = f"CAN FD, {nominal / 1e3:.0f} kbit/s and {data / 1e6:.0f} Mbit/s"
         lines.append(f"| {name} | {cells[0]} | {cells[1]} |")
     return lines

@@ -27,6 +27,9 @@ SHOWN = (
 )
 """Tables of the page; the run's own page and JSON hold all."""
 
+DRAWN = ("95 % half width", "off by %")
+"""Columns that the picture beside the table shows."""
+
 
 def main() -> None:
     """Fill the page from the folder of a run."""
@@ -72,7 +75,7 @@ def _figure(key: str, figure: dict[str, Any]) -> list[str]:
     for table in figure["tables"]:
         if table["title"] not in SHOWN:
             continue
-        columns = tuple(name for name in table["rows"][0] if name != "off by %")
+        columns = tuple(name for name in table["rows"][0] if name not in DRAWN)
         rows = [tuple(_cell(row[column]) for column in columns) for row in table["rows"]]
         lines += [f"**{table['title']}**", "", *_table(columns, rows)]
     return lines
