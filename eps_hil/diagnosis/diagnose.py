@@ -55,6 +55,7 @@ from eps_hil.diagnosis.balance.load import (
     missing,
     not_told_apart,
     of_lone_torque,
+    own_drag,
     with_load,
     wrong_in_friction,
 )
@@ -198,13 +199,30 @@ def _found(
     every = [one for one, _ in (*ready, *spare)]
     learnt = [one for one, _ in ready]  # a hold-out that the load was fitted to judges nothing
     _slides(learnt, np.concatenate([sliding(one, model) for one in learnt]))
-    load = load_of(learnt, model) if missing(every) else None
+    if not missing(every):
+        return _under(None, model, ready, spare, say, without)
+    load = load_of(learnt, model)
+    beside = load.beside_own_drag(model)
+    told = _under_load(replace(load, drag_nm_s_per_rad=0.0), beside, ready, spare, say, without)
+    said = own_drag(model, told.model)
+    return replace(told, content={**told.content, "limits": [*said, *told.content["limits"]]})
 
-    def under(load: Load | None) -> Diagnosis:
-        return _under(load, model, ready, spare, say, without)
 
-    if load is None:
-        return under(load)
+def _under_load(
+    load: Load,
+    model: Model,
+    ready: Sequence[tuple[Prepared, Mapping[str, Series]]],
+    spare: Sequence[tuple[Prepared, Mapping[str, Series]]],
+    say: Say | None,
+    without: Collection[str],
+) -> Diagnosis:
+    """The same from the ``load`` that fits beside nothing else, and what follows from there."""
+    every = [one for one, _ in (*ready, *spare)]
+    learnt = [one for one, _ in ready]
+
+    def under(load: Load) -> Diagnosis:
+        return _under(load, load.beside_own_drag(model), ready, spare, say, without)
+
     base = load.in_model(model)
     if load.form == "arbitrary":
         loose = may_be_free(load, every, model)
@@ -217,6 +235,7 @@ def _found(
     if better.form == "spring":
         if wrong_in_friction(load, better, every, model):
             first, fitted = under(better), better
+            better = replace(better, drag_nm_s_per_rad=0.0)  # it is in what was found by now
         load = _as_told(better, first, learnt)
     if may_be_free(better, every, model):
         free = under(FREE)  # friction that grows with a load that is none looks like many things
@@ -225,7 +244,8 @@ def _found(
     told = _with_load(first, fitted, load, base)
     if not _worse_under_load(told):
         return told
-    bare = _under(fitted, model, ready, spare, say, catalogue())
+    own = fitted.beside_own_drag(model)
+    bare = _under(fitted, own, ready, spare, say, catalogue())
     return _with_load(bare, fitted, load, base)
 
 

@@ -2,7 +2,8 @@
 
 A free rack, or one that works against a spring and a damper, follows its own motion: two numbers
 and a constant, which are fitted with the model's own. So does a joint that lifts a weight, by the
-sine and the cosine of the angle, in the place of a spring. Any other force is known only as what
+sine and the cosine of the angle, in the place of a spring. A damper may be drag of the model's own
+that is off: inside friction it lags as the bristle does. Any other force is known only as what
 the torque balance lacks; below a low frequency it is taken from there, and only ripples, which are
 faster, can be told from it.
 """
@@ -45,7 +46,10 @@ OF_LONE_TORQUE = ("motor_torque_gain",)
 HUNG_RAD = 0.5, 2.0 * np.pi
 """A joint's travel: less shows no sine, and what turns farther carries no weight about."""
 _BETTER = 0.9
-"""Of a spring's residual energy: what a weight has to leave less of, to be one."""
+"""Of a spring's residual energy: what a weight has to leave less of, to be one. And of a damper's,
+what another drag of the model's own has to."""
+_DRAG_STEP = 0.02
+_DRAG = ("viscous_pos_nm_s_per_rad", "viscous_neg_nm_s_per_rad")
 _ROUNDS = 6
 _WRONG = 0.05
 """Of the noise: friction under another load that is worth another look."""
@@ -72,6 +76,8 @@ class Load:
     sine_nm: float = 0.0
     cosine_nm: float = 0.0
     """Of the rotor's angle, at the rotor: a weight, in the place of a spring."""
+    drag_nm_s_per_rad: float = 0.0
+    """What the model's own drag is more than in its file, either way, in place of a damper."""
 
     @property
     def hangs(self) -> bool:
@@ -84,11 +90,16 @@ class Load:
 
     def in_model(self, model: Model) -> Model:
         """The model with this load as effects of its own, for inputs without a rack force."""
+        model = self.beside_own_drag(model)
         if self.form != "spring":
             return model
         numbers = (self.stiffness_n_per_m, self.damping_n_s_per_m, self.constant_n)
         hung = (self.sine_nm, self.cosine_nm)
         return written(model, SpringLoad(*numbers, self.travel_m, self.speed_rad_s, *hung))
+
+    def beside_own_drag(self, model: Model) -> Model:
+        """The model with the drag of its own that goes with this load."""
+        return _with_drag(model, self.drag_nm_s_per_rad) if self.drag_nm_s_per_rad else model
 
     @property
     def sentence(self) -> str:
@@ -169,10 +180,22 @@ def load_knobs(load: Load | None) -> Mapping[str, float]:
         return {}
     return {
         **dict.fromkeys(GRAVITY if load.hangs else (SPRING,), 0.0),
-        "viscous_pos_nm_s_per_rad": 0.0,
-        "viscous_neg_nm_s_per_rad": 0.0,
+        **dict.fromkeys(_DRAG, 0.0),
         OFFSET: 0.0,
     }
+
+
+def own_drag(given: Model, written: Model) -> list[str]:
+    """A sentence where the written model has another drag of its own beside an unknown load."""
+    was, now = ([getattr(model.friction, name) for name in _DRAG] for model in (given, written))
+    if was == now:
+        return []
+    mean = [sum(both) / 2.0 for both in (was, now)]
+    return [
+        f"Beside that load the model's own drag is {mean[1]:.3g} Nm s/rad, not {mean[0]:.3g}: that "
+        "explains more than a damper does. A written model holds it. Most of it could as well be "
+        "the load's: it is no finding."
+    ]
 
 
 def load_of(recordings: Sequence[Prepared], model: Model, *, level: bool = True) -> Load:
@@ -182,20 +205,36 @@ def load_of(recordings: Sequence[Prepared], model: Model, *, level: bool = True)
     names have been looked for, what no name stands for has to be somewhere: then without.
     """
     bare = [one for one in recordings if "rack_force_n" not in one.raw]
-    load, left = _fitted(bare, model, level=level, hung=False)
+    load, left = _damped(bare, model, level=level, hung=False)
     angles = [one.motion(model).angle_rad for one in bare]
     travel = max(float(np.max(one)) for one in angles) - min(float(np.min(one)) for one in angles)
     if not HUNG_RAD[0] < travel < HUNG_RAD[1]:
         return load
-    weight, less = _fitted(bare, model, level=level, hung=True)
+    weight, less = _damped(bare, model, level=level, hung=True)
     return weight if less < _BETTER * left else load
 
 
-def _fitted(
+def _damped(
     bare: Sequence[Prepared], model: Model, *, level: bool, hung: bool
 ) -> tuple[Load, float]:
-    """A spring or a weight with a damper, and what it leaves of the sliding samples' energy."""
-    numbers = np.zeros(6)
+    """The same, or with other drag of the model's own for a damper: what leaves clearly less.
+
+    While sliding both are nearly one; a drag inside friction lags as the bristle does.
+    """
+    load, left = _fitted(bare, model, level=level, hung=hung)
+    own, less = _fitted(bare, model, level=level, hung=hung, own=True)
+    better = own.form == "spring" and less < _BETTER * left
+    return (own, less) if better else (load, left)
+
+
+def _fitted(
+    bare: Sequence[Prepared], model: Model, *, level: bool, hung: bool, own: bool = False
+) -> tuple[Load, float]:
+    """A spring or a weight with a damper, and what it leaves of the sliding samples' energy.
+
+    ``own``: the model's own drag is free for the damper.
+    """
+    numbers, given, drag = np.zeros(6), model, 0.0
     free = [*([3, 4] if hung else [0]), 1, 2, 5]
     for _ in range(_ROUNDS):
         rows, left, sizes = [], [], []
@@ -208,6 +247,8 @@ def _fitted(
             rows.append(columns)
             loss = filled.left_over(model)[mask] * model.rack_to_rotor_ratio_rad_per_m
             left.append(loss - numbers[5] * columns[:, -1])
+            if own:
+                columns[:, free.index(1)] = _of_own_drag(filled, model)[mask]
             sizes.append(np.full(int(np.sum(mask)), filled.floor_nm(model)))
         a, r = np.vstack(rows), np.concatenate(left)
         scale = np.sqrt(np.sum(a**2, axis=0)) + 1e-300
@@ -216,6 +257,10 @@ def _fitted(
         normal = (a / scale * weight[:, None]).T @ (a / scale) + 1e-9 * np.eye(len(free))
         step = np.linalg.solve(normal, (a / scale * weight[:, None]).T @ r) / scale
         numbers[free] += step
+        if own:
+            least = -min(getattr(given.friction, name) for name in _DRAG)
+            drag, numbers[1] = max(drag + float(numbers[1]), least), 0.0
+            model = _with_drag(given, drag)
     ratio = model.rack_to_rotor_ratio_rad_per_m
     excess = usual / ratio / float(np.mean(np.concatenate(sizes)))
     k, c, f, sine, cosine = (float(number) for number in numbers[:5])
@@ -225,9 +270,23 @@ def _fitted(
         for name in ("position_m", "speed_rad_s")
     )
     form: Literal["arbitrary", "spring"] = "arbitrary" if excess > ARBITRARY_EXCESS else "spring"
-    rest = (travel_m, speed, sine / ratio, cosine / ratio)
+    rest = (travel_m, speed, sine / ratio, cosine / ratio, drag)
     load = Load(form, k, c, f, False, *rest)
     return load, float(np.mean(np.minimum(np.abs(r), 2.0 * usual) ** 2))
+
+
+def _with_drag(model: Model, more: float) -> Model:
+    """With so much more drag of the model's own either way, Nm s/rad."""
+    moved = {name: float(f"{max(getattr(model.friction, name) + more, 0.0):.6g}") for name in _DRAG}
+    return replace(model, friction=replace(model.friction, **moved))
+
+
+def _of_own_drag(filled: Prepared, model: Model) -> Floats:
+    """What 1 Nm s/rad more of the model's own drag does, as a force at the rack, thinned (m,)."""
+    least = 1e-4 * filled.size.torque / filled.size.angle
+    step = _DRAG_STEP * max(model.friction.viscous_pos_nm_s_per_rad, least)
+    change = filled.left_over(model) - filled.left_over(_with_drag(model, step))
+    return change / step * model.rack_to_rotor_ratio_rad_per_m
 
 
 def may_be_free(load: Load, recordings: Iterable[Prepared], model: Model) -> bool:

@@ -6,11 +6,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.balance.load import Load, doubted, load_of, not_told_apart
+from eps_hil.diagnosis.balance.load import Load, doubted, load_of, not_told_apart, own_drag
 from eps_hil.diagnosis.data.prepare import Prepared, prepare
+from eps_hil.diagnosis.data.size import size_of
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.identification.butterworth import low_pass
-from eps_hil.physics.model import Model
+from eps_hil.physics.model import Friction, Model
 from eps_hil.physics.simulate import simulate
 from eps_hil.proof import sensors
 from eps_hil.proof.manoeuvres import column
@@ -130,6 +131,53 @@ def test_a_damper_takes_in_no_friction(reference_model: Model, other_rig: Module
         assert one.form == "spring"
         assert one.stiffness_n_per_m == pytest.approx(STIFFNESS, rel=0.1)
         assert one.damping_n_s_per_m == pytest.approx(DAMPING, abs=200.0)
+
+
+def joint(drag: float, damper: float = 0.0) -> Model:
+    """A joint that a spring holds, whose bristle is soft: friction turns over 10 mrad."""
+    friction = Friction(0.8, 0.8, drag, drag, 0.0, 0.0, 300.0, 0.0, 0.75)
+    held = {"effect": "unmodelled_spring", "stiffness_nm_per_rad": 8.0}
+    damped = {"effect": "viscous_friction", "coefficient_nm_s_per_rad": damper}
+    return Model(0.2, 125.7, 2513.0, friction, effects=(held, damped) if damper else (held,))
+
+
+def moved(truth: Model) -> Prepared:
+    """The joint as it is driven to and fro, its samples 1 ms apart."""
+    time_s = np.arange(40_000, dtype=np.float64) * 1e-3
+    motor_nm = np.asarray(3.0 * np.sin(1.5 * time_s) + 2.0 * np.sin(4.3 * time_s))
+    none = np.zeros(len(time_s))
+    run = simulate(truth, time_s, motor_nm, none, none)
+    t_ns = np.round(time_s * 1e9).astype(np.int64)
+    rng = np.random.default_rng(3)
+    columns = {
+        "motor_torque_nm": motor_nm + 0.01 * rng.standard_normal(len(time_s)),
+        "motor_angle_rad": run.angle_rad + 1e-5 * rng.standard_normal(len(time_s)),
+        "motor_speed_rad_s": run.speed_rad_s + 1e-3 * rng.standard_normal(len(time_s)),
+    }
+    one = prepare("joint", {name: Series(t_ns, values) for name, values in columns.items()})
+    return one.changed(size=size_of([one], truth))
+
+
+@pytest.mark.parametrize("told", [20.0, 1.0])
+def test_a_drag_that_is_off_is_no_damper(told: float) -> None:
+    """A drag inside friction lags as the bristle does; a damper that stood for it would not."""
+    ready, given = [moved(joint(4.0))], replace(joint(told), effects=())
+    load = load_of(ready, given)
+    assert load.form == "spring"
+    assert load.drag_nm_s_per_rad == pytest.approx(4.0 - told, abs=0.2)
+    assert load.damping_n_s_per_m == 0.0
+    written = load.in_model(given)
+    assert written.friction.viscous_pos_nm_s_per_rad == pytest.approx(4.0, abs=0.2)
+    (said,) = own_drag(given, written)
+    assert f"not {told:g}" in said
+    assert own_drag(given, given) == []
+
+
+@pytest.mark.parametrize("damper", [0.0, 10.0])
+def test_a_damper_of_the_load_s_own_stays_one(damper: float) -> None:
+    load = load_of([moved(joint(4.0, damper))], replace(joint(4.0), effects=()))
+    assert load.drag_nm_s_per_rad == 0.0
+    assert load.damping_n_s_per_m / 2513.0**2 == pytest.approx(damper, abs=0.5)
 
 
 def driven(
