@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.diagnosis.data.noise import half_rate_hz, noise_at_1_khz, passed_of_band
+from eps_hil.diagnosis.data.seen_twice import motion_hz
 from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.identification.filters import every_so_many, on_grid, shifted
@@ -88,6 +89,8 @@ class Prepared:
     """How large the machine is by all recordings."""
     bands_hz: Mapping[str, float] = field(default_factory=dict)
     """Half the rate that a signal was sampled at: between samples there is no noise of its own."""
+    motion_hz: float = np.inf
+    """Beyond this a slow speed's changes are not seen by the angle: no acceleration."""
     speed_is_hidden: bool = False
     """Whether a speed was measured, but mostly noise, so that the angle's rate took its place."""
     _shifted: dict[tuple[int, float, int], Floats] = field(default_factory=dict)
@@ -310,14 +313,15 @@ class Prepared:
 
     def _acceleration_variance(self) -> float:
         """Of the filtered acceleration, by noise alone, rad²/s⁴."""
+        corner = min(CUTOFF_HZ, self.motion_hz)
         if self.speed_is_derived:
-            return self._noise_left("motor_angle_rad", 4)
-        return self._noise_left("motor_speed_rad_s", 2)
+            return self._noise_left("motor_angle_rad", 4, corner)
+        return self._noise_left("motor_speed_rad_s", 2, corner)
 
-    def _noise_left(self, name: str, power: int = 0) -> float:
+    def _noise_left(self, name: str, power: int = 0, corner_hz: float = CUTOFF_HZ) -> float:
         """Variance of a filtered signal by noise alone, times (2πf) to this power."""
         band_hz = self.bands_hz.get(name, np.inf)
-        return self.noise.get(name, 0.0) ** 2 * passed_of_band(band_hz, CUTOFF_HZ, power)
+        return self.noise.get(name, 0.0) ** 2 * passed_of_band(band_hz, corner_hz, power)
 
     def _signal(self, name: str, delay_s: float, every: int) -> Floats:
         if name not in self.raw:
@@ -361,9 +365,13 @@ class Prepared:
             "angle": angle,
             "travel": travel,
             "slip": np.abs(travel),
-            "acceleration": np.gradient(speed, STEP_S)
+            "acceleration": np.gradient(self._of_motion(speed), STEP_S)
             + (0.0 if self.slack_rad_s2 is None else self.slack_rad_s2),
         }
+
+    def _of_motion(self, speed: Floats) -> Floats:
+        """What of a speed's changes is motion."""
+        return low_pass(speed, self.motion_hz) if np.isfinite(self.motion_hz) else speed
 
     def _rubbing_n(self, model: Model, every: int) -> Floats | None:
         """The rack force that friction grows with, at physical instants."""
@@ -440,7 +448,19 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
     one = Prepared(
         name, time_s, raw, noise, derived, unexplained_nm, interval_s=interval, bands_hz=bands
     )
-    return _seen_by_angle(one)
+    return _seen_by_angle(_seen_twice(one))
+
+
+def _seen_twice(one: Prepared) -> Prepared:
+    """With the end of what speed and angle both tell, where both are slower than the grid."""
+    if one.speed_is_derived or "motor_angle_rad" not in one.raw:
+        return one
+    most_hz = min(one.bands_hz[name] for name in _MOVING)
+    if not np.isfinite(most_hz):
+        return one
+    rate = one.by_angle().raw["motor_speed_rad_s"]
+    end = motion_hz(one.raw["motor_speed_rad_s"], rate, STEP_S, min(most_hz, CUTOFF_HZ))
+    return one.changed(motion_hz=end)
 
 
 def _seen_by_angle(one: Prepared) -> Prepared:
