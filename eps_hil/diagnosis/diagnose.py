@@ -170,9 +170,10 @@ def diagnose(
             lambda one: prepared(one[0], one[1], unexplained_nm, {} if holdouts else recordings),
             series,
         )
-        size = size_of(every, model)
+        size, among = size_of(every, model), len(every)
         every = [
-            one.changed(size=size, begins_s=began_s.get(one.name, one.begins_s)) for one in every
+            one.changed(size=size, among=among, begins_s=began_s.get(one.name, one.begins_s))
+            for one in every
         ]
         ready = list(zip(every[: len(fitted)], fitted.values(), strict=True))
         spare = list(zip(every[len(fitted) :], kept.values(), strict=True))

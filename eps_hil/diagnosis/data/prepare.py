@@ -51,8 +51,9 @@ EDGE_S = 0.25
 """Left out at both ends of a recording, where a filter without phase has only one side."""
 
 _MOST_SHIFTED, _LEAST_SHIFTED = 40, 8
-_MOST_SHIFTED_BYTES = 200_000_000
-"""An hour's signals are 29 MB each: what is remembered of them has to end somewhere."""
+_MOST_SHIFTED_BYTES = 300_000_000
+"""Of all recordings together. An hour's signals are 29 MB each: what is remembered of them has to
+end somewhere."""
 _SAMPLED = 3e-4
 """Of the motor torque's rms: what the balance of a sampled recording leaves without any noise. A
 torque that steps, or friction that turns, between samples of 1 ms leaves nearly as much."""
@@ -93,6 +94,8 @@ class Prepared:
     """Beyond this a slow speed's changes are not seen by the angle: no acceleration."""
     speed_is_hidden: bool = False
     """Whether a speed was measured, but mostly noise, so that the angle's rate took its place."""
+    among: int = 1
+    """Recordings that are looked at together, and share what may be remembered of them."""
     _shifted: dict[tuple[int, float, int], Floats] = field(default_factory=dict)
 
     def changed(self, **values: Any) -> "Prepared":
@@ -103,6 +106,8 @@ class Prepared:
             return replace(self, _shifted={}, **values)
         copy = replace(self, **values)
         copy.__dict__["_kinematics"] = self._kinematics
+        if "_without_noise" in self.__dict__:
+            copy.__dict__["_without_noise"] = self._without_noise
         return copy
 
     def by_angle(self) -> "Prepared":
@@ -336,7 +341,7 @@ class Prepared:
         key = (id(values), delay_s, every)
         found = self._shifted.get(key)  # other threads may clear them at any time
         if found is None:
-            most = _MOST_SHIFTED_BYTES // values.nbytes
+            most = _MOST_SHIFTED_BYTES // (values.nbytes * self.among)
             if len(self._shifted) > min(_MOST_SHIFTED, max(most, _LEAST_SHIFTED)):
                 self._shifted.clear()
             first = round(EDGE_S / STEP_S) % every  # the first thinned sample is one of them

@@ -61,6 +61,20 @@ def test_a_copy_keeps_what_is_remembered_of_its_signals_only(
     )
 
 
+def test_recordings_looked_at_together_share_what_may_be_remembered(
+    record: Callable[..., Any],
+) -> None:
+    """A budget for each of a hundred recordings would be a hundred budgets."""
+    (series,) = record({}, ("weave",), seconds=5.0).values()
+    kept = []
+    for among in (1, 10_000):
+        one = prepare("weave", series).changed(among=among)
+        for late_s in np.linspace(1e-3, 4e-3, 20):
+            one._at(one.raw["motor_speed_rad_s"], float(late_s))
+        kept.append(len(one._shifted))
+    assert kept[1] <= 10 < kept[0]
+
+
 def _half(one: Series) -> Series:
     return Series(one.t_ns, 0.5 * one.value)
 
