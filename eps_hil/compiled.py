@@ -174,6 +174,8 @@ def _decorator(**options: Any) -> Callable[[F], F]:
                 return numba.njit(nogil=True, **options)(function)
         if FOLDER is not None:
             _compile_once(compiled, FOLDER / "locks")
+        else:
+            _say_each_time(compiled)
         return compiled
 
     return decorated
@@ -282,11 +284,11 @@ class _Kept:
 
 
 @functools.cache
-def _tell() -> None:
+def _tell(why: str = "once after installation") -> None:
     """Once, to a person at a terminal: why nothing seems to happen."""
     with contextlib.suppress(OSError, ValueError, AttributeError):
         if sys.stderr.isatty():
-            sys.stderr.write("compiling, once after installation: up to a minute\n")
+            sys.stderr.write(f"compiling, {why}: up to a minute\n")
             sys.stderr.flush()
 
 
@@ -320,6 +322,19 @@ def _compile_once(function: Any, folder: Path) -> None:
             kept.let_go()
 
     function._cache, function.compile = kept, compiled
+
+
+def _say_each_time(function: Any) -> None:
+    """Where nothing can be kept: every process compiles, and says so."""
+    compile_for = getattr(function, "compile", None)
+    if compile_for is None:  # compilation is switched off
+        return
+
+    def compiled(signature: Any) -> Any:
+        _tell("each time, for no cache folder can be written (set NUMBA_CACHE_DIR)")
+        return compile_for(signature)
+
+    function.compile = compiled
 
 
 @contextlib.contextmanager

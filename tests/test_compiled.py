@@ -77,12 +77,15 @@ def test_where_the_users_cache_can_be_written(read_only_install: Path, tmp_path:
     assert said["numba"] == ""  # other users of numba in the process keep their folder
 
 
+@pytest.mark.parametrize("kept", [True, False])
 def test_at_a_terminal_it_says_once_why_it_takes_so_long(
-    read_only_install: Path, tmp_path: Path
+    read_only_install: Path, tmp_path: Path, kept: bool
 ) -> None:
     environment = os.environ | {"HOME": str(tmp_path), "PYTHONPATH": str(read_only_install)}
     environment.pop("NUMBA_CACHE_DIR", None)
     environment.pop("XDG_CACHE_HOME", None)
+    if not kept:
+        environment |= {"HOME": NOWHERE, "TMPDIR": str(read_only_install.parent)}
 
     def told() -> bytes:
         ours, theirs = os.openpty()
@@ -95,8 +98,10 @@ def test_at_a_terminal_it_says_once_why_it_takes_so_long(
             return os.read(ours, 4096)
         return b""
 
-    assert told().count(b"compiling, once after installation") == 1
-    assert told() == b""
+    when = b"once after installation" if kept else b"each time"
+    for again in (False, True):
+        said = told()
+        assert said.count(b"compiling") == said.count(when) == (0 if again and kept else 1)
 
 
 def test_another_install_of_the_same_source_compiles_nothing(

@@ -11,12 +11,13 @@ import numpy.typing as npt
 from eps_hil.bus.codec import FrameDecoder
 from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
-from eps_hil.bus.mapping import load_mapping
+from eps_hil.bus.mapping import SignalSource, load_mapping
 from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_frames
 from eps_hil.recordings.files import check_readable
 from eps_hil.recordings.log_columns import SUFFIXES, pieces_of
 from eps_hil.series import Arrivals, Series
+from eps_hil.signals import PUBLISHED
 
 if TYPE_CHECKING:
     from eps_hil.bus.column_decoder import DecodedColumns
@@ -83,7 +84,7 @@ def read_log(
         more = ", ..." if len(ids) > _MAX_SHOWN else ""
         problem = f"no mapped frame occurs (ids {shown}{more})"
         raise InputError(path, "", problem, "check the mapping, the DBC and the bus")
-    notes += _told(faults)
+    notes += _told(faults, _published_in(mapping.signals))
     notes += _absent(mapping.signals, found_samples)
     series = {name: _series(name, *found_samples.pop(name), notes) for name in [*found_samples]}
     return series, tuple(notes)
@@ -134,14 +135,28 @@ def _one_by_one(decoder: FrameDecoder, frames: Iterable[Frame]) -> "DecodedColum
     return DecodedColumns(samples, faults.counts, arrivals)
 
 
-def _told(faults: Mapping[str, Mapping[str, int]]) -> list[str]:
-    """One line for each kind that occurred, with its messages."""
-    return [
-        f"{sum(counts.values())} {text} "
-        f"({', '.join(f'{name} {count}' for name, count in counts.items())})"
-        for fault, text in _FAULTS.items()
-        if (counts := faults.get(fault))
-    ]
+def _published_in(mapped: Mapping[str, SignalSource]) -> set[str]:
+    """Messages that carry nothing but what a service published."""
+    carried = {source.carrier for name, source in mapped.items() if name not in PUBLISHED}
+    own = {source.carrier for name, source in mapped.items() if name in PUBLISHED}
+    return {name for name in own - carried if name is not None}
+
+
+def _told(faults: Mapping[str, Mapping[str, int]], published: set[str]) -> list[str]:
+    """One line for each kind that occurred, with its messages; one for each ``published`` one.
+
+    A service's own frames are no input of anything: whether it said "not available" is all in one.
+    """
+    notes, own = [], dict.fromkeys(sorted(published), "")
+    for fault, text in _FAULTS.items():
+        counts = dict(faults.get(fault) or {})
+        for name in own:
+            if count := counts.pop(name, 0):
+                own[name] += f"{', ' if own[name] else ''}{count} {text.split(':')[0]}"
+        if counts:
+            each = ", ".join(f"{name} {count}" for name, count in counts.items())
+            notes.append(f"{sum(counts.values())} {text} ({each})")
+    return notes + [f"{name}, published by a service: {said}" for name, said in own.items() if said]
 
 
 class _Faults:
@@ -190,7 +205,8 @@ def _series(
     if not kept.all():
         count = int(np.count_nonzero(~kept))
         notes.append(f"{name}: {count} samples do not advance in time: left out")
-    if (bad := int(np.count_nonzero(np.isnan(value) & kept))) > 0:
+    bad = int(np.count_nonzero(np.isnan(value) & kept))
+    if bad > 0 and name not in PUBLISHED:  # of those the message's own note tells
         notes.append(f"{name}: {bad} of {len(t_ns)} samples are marked bad")
     if kept.all():
         return Series(t_ns, value)

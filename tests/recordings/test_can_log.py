@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
 from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_frames
@@ -190,6 +191,28 @@ def test_frames_with_a_wrong_crc_become_bad_samples(
     assert not np.isnan(recording.series["motor_speed_rad_s"].value).any()
     assert "1 frames with a wrong CRC: marked bad (EPS_Torques 1)" in recording.notes
     assert "motor_torque_nm: 1 of 300 samples are marked bad" in recording.notes
+
+
+def test_what_a_service_published_gets_one_note(
+    write_log: LogWriter, rig_frames: list[Frame]
+) -> None:
+    """Its own frames are no input: whatever is wrong with them is one line."""
+    estimate = load_database(DBC).get_message_by_name("EPSHIL_Estimate")
+    frames: list[Frame] = []
+    for frame in rig_frames:
+        frames.append(frame)
+        if frame.can_id == 0x100:
+            values = {one.name: 0 for one in estimate.signals} | {"Crc": 1}
+            data = estimate.encode(values, scaling=False, strict=False)
+            data = data if len(frames) > 20 else data[:-1]
+            frames.append(replace(frame, can_id=estimate.frame_id, data=data))
+    recording = read_recording(write_log("a.log", frames), dbc=DBC, signals=SIGNALS)
+    told = [note for note in recording.notes if "EPSHIL_Estimate" in note]
+    assert len(told) == 1
+    assert told[0].startswith("EPSHIL_Estimate, published by a service: ")
+    assert "frames with a wrong CRC, " in told[0]
+    assert told[0].endswith("frames shorter than the DBC says")
+    assert not any(note.startswith("rack_force_estimate_n: ") for note in recording.notes)
 
 
 def test_progress_ends_at_one(write_log: LogWriter, rig_frames: list[Frame]) -> None:
