@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 _SETTLING = int(Reason.SETTLING)
 _SUDDEN = 0.7
 """Share of a torque's change in a window that a jump makes in two milliseconds."""
+_TURNS_IN = 5
+"""A fast rotor turns round within a fifth of a window, 2 ms, and its friction with it."""
 _SIGMA = 2.0
 """Deviations of the guess within which a jump at a hole's end may be the guess's own error."""
 
@@ -68,7 +70,7 @@ def in_the_dark(w: "Watch", p: "Limits", drawn: bool) -> None:
     course there as no load does; for as long as the windows reach into the hole.
     """
     w.drawn = w.drawn + 1 if drawn else 0
-    w.dark = 3 * p.window if w.drawn > p.window // 2 else max(w.dark - 1, 0)
+    w.dark = 3 * p.window if w.drawn > p.window // _TURNS_IN else max(w.dark - 1, 0)
 
 
 @kernel
