@@ -127,19 +127,29 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
 
 
 @kernel
+def _share(due: float, limit: float) -> float:
+    """Share of the bend that is ``due`` (rad/s; not zero) below which it was not there."""
+    return max(_FOLLOWS, 0.5 - _FOLLOWS * math.sqrt(limit / (due * due)))
+
+
+@kernel
 def _followed(done: float, due: float, limit: float) -> bool:
     """Whether the speed's bend ``done`` is that of the torque, ``due`` (rad/s); not zero."""
-    share = max(_FOLLOWS, 0.5 - _FOLLOWS * math.sqrt(limit / (due * due)))
-    return done * due > share * due * due
+    return done * due > _share(due, limit) * due * due
 
 
 @kernel
 def _contradict(done: float, bent: float, due: float, limit: float) -> bool:
-    """Whether a bend that is ``bent``, and ``done`` less that of before, do not say the same."""
-    followed = _followed(done, due, limit)
-    if followed != _followed(bent, due, limit):
-        return True
-    return not followed and min((done - due) ** 2, (bent - due) ** 2) < limit
+    """Whether a bend that is ``bent``, and ``done`` less that of before, do not say the same.
+
+    Half a jump is none: it has to be nearer to the whole than to nothing by as much as one that was
+    not there is nearer to nothing.
+    """
+    share, whole = _share(due, limit), due * due
+    least, most = min(done * due, bent * due), max(done * due, bent * due)
+    if least > share * whole:
+        return least < (1.0 - share) * whole
+    return most > share * whole or min((done - due) ** 2, (bent - due) ** 2) < limit
 
 
 @kernel
