@@ -367,6 +367,32 @@ def test_an_offset_that_begins_in_a_hole_in_which_the_rotor_turns_is_told(
     assert missed <= 2
 
 
+def test_an_offset_that_begins_after_short_holes_near_a_turning_point_is_told(
+    reference_model: Model, sweep_truth: Any
+) -> None:
+    """Friction turned over in holes of 3 and 5 ms: half of the bend that is due is no answer."""
+    whole, missed, tried = series_of(sweep_truth), 0, 0
+    speed = np.convolve(whole[NAMES[2]].value, np.full(9, 1 / 9), "same")
+    turns = 5000 + np.flatnonzero(speed[5000:-1000] * speed[4999:-1001] < 0.0)
+    for turn in turns[np.r_[True, np.diff(turns) > 40]][-30:]:
+        part = slice(turn - 3000, turn + 400)
+        series = {n: Series(one.t_ns[part], one.value[part]) for n, one in whole.items()}
+        right = estimate(series, reference_model)
+        for offset_nm in (0.17, -0.17):
+            lied = {n: Series(one.t_ns, one.value.copy()) for n, one in series.items()}
+            lied[NAMES[0]].value[3008:3160] += offset_nm
+            at = int(series[NAMES[0]].t_ns[3000] // 10**6) - 4
+            for before_ms, lost_ms in ((0, 5), (8, 3), (20, 5)):
+                lied = holed(lied, at - before_ms, lost_ms)
+            trace = estimate(lied, reference_model)
+            same = np.searchsorted(right.t_ns, trace.t_ns)
+            wrong = np.abs(trace.rack_force_n - right.rack_force_n[same]) > 100.0
+            missed += int(np.sum(wrong & trace.valid & right.valid[same])) > 20
+            tried += 1
+    assert tried == 60
+    assert missed == 0
+
+
 @pytest.mark.parametrize("lost_ms", [1, 3, 7, 17])
 @pytest.mark.parametrize("offset_nm", [0.2, -2.0])
 def test_what_began_in_a_short_hole_is_told_at_once(
