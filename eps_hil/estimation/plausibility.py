@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import kernel
-from eps_hil.estimation.holes import blind, course, in_the_dark, unseen
+from eps_hil.estimation.holes import blind, course, in_the_dark, lose_course, unseen
 from eps_hil.estimation.records import copy
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Inputs
@@ -401,6 +401,8 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
         w.slow, w.turned, w.slow_gain = 0.0, 0.0, 0.0
         blind(w, p, u.motor_speed_rad_s, missing & (_RANGE | _RATE) != 0)
         return latched(w, p), w.told > 0
+    if not seen and w.unseen > p.bridged and w.steps > 0:  # drawn straight: nobody saw it
+        lose_course(w)
     before = w.speed[(w.steps - 1) & WRAP]
     if w.steps == 0 or w.hole > 0:
         before = u.motor_speed_rad_s
