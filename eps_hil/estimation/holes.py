@@ -70,6 +70,7 @@ def in_the_dark(w: "Watch", p: "Limits", drawn: bool) -> None:
     course there as no load does; for as long as the windows reach into the hole.
     """
     w.drawn = w.drawn + 1 if drawn else 0
+    w.drawn_at[w.steps & WRAP] = w.drawn
     w.dark = 3 * p.window if w.drawn > p.window // _TURNS_IN else max(w.dark - 1, 0)
 
 

@@ -118,9 +118,10 @@ class Watch:
     guesses: int
     swing: float
     # For how many steps the speed was drawn straight between samples until now, and for how many
-    # more its bend may be that of the drawing.
+    # more its bend may be that of the drawing; the first of them at each of the last steps.
     drawn: int
     dark: int
+    drawn_at: Annotated[Ints, RING]
     # Innovation of the motion after a torque jump: its spread, the jumps that nothing followed.
     spread: float
     innovation: float

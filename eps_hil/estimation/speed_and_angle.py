@@ -32,6 +32,8 @@ _PAIR = math.sqrt(2.0)
 SUDDEN = 2
 _SPEED_JUMP = 1.5
 """A jump of the speed (rad/s) from one step to the next that is looked at."""
+_COURSE_STEPS = 3
+"""Over so many on either side of a hole the speed's own slope is taken."""
 
 
 @kernel
@@ -121,20 +123,34 @@ def jumped_alone(w: "Watch", p: "Limits", u: Inputs) -> bool:
 
     No load moves an inertia at once, but an impact nearly does; then the angle's slope changes by
     as much. The sum of (dphi - omega dt) shows by its bend whether it did; a gain that is wrong
-    gives it a slope and no bend.
+    gives it a slope and no bend. A jump in a hole of the speed is drawn over all of it, and looked
+    for where the middle of the hole is that long ago.
     """
     n, k = p.window, w.steps - 1
-    if k < 2 * n or n < 3:
+    if k < 3 * n or n < 3:
         return False
     v, m = w.speed, k - n
-    jump = v[(m + 1) & WRAP] - v[m & WRAP]
-    course = v[m & WRAP] - v[(m - 1) & WRAP] + v[(m + 2) & WRAP] - v[(m + 1) & WRAP]
-    jump -= 0.5 * course
-    if jump * jump < max(2.5 * p.jump * u.speed_noise, _SPEED_JUMP**2):
+    first, last = m, m + 1
+    while w.drawn_at[first & WRAP] > 0 and m - first < n:
+        first -= 1
+    while w.drawn_at[last & WRAP] > 0 and last < k - 1:
+        last += 1
+    if m != (first + last) // 2:
         return False
-    bend = 0.0
+    over = 1 if last == first + 1 else min(_COURSE_STEPS, k - last)
+    course = v[first & WRAP] - v[(first - over) & WRAP]
+    course += v[(last + over) & WRAP] - v[last & WRAP]
+    share = 0.5 * (last - first) / over
+    jump = v[last & WRAP] - v[first & WRAP] - share * course
+    noise = 2.0 * ((1.0 + share) ** 2 + share * share) if over > 1 else 2.5
+    if jump * jump < max(noise * p.jump * u.speed_noise, _SPEED_JUMP**2):
+        return False
+    bend, begun = 0.0, w.apart[first & WRAP]
+    slope = (w.apart[last & WRAP] - begun) / (last - first)
     for j in range(2 * n + 1):
-        bend += p.hinge[j] * w.apart[(m - n + j) & WRAP]
+        i = m - n + j  # within a hole the angle is drawn straight, too, and no integral of a speed
+        apart = begun + (i - first) * slope if first < i < last else w.apart[i & WRAP]
+        bend += p.hinge[j] * apart
     due = jump * n * p.step_s
     noise = p.jump * p.hinge_noise * u.angle_noise
     return bool((bend + due) ** 2 < 0.25 * due * due and bend * bend > noise)

@@ -274,6 +274,7 @@ def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
         at = w.steps & WRAP
         w.apart[at] = w.apart[(w.steps - 1) & WRAP]
         w.torque[at] = guessed(w, p, u.drive_noise)
+        w.drawn_at[at] = 0
         if not math.isfinite(w.speed[at]):
             w.speed[at] = speed + j * slope
             in_the_dark(w, p, True)

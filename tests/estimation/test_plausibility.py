@@ -393,6 +393,43 @@ def test_an_offset_that_begins_after_short_holes_near_a_turning_point_is_told(
     assert missed == 0
 
 
+@pytest.mark.parametrize("lost_ms", [4, 7])
+@pytest.mark.parametrize("offset_rad_s", [16.0, -16.0])
+def test_a_speed_that_jumps_in_a_hole_is_told(
+    reference_model: Model, sweep_truth: Any, lost_ms: int, offset_rad_s: float
+) -> None:
+    """The jump is drawn over the hole, by less from step to step than is looked at."""
+    whole, longest = series_of(sweep_truth), []
+    for at in range(31000, 33000, 100):
+        part = slice(at - 1500, at + 300)
+        series = {n: Series(one.t_ns[part], one.value[part].copy()) for n, one in whole.items()}
+        right = estimate(series, reference_model)
+        series[NAMES[2]].value[1500:] += offset_rad_s
+        begin = int(series[NAMES[0]].t_ns[1500] // 10**6) - lost_ms // 2
+        trace = estimate(holed(series, begin, lost_ms), reference_model)
+        same = np.searchsorted(right.t_ns, trace.t_ns)
+        wrong = np.abs(trace.rack_force_n - right.rack_force_n[same]) > 100.0
+        longest.append(int(np.sum(wrong & trace.valid & right.valid[same])))
+    assert sum(spell > 20 for spell in longest) <= 1
+
+
+def test_a_torque_drawn_over_a_long_hole_is_not_believed(
+    reference_model: Model, sweep_truth: Any
+) -> None:
+    """All frames were lost for 25 ms, in which the motor torque began to read too much."""
+    whole = series_of(sweep_truth)
+    for at in range(8000, 20000, 1500):
+        part = slice(at - 1500, at + 600)
+        series = {n: Series(one.t_ns[part], one.value[part].copy()) for n, one in whole.items()}
+        series[NAMES[0]].value[1500:1800] += 0.25
+        begin = int(series[NAMES[0]].t_ns[1500] // 10**6) - 12
+        settings = EstimatorSettings(stale_after_s=0.05)
+        trace = estimate(holed(series, begin, 25), reference_model, settings)
+        since = series[NAMES[0]].t_ns[1500]
+        inside = (trace.t_ns > since + 15 * 10**6) & (trace.t_ns < since + 290 * 10**6)
+        assert not trace.valid[inside].any()
+
+
 @pytest.mark.parametrize("lost_ms", [1, 3, 7, 17])
 @pytest.mark.parametrize("offset_nm", [0.2, -2.0])
 def test_what_began_in_a_short_hole_is_told_at_once(
