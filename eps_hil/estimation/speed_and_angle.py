@@ -127,7 +127,7 @@ def jumped_alone(w: "Watch", p: "Limits", u: Inputs) -> bool:
     for where the middle of the hole is that long ago.
     """
     n, k = p.window, w.steps - 1
-    if k < 3 * n or n < 3:
+    if k < 2 * n + _COURSE_STEPS or n < 3:
         return False
     v, m = w.speed, k - n
     first, last = m, m + 1
