@@ -1,6 +1,7 @@
 """CAN databases by cantools, with every failure told in one line."""
 
 import difflib
+import logging
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -13,16 +14,40 @@ def load_database(paths: Sequence[str | Path], *, strict: bool = True) -> Any:
     """One cantools ``Database`` from one or several files (DBC, ARXML, KCD, SYM).
 
     ``strict=False`` also takes files with overlapping signals, or signals longer than their
-    message. :class:`InputError` for a missing or broken file, naming the line where there is one.
+    message. A message that several files define alike is kept once; :func:`find_message` refuses
+    one that they define differently. :class:`InputError` for a missing or broken file, naming the
+    line where there is one.
     """
     from cantools.database import Database
 
+    logging.getLogger("cantools").addHandler(logging.NullHandler())  # what is wrong, we say
     parts = [_load(Path(path), strict=strict) for path in paths]
     if len(parts) == 1:
-        return parts[0]
-    messages = [message for part in parts for message in part.messages]
-    nodes = [node for part in parts for node in part.nodes]
-    return Database(messages=messages, nodes=nodes, strict=strict)
+        loaded = parts[0]
+    else:
+        messages = {_layout(message): message for part in parts for message in part.messages}
+        nodes = [node for part in parts for node in part.nodes]
+        loaded = Database(messages=list(messages.values()), nodes=nodes, strict=strict)
+    loaded.eps_hil_files = " + ".join(str(path) for path in paths)
+    return loaded
+
+
+def _layout(message: Any) -> tuple[Any, ...]:
+    """All that decides how a message's frames are read and written."""
+    return (
+        message.name, message.frame_id, message.is_extended_frame, message.is_fd, message.length,
+        message.cycle_time, message.is_container,
+        tuple(sorted(map(_signal_layout, message.signals), key=repr)),
+    )  # fmt: skip
+
+
+def _signal_layout(signal: Any) -> tuple[Any, ...]:
+    return (
+        signal.name, signal.start, signal.length, signal.byte_order, signal.is_signed,
+        signal.is_float, signal.scale, signal.offset, signal.minimum, signal.maximum, signal.unit,
+        signal.is_multiplexer, signal.multiplexer_signal, repr(signal.multiplexer_ids),
+        repr(signal.choices),
+    )  # fmt: skip
 
 
 def _load(path: Path, *, strict: bool) -> Any:
@@ -48,8 +73,14 @@ def _load(path: Path, *, strict: bool) -> Any:
 
 
 def find_message(database: Any, name: str) -> Any | None:
-    """The message called ``name``, or None."""
-    return next((message for message in database.messages if message.name == name), None)
+    """The message called ``name``, or None; :class:`InputError` where there are several."""
+    found = [message for message in database.messages if message.name == name]
+    if len(found) > 1:
+        raise InputError(
+            getattr(database, "eps_hil_files", "database"), name,
+            f"{len(found)} different messages have this name", "keep the one that is meant",
+        )  # fmt: skip
+    return found[0] if found else None
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
