@@ -75,25 +75,13 @@ class SlideLevel(NamedTuple):
 
 def slide_level(
     slide: Slide, model: Model, *, positive: bool, guess_nm: float
-) -> SlideLevel | None:
-    """k0 of this direction; None where the rotor never really slid.
+) -> Generator[None, None, SlideLevel | None]:
+    """k0 of this direction, a piece at each ``next``; None where the rotor never really slid.
 
     ``guess_nm`` starts the rounds (the torque at break-away). Where the travel does not bring the
     bristle to one of :data:`FULL_SHARES`, the second half of the way is used, and the result leans
     on the bristle's form (few ``lengths``, and ``form_nm``, say so).
     """
-    pieces = slide_level_in_pieces(slide, model, positive=positive, guess_nm=guess_nm)
-    while True:
-        try:
-            next(pieces)
-        except StopIteration as end:
-            return end.value
-
-
-def slide_level_in_pieces(
-    slide: Slide, model: Model, *, positive: bool, guess_nm: float
-) -> Generator[None, None, SlideLevel | None]:
-    """:func:`slide_level` a piece at each ``next``: for a loop that has a millisecond."""
     f = model.friction
     viscous = f.viscous_pos_nm_s_per_rad if positive else f.viscous_neg_nm_s_per_rad
     load = f.load_pos_nm_per_n if positive else f.load_neg_nm_per_n

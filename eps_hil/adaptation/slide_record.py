@@ -7,7 +7,7 @@ from collections.abc import Generator
 import numpy as np
 
 from eps_hil.adaptation.gates import InjectionInputs
-from eps_hil.adaptation.slide import Floats, Slide, SlideLevel, slide_level_in_pieces
+from eps_hil.adaptation.slide import Floats, Slide, SlideLevel, slide_level
 from eps_hil.physics.model import Model
 
 _STEP_S = 1e-3
@@ -88,11 +88,7 @@ class SlideRecord:
             return None
         slide = self._slide()
         yield
-        return (
-            yield from slide_level_in_pieces(
-                slide, self._model, positive=positive, guess_nm=guess_nm
-            )
-        )
+        return (yield from slide_level(slide, self._model, positive=positive, guess_nm=guess_nm))
 
     def _slide(self) -> Slide:
         time_s = (self._stamps[: self._n] - self._start_ns) * 1e-9

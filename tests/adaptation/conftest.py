@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from eps_hil.adaptation.gates import InjectionInputs
+from eps_hil.adaptation.slide import Slide, SlideLevel, slide_level
 from eps_hil.adaptation.torque_injection import InjectionCommand, TorqueInjection
 from eps_hil.physics.chain_parameters import load_chain
 from eps_hil.physics.model import Model
@@ -95,3 +96,21 @@ def scaled_levels() -> Callable[[Model, float, float], Model]:
 @pytest.fixture(scope="session")
 def hands() -> dict[str, Segment]:
     return {"off": HANDS_OFF, "on": HANDS_ON}
+
+
+SlideLevelOf = Callable[[Slide, Model, bool, float], SlideLevel | None]
+
+
+def _level(slide: Slide, model: Model, positive: bool, guess_nm: float) -> SlideLevel | None:
+    pieces = slide_level(slide, model, positive=positive, guess_nm=guess_nm)
+    while True:
+        try:
+            next(pieces)
+        except StopIteration as end:
+            return end.value
+
+
+@pytest.fixture(scope="session")
+def slide_level_of() -> SlideLevelOf:
+    """The level of a slide, all pieces of the sum at once."""
+    return _level

@@ -1,6 +1,7 @@
 """The level of one slide, from motions whose torque is known in closed form; and the result."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +17,10 @@ from eps_hil.adaptation.injection_result import (
     result_of,
     student_t95,
 )
-from eps_hil.adaptation.slide import Slide, slide_level
+from eps_hil.adaptation.slide import Slide, SlideLevel
 from eps_hil.physics.model import Model, load_model
 
+SlideLevelOf = Callable[[Slide, Model, bool, float], SlideLevel | None]
 MODEL = load_model(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
 STEP = 1e-3
 
@@ -46,16 +48,18 @@ def closed_form(
 
 @given(level=st.floats(0.02, 0.3), peak=st.floats(3.0, 30.0), force=st.floats(-200.0, 200.0))
 def test_the_level_comes_back(
-    reference_model: Model, level: float, peak: float, force: float
+    slide_level_of: SlideLevelOf, reference_model: Model, level: float, peak: float, force: float
 ) -> None:
     slide = closed_form(reference_model, level, peak=peak, force_n=force)
-    found = slide_level(slide, reference_model, positive=True, guess_nm=1.3 * level)
+    found = slide_level_of(slide, reference_model, True, 1.3 * level)
     assert found is not None
     assert found.offset_nm == pytest.approx(level, rel=0.01)
     assert found.travel_rad == pytest.approx(peak * 0.3, rel=0.02)
 
 
-def test_noise_is_within_the_error_that_is_stated(reference_model: Model) -> None:
+def test_noise_is_within_the_error_that_is_stated(
+    slide_level_of: SlideLevelOf, reference_model: Model
+) -> None:
     slide = closed_form(reference_model, 0.1, peak=5.0)
     rng = np.random.default_rng(4)
     errors, stated = [], []
@@ -64,7 +68,7 @@ def test_noise_is_within_the_error_that_is_stated(reference_model: Model) -> Non
             torque_nm=slide.torque_nm + 4e-3 * rng.standard_normal(len(slide.torque_nm)),
             speed_rad_s=slide.speed_rad_s + 0.25 * rng.standard_normal(len(slide.torque_nm)),
         )
-        found = slide_level(noisy, reference_model, positive=True, guess_nm=0.1)
+        found = slide_level_of(noisy, reference_model, True, 0.1)
         assert found is not None
         errors.append(found.offset_nm - 0.1)
         stated.append(found.standard_error_nm)
@@ -72,7 +76,9 @@ def test_noise_is_within_the_error_that_is_stated(reference_model: Model) -> Non
     assert abs(float(np.mean(errors))) < 3.0 * float(np.std(errors)) / 10.0
 
 
-def test_what_the_torque_at_detection_is_too_large_by(reference_model: Model) -> None:
+def test_what_the_torque_at_detection_is_too_large_by(
+    slide_level_of: SlideLevelOf, reference_model: Model
+) -> None:
     """Free ramp: J ω = r t²/2, so at the set-point the torque is √(2 J ω r) above the level."""
     inertia, ramp, level, speed = reference_model.inertia_kg_m2, 0.1, 0.056, 2.0
     end = math.sqrt(2 * inertia * speed / ramp)
@@ -81,7 +87,7 @@ def test_what_the_torque_at_detection_is_too_large_by(reference_model: Model) ->
     omega = ramp * t**2 / (2 * inertia)
     viscous = reference_model.friction.viscous_pos_nm_s_per_rad * omega
     slide = Slide(1e-4, level + ramp * t + viscous, omega, travel, np.zeros_like(t))
-    found = slide_level(slide, reference_model, positive=True, guess_nm=0.06)
+    found = slide_level_of(slide, reference_model, True, 0.06)
     assert found is not None
     assert found.offset_nm == pytest.approx(level, rel=2e-3)
     too_large = slide.torque_nm[-1] - viscous[-1] - level
@@ -89,7 +95,7 @@ def test_what_the_torque_at_detection_is_too_large_by(reference_model: Model) ->
     assert too_large > 0.15 * level
 
 
-def test_no_slide_no_level(reference_model: Model) -> None:
+def test_no_slide_no_level(slide_level_of: SlideLevelOf, reference_model: Model) -> None:
     slide = closed_form(reference_model, 0.1, peak=5.0)
     short = slide._replace(
         torque_nm=slide.torque_nm[:15],
@@ -97,12 +103,12 @@ def test_no_slide_no_level(reference_model: Model) -> None:
         travel_rad=slide.travel_rad[:15],
         force_n=slide.force_n[:15],
     )
-    assert slide_level(short, reference_model, positive=True, guess_nm=0.1) is None
+    assert slide_level_of(short, reference_model, True, 0.1) is None
 
 
-def test_a_spring_shows_as_drift(reference_model: Model) -> None:
+def test_a_spring_shows_as_drift(slide_level_of: SlideLevelOf, reference_model: Model) -> None:
     slide = closed_form(reference_model, 0.1, peak=5.0, spring=0.0073)
-    found = slide_level(slide, reference_model, positive=True, guess_nm=0.1)
+    found = slide_level_of(slide, reference_model, True, 0.1)
     assert found is not None
     assert found.drift_nm_per_rad == pytest.approx(0.0073, rel=0.15)
 

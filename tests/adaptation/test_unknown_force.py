@@ -1,17 +1,19 @@
 """A rack force told from a change of friction, by the last levels and by the way before sliding."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eps_hil.adaptation.slide import Slide, slide_level
+from eps_hil.adaptation.slide import Slide, SlideLevel
 from eps_hil.adaptation.unknown_force import NOT_SEEN, force_that_explains_n, shift_of
 from eps_hil.estimation.levels import FrictionLevels
 from eps_hil.physics.model import Model
 
+SlideLevelOf = Callable[[Slide, Model, bool, float], SlideLevel | None]
 OWN = FrictionLevels(0.056, 0.1258)
 RATIO, SIGMA0 = 2513.0, 4.5
 levels_of_gears = st.builds(FrictionLevels, st.floats(0.03, 0.2), st.floats(0.03, 0.2))
@@ -39,7 +41,9 @@ def test_another_form_of_presliding_says_nothing() -> None:
 
 
 @pytest.mark.parametrize("positive", [True, False])
-def test_the_length_is_read_off_a_ramp(reference_model: Model, positive: bool) -> None:
+def test_the_length_is_read_off_a_ramp(
+    slide_level_of: SlideLevelOf, reference_model: Model, positive: bool
+) -> None:
     """The bristle under a torque ramp, by its closed form: s = −λ ln(1 − (T − σ1/σ0 r)/T_∞)."""
     f = reference_model.friction
     level, shift, rate = 0.09, 0.016, 0.1
@@ -52,7 +56,7 @@ def test_the_length_is_read_off_a_ramp(reference_model: Model, positive: bool) -
     speed = np.concatenate([np.gradient(way, 1e-3), np.full(len(slide_s), 2.0)])
     way = np.concatenate([way, way[-1] + 2.0 * slide_s])
     slide = Slide(1e-3, torque, speed, way, np.zeros(len(way)))
-    found = slide_level(slide, reference_model, positive=positive, guess_nm=most)
+    found = slide_level_of(slide, reference_model, positive, most)
     assert found is not None
     assert found.bent_rad == pytest.approx(level / f.sigma0_nm_per_rad, rel=0.03)
 
