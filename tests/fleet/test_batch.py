@@ -174,11 +174,17 @@ def deadly(of: Job, task: Task, key: str) -> Row:
             "error": "", "start_s": 0.0, "output": "", "values": [], "seconds": 0.0}  # fmt: skip
 
 
+def _known_to_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The job above in the place of the real one; processes find it however pytest was started."""
+    monkeypatch.syspath_prepend(str(ROOT))
+    monkeypatch.setattr(workers, "run", deadly)
+
+
 @pytest.mark.slow
 def test_a_recording_that_kills_its_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(workers, "run", deadly)
+    _known_to_workers(monkeypatch)
     units = ["one", "two", "deadly", "three", "four"]
     tasks = [Task(tmp_path / f"{k}.csv", unit) for k, unit in enumerate(units)]
     batch = run_batch(job(tmp_path), tasks, processes=2)
@@ -199,7 +205,7 @@ def test_no_recording_is_lost_where_the_pool_breaks_before_it_is_given_out(
             return super().submit(function, *words, **more)
 
     monkeypatch.setattr(workers, "ProcessPoolExecutor", Breaks)
-    monkeypatch.setattr(workers, "run", deadly)
+    _known_to_workers(monkeypatch)
     tasks = [Task(tmp_path / f"{k}.csv", unit) for k, unit in enumerate(["one", "two", "three"])]
     batch = run_batch(job(tmp_path), tasks, processes=2)
     assert refused
