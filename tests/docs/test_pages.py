@@ -13,9 +13,11 @@ import yaml
 from eps_hil import yaml_file
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.cli.main import app
+from eps_hil.programme.limits import Limits
 from eps_hil.rig.config import RigConfig
 from eps_hil.rig.sensors import SensorSettings
 from eps_hil.service.adaptation_config import AdaptationConfig
+from eps_hil.service.calibration import CalibrationSettings
 from eps_hil.service.config import OverrideConfig, PublishConfig, RuntimeConfig, load_config
 from eps_hil.signals import CANONICAL
 
@@ -143,6 +145,35 @@ def test_the_block_of_the_rig_that_is_shown_holds_the_defaults() -> None:
     for name in shown.keys() - {"chain", "model", "sensors"}:
         assert shown[name] == fields[name], name
     assert shown["sensors"].keys() <= {each.name for each in dataclasses.fields(SensorSettings)}
+
+
+SHOWN = [
+    ("howto-investigate.md", "investigate", Limits(), set()),
+    ("howto-calibrate-friction.md", "calibration", CalibrationSettings(), {"absent"}),
+    ("howto-calibrate-friction.md", "adaptation", AdaptationConfig(), {"method"}),
+]
+
+
+@pytest.mark.parametrize(
+    ("page", "block", "defaults", "examples"), SHOWN, ids=lambda one: str(one)[:20]
+)
+def test_blocks_that_are_shown_hold_the_defaults(
+    page: str, block: str, defaults: Any, examples: set[str]
+) -> None:
+    """``examples``: keys whose value shows how it is written."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    found = re.search(rf"```yaml\n({block}:.*?)```", text, re.DOTALL)
+    assert found is not None
+
+    def same(shown: dict[str, Any], of: Any) -> None:
+        for name, value in shown.items():
+            default = getattr(of, name)
+            if isinstance(value, dict):
+                same(value, default)
+            elif name not in examples:
+                assert value == default, name
+
+    same(yaml.safe_load(found[1])[block], defaults)
 
 
 @pytest.mark.parametrize("name", ["rack_force", "dashboard", "dashboard_diagnosis"])
