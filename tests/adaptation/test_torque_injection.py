@@ -64,9 +64,14 @@ def test_a_rack_force_that_nobody_measured_is_noticed(
     assert wrong > 0.15, "it would have been believed"
 
 
-def test_the_commands_are_the_ramp_that_was_asked_for(reference_model: Model, bench: Any) -> None:
-    injection = TorqueInjection(QUICK, reference_model)
-    run = bench(reference_model).run(injection)
+@pytest.fixture(scope="module")
+def quick(reference_model: Model, bench: Any) -> Any:
+    """A run in which nothing is wrong."""
+    return bench(reference_model).run(TorqueInjection(QUICK, reference_model))
+
+
+def test_the_commands_are_the_ramp_that_was_asked_for(quick: Any) -> None:
+    run = quick
     torque = np.array([command.torque_nm for command in run.commands])
     ramp = np.array([command.phase is Phase.RAMP for command in run.commands])
     both = ramp[1:] & ramp[:-1]
@@ -82,10 +87,12 @@ def test_the_commands_are_the_ramp_that_was_asked_for(reference_model: Model, be
     assert back < 0.5e-3, "the directions alternate, so the rack stays where it is"
 
 
-def test_the_same_samples_give_the_same_result(reference_model: Model, bench: Any) -> None:
-    runs = [bench(reference_model).run(TorqueInjection(QUICK, reference_model)) for _ in range(2)]
-    assert runs[0].injection.result == runs[1].injection.result
-    assert runs[0].commands == runs[1].commands
+def test_the_same_samples_give_the_same_result(
+    reference_model: Model, bench: Any, quick: Any
+) -> None:
+    again = bench(reference_model).run(TorqueInjection(QUICK, reference_model))
+    assert again.injection.result == quick.injection.result
+    assert again.commands == quick.commands
 
 
 def test_no_step_has_more_than_a_piece_of_the_evaluation_to_do(

@@ -210,7 +210,9 @@ class TestStretches:
 class TestChains:
     LOAD = Load(2.0e5, 2.0e4)
 
-    @pytest.mark.parametrize("order", ORDERS)
+    @pytest.mark.parametrize(
+        "order", [1, 2, *(pytest.param(n, marks=pytest.mark.slow) for n in (3, 4)), 5]
+    )
     def test_without_friction_the_run_gives_the_closed_form(
         self, model: Model, chain: ChainParameters, order: int
     ) -> None:

@@ -132,10 +132,11 @@ def test_recordings_that_no_diagnosis_takes_are_not_collected_for_ever(
     assert said[1]["problem"] == "rack_force_n has the wrong sign"
 
 
-def test_a_model_file_without_friction_is_refused(menu: Menu) -> None:
-    bare = replace(menu.model.friction, offset_pos_nm=0.0, offset_neg_nm=0.0)
+def test_a_model_file_without_friction_is_refused(tmp_path: Path) -> None:
+    model, limits = load_model(REFERENCE), load_limits(written(tmp_path))
+    bare = replace(model.friction, offset_pos_nm=0.0, offset_neg_nm=0.0)
     with pytest.raises(EpsHilError, match="identify it first"):
-        prepared_menu(replace(menu.model, friction=bare), menu.limits, 1.0)
+        prepared_menu(replace(model, friction=bare), limits, 1.0)
 
 
 @pytest.mark.parametrize(("text", "value"), [("20min", 1200), ("90 s", 90), ("1.5h", 5400)])

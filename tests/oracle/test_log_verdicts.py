@@ -1,6 +1,8 @@
 """A log's estimates are as little valid as those that the service's core makes of its frames."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -32,6 +34,37 @@ def frames() -> list[Frame]:
     return made
 
 
+Played = tuple[Path, dict[int, Reason]]
+
+
+@pytest.fixture(scope="module")
+def played(
+    frames: list[Frame], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[float], Played]:
+    """The frames as a log whose stamps jump in the fourth second; what the core says of them."""
+
+    @cache
+    def at(by_ms: float) -> Played:
+        asked = load_config(CONFIG)
+        parts = prepare(replace(asked, service=replace(asked.service, start_wait_s=0.0)), CONFIG)
+        live: dict[int, Reason] = {}
+        log = tmp_path_factory.mktemp("played") / "paused.log"
+        with log.open("w") as lines:
+            for each in frames:
+                if each.can_id not in parts.decoder.receive_ids:
+                    continue
+                late = round(by_ms * MS) if each.t_ns > T0_NS + 4000 * MS else 0
+                frame = replace(each, t_ns=each.t_ns + late)
+                parts.core.on_frames([frame])
+                if parts.core.latest is not None:
+                    live[parts.core.latest.t_ns] = parts.core.latest.reason
+                stamp = f"({frame.t_ns // 10**9}.{frame.t_ns % 10**9 // 1000:06d})"
+                lines.write(f"{stamp} can0 {frame.can_id:03X}#{frame.data.hex().upper()}\n")
+        return log, live
+
+    return at
+
+
 @pytest.mark.parametrize(
     ("by_ms", "one_by_one", "stretch"),
     [
@@ -45,29 +78,13 @@ def frames() -> list[Frame]:
     ],
 )
 def test_what_waited_is_told_of_a_log_too(
-    tmp_path: Path,
-    frames: list[Frame],
+    played: Callable[[float], Played],
     by_ms: float,
     one_by_one: bool,
     stretch: int,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The stamps jump in the fourth second."""
-    asked = load_config(CONFIG)
-    parts = prepare(replace(asked, service=replace(asked.service, start_wait_s=0.0)), CONFIG)
-    live: dict[int, Reason] = {}
-    log = tmp_path / "paused.log"
-    with log.open("w") as lines:
-        for each in frames:
-            if each.can_id not in parts.decoder.receive_ids:
-                continue
-            late = round(by_ms * MS) if each.t_ns > T0_NS + 4000 * MS else 0
-            frame = replace(each, t_ns=each.t_ns + late)
-            parts.core.on_frames([frame])
-            if parts.core.latest is not None:
-                live[parts.core.latest.t_ns] = parts.core.latest.reason
-            stamp = f"({frame.t_ns // 10**9}.{frame.t_ns % 10**9 // 1000:06d})"
-            lines.write(f"{stamp} can0 {frame.can_id:03X}#{frame.data.hex().upper()}\n")
+    asked, (log, live) = load_config(CONFIG), played(by_ms)
     if one_by_one:
         monkeypatch.setattr(log_signals, "_columns", lambda *_: None)
     read = eps_hil.load(log, dbc=asked.dbc, signals=asked.signals)

@@ -18,6 +18,8 @@ def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(csv_file, "_WORTH_ARROW", request.param)
 
 
+large = pytest.mark.parametrize("parser", [0], ids=["pyarrow"], indirect=True)
+"""For what only a large file's parser does, or a test that calls both."""
 HEADER = "time_s,motor_torque_nm,motor_speed_rad_s\n"
 
 
@@ -214,6 +216,7 @@ _CELL = st.one_of(
 )
 
 
+@large
 @given(st.lists(st.tuples(_CELL, _CELL, _CELL), min_size=1, max_size=20), st.booleans())
 def test_both_parsers_read_the_same_to_the_last_bit(
     rows: list[tuple[str, str, str]], blank: bool
@@ -234,11 +237,11 @@ def test_both_parsers_read_the_same_to_the_last_bit(
 EPOCH = [1_757_617_431_821_276_123, 1_757_617_431_822_276_001, 1_757_617_432_000_000_000]
 
 
+@large
 @pytest.mark.parametrize("column", ["time_s", "time_ns"])
 def test_stamps_of_a_large_file_are_exact(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, column: str
 ) -> None:
-    monkeypatch.setattr(csv_file, "_WORTH_ARROW", 0)
     monkeypatch.setattr(csv_file, "_nanoseconds", None)  # cell by cell is another path
     monkeypatch.setattr(csv_file, "_integer", None)
     cells = EPOCH if column == "time_ns" else [f"{t // 10**9}.{t % 10**9:09d}" for t in EPOCH]
@@ -247,6 +250,7 @@ def test_stamps_of_a_large_file_are_exact(
     assert recording.series["motor_torque_nm"].t_ns.tolist() == EPOCH
 
 
+@large
 @pytest.mark.parametrize(
     ("row", "place", "problem"),
     [
@@ -258,9 +262,8 @@ def test_stamps_of_a_large_file_are_exact(
     ],
 )
 def test_what_is_wrong_with_a_large_file_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, row: str, place: str, problem: str
+    tmp_path: Path, row: str, place: str, problem: str
 ) -> None:
-    monkeypatch.setattr(csv_file, "_WORTH_ARROW", 0)
     rows = "".join(f"{t // 10**9}.{t % 10**9:09d},1\n" for t in EPOCH)
     with pytest.raises(InputError) as raised:
         _read(tmp_path, f"time_s,motor_torque_nm\n{rows}{row}\n1757617434.5,1\n")
@@ -268,8 +271,8 @@ def test_what_is_wrong_with_a_large_file_is_named(
     assert problem in str(raised.value)
 
 
-def test_more_than_nine_places_are_rounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(csv_file, "_WORTH_ARROW", 0)
+@large
+def test_more_than_nine_places_are_rounded(tmp_path: Path) -> None:
     rows = "1757617431.8212761236,1\n1757617432.5,1\n"
     recording = _read(tmp_path, "time_s,motor_torque_nm\n" + rows)
     t_ns = recording.series["motor_torque_nm"].t_ns.tolist()

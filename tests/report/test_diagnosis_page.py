@@ -52,6 +52,11 @@ def page(explained: Diagnosis) -> str:
     return diagnosis_page.render(explained, "rig & co.yaml")
 
 
+@pytest.fixture(scope="module")
+def checked(page: str) -> "_Checked":
+    return _Checked(page)
+
+
 class _Checked(HTMLParser):
     """Every element closed in order; texts by element id, and all attributes that load."""
 
@@ -93,8 +98,7 @@ def _plots(checked: _Checked) -> list[dict[str, Any]]:
     return loaded
 
 
-def test_page_is_whole_and_loads_nothing(page: str) -> None:
-    checked = _Checked(page)
+def test_page_is_whole_and_loads_nothing(page: str, checked: _Checked) -> None:
     assert checked.open == []
     assert all(link.startswith("#") for link in checked.loads)
     assert "url(" not in page
@@ -104,8 +108,7 @@ def test_page_is_whole_and_loads_nothing(page: str) -> None:
     assert len(page.encode()) < 2_000_000
 
 
-def test_every_plot_has_its_place_and_its_units(page: str) -> None:
-    checked = _Checked(page)
+def test_every_plot_has_its_place_and_its_units(checked: _Checked) -> None:
     plots = _plots(checked)
     names = [plot["name"] for plot in plots]
     assert sorted(names) == sorted(checked.holders)
@@ -118,8 +121,8 @@ def test_every_plot_has_its_place_and_its_units(page: str) -> None:
         assert plot["data"][0] == sorted(plot["data"][0])
 
 
-def test_page_tells_what_the_json_holds(explained: Diagnosis, page: str) -> None:
-    text = _Checked(page).text
+def test_page_tells_what_the_json_holds(explained: Diagnosis, checked: _Checked) -> None:
+    text = checked.text
     content = explained.content
     assert content["verdict"] == "explained"
     assert [one["effect"] for one in content["findings"]] == ["unmodelled_spring"]
@@ -140,9 +143,9 @@ def test_page_tells_what_the_json_holds(explained: Diagnosis, page: str) -> None
     assert "explained by unmodelled spring" in text
 
 
-def test_term_is_drawn_as_it_acts(explained: Diagnosis, page: str) -> None:
+def test_term_is_drawn_as_it_acts(explained: Diagnosis, checked: _Checked) -> None:
     """A spring's torque over the rotor angle is a line through zero with its stiffness."""
-    (plot,) = (one for one in _plots(_Checked(page)) if one["name"] == "finding0")
+    (plot,) = (one for one in _plots(checked) if one["name"] == "finding0")
     assert plot["x_label"] == "rotor angle in rad"
     angle, term = np.array(plot["data"][0]), np.array(plot["data"][-1], dtype=np.float64)
     slope = np.polyfit(angle, term * 1e-3, 1)[0]
@@ -150,17 +153,16 @@ def test_term_is_drawn_as_it_acts(explained: Diagnosis, page: str) -> None:
     assert abs(slope) == pytest.approx(fitted, rel=0.05)
 
 
-def test_names_from_files_are_text(page: str) -> None:
+def test_names_from_files_are_text(page: str, checked: _Checked) -> None:
     assert "<script>alert" not in page
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
-    assert EVIL in _Checked(page).text
-    assert "rig & co.yaml" in _Checked(page).text
+    assert EVIL in checked.text
+    assert "rig & co.yaml" in checked.text
 
 
-def test_ablation_lists_every_term(page: str) -> None:
-    text = _Checked(page).text
-    assert "all but unmodelled spring" in text
-    assert "sensor noise alone" in text
+def test_ablation_lists_every_term(page: str, checked: _Checked) -> None:
+    assert "all but unmodelled spring" in checked.text
+    assert "sensor noise alone" in checked.text
     assert "the ceiling: with boosted trees on top" in page
 
 
@@ -205,8 +207,18 @@ def test_page_of_two_states_says_what_changed(explained: Diagnosis) -> None:
     assert "Beyond the model file" not in nothing
 
 
-@pytest.mark.parametrize("verdict", ["unknown_effect", "partly_explained"])
-@pytest.mark.parametrize("curve", [[], [[-0.01, 0.002, 0.001], [0.01, 0.02, 0.001]]])
+_CURVE = [[-0.01, 0.002, 0.001], [0.01, 0.02, 0.001]]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "curve"),
+    [
+        ("unknown_effect", _CURVE),
+        ("partly_explained", []),
+        pytest.param("unknown_effect", [], marks=pytest.mark.slow),
+        pytest.param("partly_explained", _CURVE, marks=pytest.mark.slow),
+    ],
+)
 def test_page_of_an_unknown(explained: Diagnosis, verdict: str, curve: list[Any]) -> None:
     unknown = {
         "effect": "unknown",
@@ -298,10 +310,11 @@ def test_colours_rise_in_lightness() -> None:
     assert light == sorted(light)
 
 
-def test_where_is_told_in_one_and_two_signals(explained: Diagnosis, page: str) -> None:
+def test_where_is_told_in_one_and_two_signals(
+    explained: Diagnosis, page: str, checked: _Checked
+) -> None:
     cells = explained.content["location"]["cells"]
     assert cells
-    checked = _Checked(page)
     assert "% of the mismatch sits in" in checked.text
     assert "where it stands out" in checked.text
     two = [cell for cell in cells if len(cell["signals"]) == 2]
@@ -310,8 +323,8 @@ def test_where_is_told_in_one_and_two_signals(explained: Diagnosis, page: str) -
     assert 'class="frame"' in page
 
 
-def test_placebos_stand_beside_the_gain(explained: Diagnosis, page: str) -> None:
-    text = _Checked(page).text
+def test_placebos_stand_beside_the_gain(explained: Diagnosis, checked: _Checked) -> None:
+    text = checked.text
     (term,) = explained.content["fit"]["placebo"]
     for value in (term["gain"], term["placebo_gain_most"]):
         assert number(value) in text

@@ -1,7 +1,9 @@
 """2 and 4 kHz: the simulated rig, the decoder and the core, frame by frame and step by step."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -49,12 +51,13 @@ rig: {{manoeuvre: weave}}
 
 @dataclass
 class Drive:
-    """``frames`` of ``seconds`` of the rig, stamped with some jitter; the first instant is 0 s."""
+    """``seconds`` of the rig, stamped with some jitter; the first instant is 0 s."""
 
     config: Path
     rate_hz: int
     seconds: float
 
+    @cached_property
     def frames(self) -> list[Frame]:
         rig = RigSimulation(load_rig_setup(self.config))
         rng = np.random.default_rng(2)
@@ -65,20 +68,39 @@ class Drive:
                 found.append(replace(frame, t_ns=at + place * 15_000))
         return found
 
+    @cached_property
+    def live(self) -> "Live":
+        """The service's core over all frames, one by one."""
+        parts = prepare(load_config(self.config), self.config)
+        parts.core.record = []
+        answers, cell = 0, list[tuple[int, float]]()
+        for frame in self.frames:
+            answers += len(parts.core.on_frames([frame]))
+            told = parts.core.load_cell
+            if told and (not cell or told[-1] != cell[-1]):
+                cell.append(told[-1])
+        return Live(parts, parts.core.record, answers, cell)
 
-@pytest.fixture(params=[1_000, 4_000, pytest.param(2_000, marks=pytest.mark.slow)])
-def drive(request: pytest.FixtureRequest, tmp_path: Path) -> Drive:
-    return Drive(config_at(request.param, tmp_path), request.param, 6.0)
+
+class Live(NamedTuple):
+    parts: Any
+    record: list[Any]
+    answers: int
+    load_cell: list[tuple[int, float]]
+
+
+@pytest.fixture(scope="module", params=[1_000, 4_000, pytest.param(2_000, marks=pytest.mark.slow)])
+def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    folder = tmp_path_factory.mktemp("drive")
+    return Drive(config_at(request.param, folder), request.param, 6.0)
 
 
 def test_every_sync_frame_is_answered_by_a_step_of_its_own(drive: Drive) -> None:
-    parts = prepare(load_config(drive.config), drive.config)
-    parts.core.record = []
-    answers = [a for frame in drive.frames() for a in parts.core.on_frames([frame])]
-    assert parts.core.steps == len(answers) == 6 * drive.rate_hz
+    parts = drive.live.parts
+    assert parts.core.steps == drive.live.answers == 6 * drive.rate_hz
     assert parts.core.repeated == 0
     assert not {name: n for name, n in parts.decoder.faults.items() if n}
-    instants = [estimate.t_ns for _, estimate in parts.core.record]
+    instants = [estimate.t_ns for _, estimate in drive.live.record]
     assert np.unique(np.diff(instants)).tolist() == [1_000_000_000 // drive.rate_hz]
     assert parts.core.valid_steps > 0.8 * parts.core.steps
     assert parts.sync_period_s == 1 / drive.rate_hz
@@ -87,15 +109,8 @@ def test_every_sync_frame_is_answered_by_a_step_of_its_own(drive: Drive) -> None
 
 
 def test_the_estimate_is_that_of_the_load_cell_at_any_rate(drive: Drive) -> None:
-    parts = prepare(load_config(drive.config), drive.config)
-    cell: list[tuple[int, float]] = []
-    parts.core.record = []
-    for frame in drive.frames():
-        parts.core.on_frames([frame])
-        if not cell or parts.core.load_cell[-1] != cell[-1]:
-            cell += [parts.core.load_cell[-1]] if parts.core.load_cell else []
-    t_ns, force_n = zip(*cell, strict=True)
-    good = [each for _, each in parts.core.record if each.valid]
+    t_ns, force_n = zip(*drive.live.load_cell, strict=True)
+    good = [each for _, each in drive.live.record if each.valid]
     there = np.interp([each.t_ns for each in good], t_ns, force_n)
     error = np.array([each.rack_force_n for each in good]) - there
     assert np.ptp(there) > 500
@@ -103,7 +118,7 @@ def test_the_estimate_is_that_of_the_load_cell_at_any_rate(drive: Drive) -> None
 
 
 def test_live_and_batch_agree_bit_for_bit(drive: Drive) -> None:
-    frames = drive.frames()[: 9 * drive.rate_hz]
+    frames = drive.frames[: 9 * drive.rate_hz]
     config = load_config(drive.config)
     live = prepare(config, drive.config)
     live.core.record = []
@@ -128,7 +143,7 @@ def test_live_and_batch_agree_bit_for_bit(drive: Drive) -> None:
 
 def test_the_rig_sends_slow_messages_as_often_as_ever(drive: Drive) -> None:
     seconds, count = drive.seconds, dict[int, int]()
-    for frame in drive.frames():
+    for frame in drive.frames:
         count[frame.can_id] = count.get(frame.can_id, 0) + 1
     assert count[SYNC_ID] == seconds * drive.rate_hz
     assert count[0x200] == seconds * 100  # EPS_SteeringWheel, 10 ms

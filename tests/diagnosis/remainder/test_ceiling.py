@@ -48,6 +48,7 @@ def test_what_a_law_would_take_off_trees_nearly_do(pair: Pair) -> None:
     assert left < after + 0.2 * (before - after)
 
 
+@pytest.mark.slow
 def test_trees_gain_nothing_where_nothing_is_left(pair: Pair) -> None:
     problem, kept = pair
     law = replace(problem.model, effects=(LAW,))
