@@ -8,6 +8,7 @@ How many trees is chosen by one half of the stretches for the other; hold-outs o
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.compiled import njit
 from eps_hil.diagnosis.balance.problem import Problem, clipped, knee
 from eps_hil.diagnosis.remainder.sight import Sight
 from eps_hil.physics.model import Model
@@ -65,13 +66,13 @@ def _curve(guesses: Floats, y: Floats) -> Floats:
 
 def _grown(x: Bins, y: Floats, z: Bins, trees: int = _TREES) -> Floats:
     """Guesses (trees, m) for rows ``z`` after each tree grown on ``x`` (n, features) and ``y``."""
-    left, guess = y.copy(), np.zeros(len(z))
+    left, guess, columns = y.copy(), np.zeros(len(z)), np.ascontiguousarray(x.T)
     guesses = np.empty((trees, len(z)))
     for k in range(trees):
         leaf, other = np.zeros(len(x), np.int64), np.zeros(len(z), np.int64)
         for _ in range(_DEPTH):
-            feature, cut = _split(x, left, leaf, int(leaf.max()) + 1)
-            leaf = 2 * leaf + (x[:, feature] > cut)
+            feature, cut = _split(columns, left, leaf, int(leaf.max()) + 1)
+            leaf = 2 * leaf + (columns[feature] > cut)
             other = 2 * other + (z[:, feature] > cut)
         sums = np.bincount(leaf, left, 2**_DEPTH)
         value = _RATE * sums / (np.bincount(leaf, minlength=2**_DEPTH) + _LEAST)
@@ -81,18 +82,21 @@ def _grown(x: Bins, y: Floats, z: Bins, trees: int = _TREES) -> Floats:
     return guesses
 
 
-def _split(x: Bins, left: Floats, leaf: Bins, leaves: int) -> tuple[int, int]:
+def _split(columns: Bins, left: Floats, leaf: Bins, leaves: int) -> tuple[int, int]:
     """The feature and its bin whose split of all leaves at once takes off most."""
-    best, place = -1.0, (0, 0)
-    for feature in range(x.shape[1]):
-        index = leaf * _BINS + x[:, feature]
-        sums = np.cumsum(np.bincount(index, left, leaves * _BINS).reshape(leaves, _BINS), axis=1)
-        counts = np.cumsum(
-            np.bincount(index, minlength=leaves * _BINS).reshape(leaves, _BINS), axis=1
-        )
-        above, more = sums[:, -1:] - sums, counts[:, -1:] - counts
-        gain = np.sum(sums**2 / (counts + _LEAST) + above**2 / (more + _LEAST), axis=0)
-        cut = int(np.argmax(gain[:-1]))
-        if gain[cut] > best:
-            best, place = float(gain[cut]), (feature, cut)
-    return place
+    held = np.zeros((2, len(columns), leaves, _BINS))
+    _fill(columns, left, leaf, held)
+    sums, counts = np.cumsum(held, axis=-1)
+    above, more = sums[..., -1:] - sums, counts[..., -1:] - counts
+    gain = np.sum(sums**2 / (counts + _LEAST) + above**2 / (more + _LEAST), axis=1)[:, :-1]
+    feature, cut = np.unravel_index(int(np.argmax(gain)), gain.shape)
+    return int(feature), int(cut)
+
+
+@njit
+def _fill(columns: Bins, left: Floats, leaf: Bins, held: Floats) -> None:
+    """Sums of ``left``, and how many, by feature, leaf and bin."""
+    for feature in range(columns.shape[0]):
+        for row in range(columns.shape[1]):
+            held[0, feature, leaf[row], columns[feature, row]] += left[row]
+            held[1, feature, leaf[row], columns[feature, row]] += 1.0
