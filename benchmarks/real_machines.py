@@ -13,7 +13,8 @@ YIZHIXIAOCANGSHU/Friction-Identification-for-Manipulators) and `nnfm/` (the fold
 Each gets the model file that one would write from the documentation: the reference rig's with an
 inertia and a friction read off a plot, to one digit, and no load cell. The regression is linear,
 with columns that somebody who knows the machine would choose; it shares no code with the diagnosis.
-Both are judged on the hold-out, on the samples that the diagnosis judges. `share` is the
+Both are judged on the hold-out, on the samples that the diagnosis judges, by the torque that was
+reported: a model that takes some of it off is no better for that. `share` is the
 diagnosis' gain in rms torque error over the regression's.
 """
 
@@ -33,7 +34,7 @@ import numpy.typing as npt
 from scipy import signal
 
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
-from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.diagnosis.data.prepare import prepare, seen_twice
 from eps_hil.diagnosis.data.size import size_of
 from eps_hil.physics.model import Friction, Model, load_model
 from eps_hil.series import Series
@@ -347,13 +348,13 @@ def judged(name: str, machine: Machine, work: Path, more: Sequence[str]) -> dict
         return {"machine": name, "refused": ran.stderr.strip().splitlines()[-1:]}
     told = json.loads((work / "told.json").read_text())
     better = load_model(work / "better.yaml") if (work / "better.yaml").exists() else model
-    ready = [
+    ready = seen_twice([
         prepare(path.name, {
             key: Series(np.round(one.time_s * 1e9).astype(np.int64), values)
             for key, values in one.columns().items() if key != "time_s"
         })
-        for path, one in zip(kept, machine.kept, strict=True)
-    ]  # fmt: skip
+        for path, one in zip([*fit, *kept], [*machine.fit, *machine.kept], strict=True)
+    ])[len(fit):]  # fmt: skip
     size = size_of(ready, model)
     predicted = regression(machine)
     before, after, regressed = [], [], []
@@ -361,7 +362,7 @@ def judged(name: str, machine: Machine, work: Path, more: Sequence[str]) -> dict
         one = prepared.changed(size=size)
         mask = Holdout(one, {}).judging(model)
         before.append(one.left_over(model)[mask])
-        after.append(one.left_over(better)[mask])
+        after.append(one.left_over(better)[mask] / one.acting_share(better))
         moved = motion(recording)
         since = moved.time_s - moved.time_s[0]
         torque = one.raw["motor_torque_nm"] - np.interp(one.time_s, since, predicted(moved))

@@ -73,7 +73,7 @@ from eps_hil.diagnosis.data.intake import (
     split,
     unseen,
 )
-from eps_hil.diagnosis.data.prepare import CLEAR_SIGMA, THIN, Prepared
+from eps_hil.diagnosis.data.prepare import CLEAR_SIGMA, THIN, Prepared, seen_twice
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.data.size import size_of
 from eps_hil.diagnosis.direct.kinematics import small_ratio
@@ -170,6 +170,7 @@ def diagnose(
             lambda one: prepared(one[0], one[1], unexplained_nm, {} if holdouts else recordings),
             series,
         )
+        every = seen_twice(every)
         size, among = size_of(every, model), len(every)
         every = [
             one.changed(size=size, among=among, begins_s=began_s.get(one.name, one.begins_s))

@@ -6,6 +6,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from eps_hil.diagnosis.accept.as_name import as_name
 from eps_hil.diagnosis.accept.beside_law import beside_law
 from eps_hil.diagnosis.accept.holdout_support import augmented_by, holdout_support
 from eps_hil.diagnosis.accept.measured_ratio import settled
@@ -226,11 +227,25 @@ def modelled(
     found = beside_law(problem, starts, judged, measured=ratio, say=say)
     if found is None:
         extra, findings = nameless(problem, now.shown, now.findings, judged, tied, say)
-        return replace(now, findings=findings, extra=extra)
+        now = replace(now, findings=findings, extra=extra)
+        # where a load was measured, names have had their turn beside laws
+        return _by_name(problem, now, judged, tied) if tied and extra is not None else now
     shown, findings = found.selection, found.findings
     extra = simulated_too(problem, shown, findings, found.remainder, judged)
     left = force or left_of(problem, shown, judged) or now.left
     return Names(found.weighed, found.told, shown, findings, left, extra)
+
+
+def _by_name(
+    problem: Problem, now: Names, judged: Sequence[Holdout], tied: Mapping[str, float]
+) -> Names:
+    """The same with a name in the place of the law, where one says the same."""
+    assert now.extra is not None
+    found = as_name(problem, now.shown, now.findings, now.extra, judged, tied)
+    if found is None:
+        return now
+    told, findings, extra = found
+    return Names(problem, told, told, findings, left_of(problem, told, judged), extra)
 
 
 def left_of(problem: Problem, selection: Selection, judged: Sequence[Holdout]) -> Leftover | None:

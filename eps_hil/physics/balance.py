@@ -78,6 +78,19 @@ def sliding_levels_nm(model: Model, motion: Motion) -> Floats:
     return levels[0]
 
 
+def motor_torque_acting_nm(model: Model, motion: Motion) -> Floats:
+    """What acts of the motor torque along a motion (n,), effects included, Nm."""
+    drive, acting = drive_of(model), motion.motor_torque_nm.copy()
+    _motor_with_effects(drive, motion, acting)
+    return acting
+
+
+@kernel
+def _motor_with_effects(drive: Drive, m: Motion, motor: Floats) -> None:
+    if drive.use.motor:
+        added.motor_along(drive.effects, m, Ratios(drive.sensor_to_rotor, drive.ratio), motor)
+
+
 @kernel
 def _levels_with_effects(drive: Drive, m: Motion, levels: Floats) -> None:
     ratios = Ratios(drive.sensor_to_rotor, drive.ratio)

@@ -93,9 +93,9 @@ def _modelled(
     def energy(model: Model) -> float:
         return float(np.sum(kept.residual(model)[kept.sliding] ** 2))
 
-    best, named = beside(given, _columns(selection.found, findings)), list(findings)
+    best, named = beside(given, sensitivities(selection.found, findings)), list(findings)
     if findings:
-        alone = beside(problem.model, _columns(selection.found, []))
+        alone = beside(problem.model, sensitivities(selection.found, []))
         after = given if best is None else best.model
         if alone is not None and energy(alone.model) < energy(after):
             best, named = alone, []
@@ -132,7 +132,7 @@ def _modelled(
     ), named
 
 
-def _columns(found: Fit, findings: Sequence[int]) -> Floats:
+def sensitivities(found: Fit, findings: Sequence[int]) -> Floats:
     """Sensitivities to the model's own numbers and to those of the findings: none refused."""
     own = len(found.own)
     named = [own + i for i, (k, _) in enumerate(found.names) if k in findings]

@@ -114,7 +114,7 @@ def _energies(problem: Problem, model: Model, judged: Sequence[Holdout]) -> Floa
     for one in judged:
         kept = one.prepared
         use = one.judging(problem.model)
-        left = kept.left_over(model) / kept.floor_nm(problem.model)
+        left = problem.left(kept, model) / kept.floor_nm(problem.model)
         block = ((kept.thin_time_s - kept.thin_time_s[0]) // BLOCK_S).astype(np.int64)
         parts.append(np.bincount(block, np.where(use, left, 0.0) ** 2))
     return np.concatenate(parts)

@@ -5,7 +5,7 @@ low-passed once, without phase, and thinned. The filter is linear, so residual a
 pass the same one.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -19,8 +19,9 @@ from eps_hil.diagnosis.data.seen_twice import motion_hz
 from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.identification.filters import every_so_many, on_grid, shifted
-from eps_hil.physics.balance import Motion, residual_nm
-from eps_hil.physics.effects.catalogue import with_model_effects
+from eps_hil.physics.balance import Motion, motor_torque_acting_nm, residual_nm
+from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
+from eps_hil.physics.effects.effect import Slot
 from eps_hil.physics.model import Model
 from eps_hil.physics.simulate import rack_position_m
 from eps_hil.series import Series
@@ -259,7 +260,7 @@ class Prepared:
         """
         worked_in = with_model_effects(model)
         gains = {str(e["effect"]): float(e["gain"]) for e in worked_in.effects if "gain" in e}
-        motor = gains.get("motor_torque_gain", 1.0)
+        motor = self.acting_share(worked_in)
         sensor = worked_in.sensor_to_rotor / gains.get("torque_sensor_gain", 1.0)
         load = 1.0 / worked_in.rack_to_rotor_ratio_rad_per_m
         behind = _behind_lag(worked_in)
@@ -270,6 +271,24 @@ class Prepared:
             + worked_in.inertia_kg_m2**2 * self._acceleration_variance()
         )
         return max(float(np.sqrt(squared)), self.sampled_nm)
+
+    def acting_share(self, model: Model) -> float:
+        """What acts of a small change of the reported motor torque while the rotor moves, rms.
+
+        Saturation, or a law that takes torque off, makes noise and all that is left smaller too.
+        """
+        if not any(_bends_motor_torque(entry) for entry in model.effects):
+            return 1.0
+        motion = self._motion(model, self.every)
+        torque = motion.motor_torque_nm
+        size = max(self.noise["motor_torque_nm"], _SAMPLED * float(np.std(torque)), 1e-12)
+        up, down = (
+            motor_torque_acting_nm(model, motion._replace(motor_torque_nm=torque + one))
+            for one in (size, -size)
+        )
+        moving = motion.speed_rad_s != 0.0
+        slope = (up - down)[moving] / (2.0 * size)
+        return float(np.sqrt(np.mean(slope**2))) if moving.any() else 1.0
 
     @cached_property
     def sampled_nm(self) -> float:
@@ -410,6 +429,15 @@ class Prepared:
         return np.asarray(np.abs(mean) < max(4.0 * sigma, REST_RAD_S * self.size.angle))
 
 
+def _bends_motor_torque(entry: Mapping[str, Any]) -> bool:
+    """Whether an effect does more to the motor's torque than to add a torque of its own."""
+    effect = catalogue()[str(entry["effect"])]
+    if (effect.slot if effect.slot_of is None else effect.slot_of(entry)) is not Slot.MOTOR:
+        return False
+    own = None if effect.probe is None else effect.probe.amplitude
+    return all(one.name != own or one.dimensions != {"Nm": 1} for one in effect.parameters)
+
+
 def _behind_lag(model: Model) -> float:
     """Share of the motor torque's noise variance that a lag before the shaft lets through."""
     lags = [e["delay_s"] for e in model.effects if e["effect"] == "motor_torque_delay"]
@@ -453,19 +481,29 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
     one = Prepared(
         name, time_s, raw, noise, derived, unexplained_nm, interval_s=interval, bands_hz=bands
     )
-    return _seen_by_angle(_seen_twice(one))
+    return _seen_by_angle(seen_twice([one])[0])
 
 
-def _seen_twice(one: Prepared) -> Prepared:
-    """With the end of what speed and angle both tell, where both are slower than the grid."""
-    if one.speed_is_derived or "motor_angle_rad" not in one.raw:
-        return one
-    most_hz = min(one.bands_hz[name] for name in _MOVING)
-    if not np.isfinite(most_hz):
-        return one
-    rate = one.by_angle().raw["motor_speed_rad_s"]
-    end = motion_hz(one.raw["motor_speed_rad_s"], rate, STEP_S, min(most_hz, CUTOFF_HZ))
-    return one.changed(motion_hz=end)
+def seen_twice(recordings: Sequence[Prepared]) -> list[Prepared]:
+    """With the end of what speed and angle both tell, where both are slower than the grid.
+
+    One for all ``recordings`` of a machine, which tell it together.
+    """
+    slow = [one for one in recordings if _is_slow_twice(one)]
+    if not slow:
+        return list(recordings)
+    most_hz = min(one.bands_hz[name] for one in slow for name in _MOVING)
+    pairs = [
+        (one.raw["motor_speed_rad_s"], one.by_angle().raw["motor_speed_rad_s"]) for one in slow
+    ]
+    end = motion_hz(pairs, STEP_S, min(most_hz, CUTOFF_HZ))
+    return [one.changed(motion_hz=end) if _is_slow_twice(one) else one for one in recordings]
+
+
+def _is_slow_twice(one: Prepared) -> bool:
+    """Whether speed and angle were both measured, and more slowly than the grid."""
+    measured = not one.speed_is_derived and "motor_angle_rad" in one.raw
+    return measured and all(np.isfinite(one.bands_hz[name]) for name in _MOVING)
 
 
 def _seen_by_angle(one: Prepared) -> Prepared:

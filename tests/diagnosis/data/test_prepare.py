@@ -88,6 +88,31 @@ def test_the_floor_is_what_noise_leaves(record: Callable[..., Any], reference_mo
     assert np.mean(problem.sliding) > 0.4
 
 
+def test_a_motor_that_saturates_makes_noise_smaller_too(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    """Else a model that takes the torque down to next to nothing leaves less than noise."""
+    (series,) = record({}, ("weave",), seconds=8.0).values()
+    one = prepare("weave", series)
+    quiet = {name: 1e-9 for name in one.noise}
+    alone = one.changed(noise={**quiet, "motor_torque_nm": one.noise["motor_torque_nm"]})
+
+    def floor(*effects: dict[str, Any]) -> float:
+        return alone.floor_nm(replace(reference_model, effects=effects))
+
+    curvature = 1.0
+    moving = alone.motion(reference_model).speed_rad_s != 0.0
+    squared = curvature * one.raw["motor_torque_nm"][moving] ** 2
+    slope = (1.0 - squared) / (1.0 + squared) ** 2
+    saturates = {"effect": "motor_torque_saturation", "curvature_per_nm2": curvature}
+    smaller = float(np.sqrt(np.mean(slope**2)))
+    assert smaller < 0.95
+    assert floor(saturates) == pytest.approx(smaller * floor(), rel=0.02)
+    gain = {"effect": "motor_torque_gain", "gain": 0.7}
+    assert floor(gain) == pytest.approx(0.7 * floor(), rel=1e-6)
+    assert floor({"effect": "motor_torque_offset", "offset_nm": 0.3}) == floor()
+
+
 def test_what_a_diagnosis_needs() -> None:
     t_ns = np.arange(5000, dtype=np.int64) * 1_000_000
     one = Series(t_ns, np.zeros(5000))

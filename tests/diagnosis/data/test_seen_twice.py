@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from eps_hil.diagnosis.data.prepare import Prepared, prepare
+from eps_hil.diagnosis.data.prepare import Prepared, prepare, seen_twice
 from eps_hil.diagnosis.data.seen_twice import motion_hz
 from eps_hil.series import Series
 
@@ -20,10 +20,10 @@ def slow_motion(seconds: float, rng: np.random.Generator) -> Floats:
     return np.sum([np.sin(2 * np.pi * hz * time_s + phase) for hz, phase in tones], axis=0)
 
 
-def noisy(speed_noise: float) -> Prepared:
-    """Recorded at 40 Hz with an angle of 0.5 mrad."""
+def noisy(speed_noise: float, share: float = 1.0) -> Prepared:
+    """Recorded at 40 Hz with an angle of 0.5 mrad; ``share`` of the motion."""
     rng = np.random.default_rng(5)
-    speed = slow_motion(60.0, rng)
+    speed = share * slow_motion(60.0, rng)
     angle = np.cumsum(speed) * STEP_S
     at = np.arange(0, len(speed), 25)
     t_ns = at.astype(np.int64) * 1_000_000
@@ -49,6 +49,16 @@ def test_noise_is_no_acceleration() -> None:
     assert error < 0.33 * other
 
 
+def test_recordings_of_a_machine_share_one_end() -> None:
+    """One that hardly moves has the same sensors, and would have a lower end of its own."""
+    lively, lazy = noisy(0.05), noisy(0.05, 0.05)
+    assert lazy.motion_hz < lively.motion_hz
+    one, other = seen_twice([lively, lazy])
+    assert one.motion_hz == other.motion_hz
+    assert lazy.motion_hz < one.motion_hz <= lively.motion_hz
+    assert one._acceleration_variance() == pytest.approx(other._acceleration_variance(), rel=0.2)
+
+
 def test_a_clear_speed_is_motion_as_far_as_it_goes() -> None:
     assert noisy(1e-4).motion_hz > 10.0
 
@@ -71,5 +81,5 @@ def test_a_witness_that_knows_nothing_ends_nothing(seconds: float) -> None:
     rng = np.random.default_rng(2)
     speed = slow_motion(seconds, rng)
     rate = speed + 50.0 * rng.standard_normal(len(speed))
-    assert motion_hz(speed, rate, STEP_S, 40.0) == np.inf
-    assert motion_hz(speed, -speed, STEP_S, 40.0) == np.inf
+    assert motion_hz([(speed, rate)], STEP_S, 40.0) == np.inf
+    assert motion_hz([(speed, -speed)], STEP_S, 40.0) == np.inf
