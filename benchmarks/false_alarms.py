@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 """False alarms of the plausibility tests per hour, on healthy recordings with wrong models.
 
-    python benchmarks/false_alarms.py [--seeds N]
+    python benchmarks/false_alarms.py [--seeds N] [--holes MS]
 
 Recordings are of the rig of other code (tests/estimation/independent_rig.py): sweep, weave and
 steps of the load, with sensor noise of its seed. Each is estimated with the model as it is and with
-one of inertia, friction, ratio, bristle stiffness and delays 20 % off either way.
+one of inertia, friction, ratio, bristle stiffness and delays 20 % off either way. ``--holes`` takes
+all frames out for 1 to MS milliseconds, some ten times a second.
 """
 
 import argparse
@@ -60,18 +61,37 @@ def models(model: Model) -> Iterator[tuple[str, Model]]:
         yield f"delays {said}", replace(model, delays_s=late)
 
 
+def with_holes(series: dict[str, Series], longest: int) -> dict[str, Series]:
+    """The recording with a hole of 1 to ``longest`` samples after every 80 to 120."""
+    rng, kept = np.random.default_rng(1), np.ones(len(series[NAMES[0]].value), bool)
+    at = 0
+    while longest and at < len(kept):
+        at += int(rng.integers(80, 121))
+        kept[at : at + int(rng.integers(1, longest + 1))] = False
+    return {name: Series(one.t_ns[kept], one.value[kept]) for name, one in series.items()}
+
+
 def main() -> int:
     """Print a line for each model; exit status 1 where anything was told."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=2)
-    seeds = parser.parse_args().seeds
+    parser.add_argument(
+        "--holes",
+        type=int,
+        default=0,
+        metavar="MS",
+        help="lose all frames for 1 to MS now and then",
+    )
+    asked = parser.parse_args()
+    seeds = asked.seeds
     plant, recordings, hours = rig(), [], 0.0
     for seed in range(1, seeds + 1):
         for force in (plant.sweep(), plant.weave(), plant.steps()):
             driver = 0.8 * np.sin(2 * np.pi * 0.25e-3 * np.arange(len(force)))
             columns = plant.run(force, driver, seed=seed).columns
             t_ns = np.round(columns["time_s"] * 1e9).astype(np.int64)
-            recordings.append({n: Series(t_ns, columns[n]) for n in NAMES})
+            series = {n: Series(t_ns, columns[n]) for n in NAMES}
+            recordings.append(with_holes(series, asked.holes))
             hours += len(force) / 3.6e6
     total = 0
     print(f"{len(recordings)} recordings, {hours:.2f} h for each model; alarms")

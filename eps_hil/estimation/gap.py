@@ -92,6 +92,9 @@ def bridge(
     the torque's: another load bends the bristle that holds a rotor, and an angle that begins again
     at zero where it was near zero says that nothing moved.
 
+    Where inputs came all the while and the angle's zero is what it was, the bristle is where its
+    way took it (creep.py), if that matters: out and back again may leave it bent.
+
     Creep that is no more than the angle's noise is followed from where it was, noise filtered.
     More of it bends the bristle at once: were the rotor then judged as moving, it would leave
     behind what the filter holds back.
@@ -127,6 +130,11 @@ def bridge(
     kept = abs(change) + hidden < end if rested else c.angle_seen and steady
     if kept and jumped:
         s.unknown_nm = min(s.unknown_nm + sigma0 * hidden, sigma0 * abs(s.bristle) + most)
+        return
+    bent = sigma0 * abs(s.bent - s.bristle) > c.unknown_limit_n / c.ratio
+    if kept and rested and bent and s.carried and abs(s.other_zero) < far:
+        s.bristle = s.bent
+        s.angle, s.held = s.smoothed, s.followed
         return
     if kept and rested and c.angle_seen:
         crept = u.motor_angle_rad - held

@@ -32,20 +32,21 @@ def unseen(w: "Watch", p: "Limits") -> int:
     so long it is waited for. After a start it is only not known which of both a jump is: who
     begins amid traffic waits by himself (service/core.py), a recording begins before its faults.
     """
+    waits, w.awaited = w.awaited, max(w.awaited - 1, 0)
     if w.missed_now:
         w.unsure, w.missed_now = p.unsure_steps, 0
     if w.unsure == 0:
         w.started = 0
-        return 0
+        return _SETTLING if waits else 0
     w.unsure -= 1
-    return 0 if w.started else _SETTLING
+    return 0 if w.started and not waits else _SETTLING
 
 
 @kernel
 def lose_course(w: "Watch") -> None:
     """Nobody knows how the torque should go on: it is looked at anew from here."""
     w.missed_now, w.started = 1, 0
-    w.steps, w.missed, w.hole, w.guesses = 0, 1, 0, 0
+    w.steps, w.missed, w.hole, w.guesses, w.hole_first = 0, 1, 0, 0, -1
 
 
 @kernel
@@ -69,6 +70,8 @@ def in_the_dark(w: "Watch", p: "Limits", drawn: bool) -> None:
     Friction that turns over in it is given back in its own time (``add_pace``), and bends the
     course there as no load does; for as long as the windows reach into the hole.
     """
+    if w.drawn > 0 and not drawn:
+        w.hole_first, w.hole_last = w.steps - w.drawn - 1, w.steps
     w.drawn = w.drawn + 1 if drawn else 0
     w.drawn_at[w.steps & WRAP] = w.drawn
     w.dark = 3 * p.window if w.drawn > p.window // _TURNS_IN else max(w.dark - 1, 0)
@@ -78,13 +81,18 @@ def in_the_dark(w: "Watch", p: "Limits", drawn: bool) -> None:
 def course(w: "Watch", p: "Limits", torque: float, noise: float, seen: bool) -> float:
     """``torque`` (Nm) of this step, or how it would have gone on where it was not seen.
 
-    What it did in a short hole is one jump at its end then, which the motion confirms or not.
+    What it did in a short hole is one jump at its end then, which the motion confirms or not; after
+    a hole longer than a window the estimate waits for that.
     ``noise``: variance of the torque's samples.
     """
     k, n = w.steps, p.window
     w.unseen = 0 if seen else w.unseen + 1
     if 0 < w.unseen <= p.bridged and k > 0:
         return guessed(w, p, noise)
+    if w.guesses > n and k > 0:
+        off = torque - w.torque[(k - 1) & WRAP] - w.slope_nm
+        least = max(p.jump * noise, _SIGMA**2 * w.doubt[(k - 1) & WRAP])
+        w.awaited = n + 1 if off * off > least else 0
     w.guesses, w.doubt[k & WRAP] = 0, 0.0
     w.slope_nm = (torque - w.torque[(k - n) & WRAP]) / n if k >= n else 0.0
     return torque

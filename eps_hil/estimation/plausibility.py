@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import kernel
+from eps_hil.estimation.creep import CREPT_RING, follow_creep
 from eps_hil.estimation.holes import blind, course, in_the_dark, lose_course, unseen
 from eps_hil.estimation.records import copy
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.setup import Inputs, smoothing
 from eps_hil.estimation.speed_and_angle import (
     LEAK_PER_MS,
     RING,
@@ -24,6 +25,7 @@ from eps_hil.estimation.speed_and_angle import (
     WRAP,
     angle_off,
     jumped_alone,
+    jumped_in_hole,
     mean_noise,
     mean_share,
 )
@@ -62,6 +64,8 @@ _BRIDGED_S = 0.018
 _STALLED_S = 1.5
 """How long torque is doubted that stood still, or whose jump back may have been missed."""
 _ANGLE_SIGMA = 10.0
+_ZERO_S = 0.02
+"""Over so long an angle that jumped tells where its zero is now."""
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -118,10 +122,13 @@ class Watch:
     guesses: int
     swing: float
     # For how many steps the speed was drawn straight between samples until now, and for how many
-    # more its bend may be that of the drawing; the first of them at each of the last steps.
+    # more its bend may be that of the drawing; the same count at each of the last steps; the steps
+    # at either side of the last hole of the speed (-1: none that counts).
     drawn: int
     dark: int
     drawn_at: Annotated[Ints, RING]
+    hole_first: int
+    hole_last: int
     # Innovation of the motion after a torque jump: its spread, the jumps that nothing followed.
     spread: float
     innovation: float
@@ -135,6 +142,8 @@ class Watch:
     unsure: int
     missed_now: int
     started: int
+    # For how many steps more the motion has to confirm what the torque did in a hole.
+    awaited: int
     # Whether speed and angle part at this step; for how many steps in a row (1, or more: 2); and
     # whether the angle jumped at one of the first two, which is one jump that was read half way.
     parted: int
@@ -155,6 +164,18 @@ class Watch:
     slow_gain: float
     # The angle's way less the speed's, summed: a speed that leaves its own course bends it.
     apart: Annotated[Floats, RING]
+    # The angle without its jumps, smoothed, and followed past its noise, at each of the last steps;
+    # its zero, and of how many samples that is the mean; what is drawn of it, and of the speed's
+    # way, until a sample comes; steps without missing ones.
+    ahead: float
+    zero: float
+    zeroed: int
+    smooth: float
+    followed: float
+    crept: Annotated[Floats, CREPT_RING]
+    pending_turn: float
+    pending_way: float
+    unbroken: int
 
 
 WATCH = record_of(Watch)
@@ -188,6 +209,8 @@ class Limits(NamedTuple):
     slow_leak: float
     slow_noise: float
     slow_rest: float
+    creep_share: float
+    zero_steps: int
     mean_share: float
     mean_angle_noise: float
     mean_speed_noise: float
@@ -202,7 +225,7 @@ def new_watch() -> Records:
     """Nothing seen yet."""
     watch = np.zeros(1, WATCH)
     watch["spread"], watch["repeats"] = _FIRST_SPREAD, 1.0
-    watch["missed_now"] = watch["started"] = 1
+    watch["missed_now"], watch["started"], watch["hole_first"] = 1, 1, -1
     return watch
 
 
@@ -267,6 +290,8 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
         slow_leak=slow,
         slow_noise=step_s**2 / (1.0 - slow**2),
         slow_rest=settings.dead_zone_rad_s * step_s / (1.0 - slow),
+        creep_share=smoothing(settings.creep_low_pass_hz, step_s),
+        zero_steps=max(round(_ZERO_S / step_s), 1),
         mean_share=share,
         mean_angle_noise=by_angle,
         mean_speed_noise=by_speed,
@@ -400,6 +425,7 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
         w.slip, w.path, w.gain = 0.0, 0.0, 0.0
         w.mean_slip, w.mean_path, w.mean_gain = 0.0, 0.0, 0.0
         w.slow, w.turned, w.slow_gain = 0.0, 0.0, 0.0
+        w.pending_turn, w.pending_way, w.unbroken = 0.0, 0.0, 0
         blind(w, p, u.motor_speed_rad_s, missing & (_RANGE | _RATE) != 0)
         return latched(w, p), w.told > 0
     if not seen and w.unseen > p.bridged and w.steps > 0:  # drawn straight: nobody saw it
@@ -422,8 +448,10 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     watch_jump(w, p, u)
     reason |= latched(w, p)
     now = w.told > 0
+    if p.angle_seen:
+        follow_creep(w, p, u)
     off = angle_off(w, p, u, before) if p.angle_seen else 0
-    if p.angle_seen and jumped_alone(w, p, u):
+    if p.angle_seen and (jumped_alone(w, p, u) or jumped_in_hole(w, p, u)):
         w.stalled, w.missed, off = p.stalled_steps, 1, 1
     if off:
         w.parted, w.parting = 1, min(parting + 1, 2)

@@ -82,7 +82,7 @@ def start(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
         compensated -= u.rack_force_n / (c.ratio * s.local)
     s.torque = compensated
     s.speed = s.speed_before = u.motor_speed_rad_s
-    s.running, s.settle_steps, s.held_steps = RUNS, c.settle_steps, 0
+    s.running, s.settle_steps, s.held_steps, s.carried = RUNS, c.settle_steps, 0, 0
 
 
 @kernel

@@ -127,8 +127,8 @@ def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = Fals
         observer_lag_s=obs.lag_s,
         output_lag_s=lag_s,
         low_pass=low_pass,
-        acceleration_low_pass=_smoothing(settings.acceleration_low_pass_hz, step_s),
-        slope_low_pass=_smoothing(settings.output_low_pass_hz, step_s),
+        acceleration_low_pass=smoothing(settings.acceleration_low_pass_hz, step_s),
+        slope_low_pass=smoothing(settings.output_low_pass_hz, step_s),
         dead_zone=settings.dead_zone_rad_s,
         dead_zone_sigma=settings.dead_zone_sigma,
         speed_noise_gain=obs.speed_noise_gain,
@@ -137,7 +137,7 @@ def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = Fals
         first_noise=settings.speed_noise_rad_s**2,
         first_drive_noise=settings.torque_noise_nm**2,
         first_angle_noise=settings.angle_noise_rad**2,
-        angle_low_pass=_smoothing(settings.creep_low_pass_hz, step_s),
+        angle_low_pass=smoothing(settings.creep_low_pass_hz, step_s),
         path_forgetting=step_s / settings.path_memory_s,
         level_step=step_s * settings.level_slew_nm_per_s,
         use_dead_zone=settings.dead_zone,
@@ -159,6 +159,6 @@ def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = Fals
     )
 
 
-def _smoothing(frequency_hz: float, step_s: float) -> float:
+def smoothing(frequency_hz: float, step_s: float) -> float:
     """Weight of the newest sample in a first-order low-pass at the step rate."""
     return 1.0 - math.exp(-2 * math.pi * frequency_hz * step_s)

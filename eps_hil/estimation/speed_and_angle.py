@@ -32,8 +32,6 @@ _PAIR = math.sqrt(2.0)
 SUDDEN = 2
 _SPEED_JUMP = 1.5
 """A jump of the speed (rad/s) from one step to the next that is looked at."""
-_COURSE_STEPS = 3
-"""Over so many on either side of a hole the speed's own slope is taken."""
 
 
 @kernel
@@ -123,34 +121,66 @@ def jumped_alone(w: "Watch", p: "Limits", u: Inputs) -> bool:
 
     No load moves an inertia at once, but an impact nearly does; then the angle's slope changes by
     as much. The sum of (dphi - omega dt) shows by its bend whether it did; a gain that is wrong
-    gives it a slope and no bend. A jump in a hole of the speed is drawn over all of it, and looked
-    for where the middle of the hole is that long ago.
+    gives it a slope and no bend.
     """
     n, k = p.window, w.steps - 1
-    if k < 2 * n + _COURSE_STEPS or n < 3:
+    m = k - n
+    if k < 2 * n + 1 or n < 3 or w.drawn_at[m & WRAP] > 0 or w.drawn_at[(m + 1) & WRAP] > 0:
         return False
-    v, m = w.speed, k - n
-    first, last = m, m + 1
-    while w.drawn_at[first & WRAP] > 0 and m - first < n:
-        first -= 1
-    while w.drawn_at[last & WRAP] > 0 and last < k - 1:
-        last += 1
-    if m != (first + last) // 2:
+    v = w.speed
+    jump = v[(m + 1) & WRAP] - v[m & WRAP]
+    jump -= 0.5 * (v[m & WRAP] - v[(m - 1) & WRAP] + v[(m + 2) & WRAP] - v[(m + 1) & WRAP])
+    if jump * jump < max(2.5 * p.jump * u.speed_noise, _SPEED_JUMP**2):
         return False
-    over = 1 if last == first + 1 else min(_COURSE_STEPS, k - last)
-    course = v[first & WRAP] - v[(first - over) & WRAP]
-    course += v[(last + over) & WRAP] - v[last & WRAP]
-    share = 0.5 * (last - first) / over
-    jump = v[last & WRAP] - v[first & WRAP] - share * course
-    noise = 2.0 * ((1.0 + share) ** 2 + share * share) if over > 1 else 2.5
-    if jump * jump < max(noise * p.jump * u.speed_noise, _SPEED_JUMP**2):
-        return False
-    bend, begun = 0.0, w.apart[first & WRAP]
-    slope = (w.apart[last & WRAP] - begun) / (last - first)
+    bend = 0.0
     for j in range(2 * n + 1):
-        i = m - n + j  # within a hole the angle is drawn straight, too, and no integral of a speed
-        apart = begun + (i - first) * slope if first < i < last else w.apart[i & WRAP]
-        bend += p.hinge[j] * apart
+        bend += p.hinge[j] * w.apart[(m - n + j) & WRAP]
     due = jump * n * p.step_s
     noise = p.jump * p.hinge_noise * u.angle_noise
     return bool((bend + due) ** 2 < 0.25 * due * due and bend * bend > noise)
+
+
+@kernel
+def jumped_in_hole(w: "Watch", p: "Limits", u: Inputs) -> bool:
+    """The same for a speed that jumped where its samples are lost: in the last hole.
+
+    There it is drawn straight from end to end, which is no integral of a speed, so only what is
+    beside the hole counts: the slope of the sum after it less that before, against the jump that
+    the speed's own slopes leave. It is looked for as soon as two steps are seen, and again with
+    each of the next, which see smaller jumps.
+    """
+    first, last = w.hole_first, w.hole_last
+    after, before = w.steps - 1 - last, min(first, p.window)
+    if first < 0 or after < 2 or after > p.window or before < 3:
+        return False
+    v, over = w.speed, min(after, before)
+    earlier = (v[first & WRAP] - v[(first - over) & WRAP]) / over
+    later = (v[(last + over) & WRAP] - v[last & WRAP]) / over
+    went = v[last & WRAP] - v[first & WRAP]
+    jump = went - 0.5 * (last - first) * (earlier + later)
+    share = 0.5 * (last - first) / over
+    noise = 2.0 * ((1.0 + share) ** 2 + share * share)
+    if jump * jump < max(noise * p.jump * u.speed_noise, _SPEED_JUMP**2):
+        return False
+    bend = _slope(w, last, after) - _slope(w, first - before, before)
+    due = -jump * p.step_s
+    rough = _slope_noise(u, p, after) + _slope_noise(u, p, before)
+    by_gain = _SCALE * abs(went - jump) * p.step_s
+    enough = bend * bend > p.jump * rough and abs(bend) > by_gain
+    return bool(enough and (bend - due) ** 2 < 0.25 * due * due)
+
+
+@kernel
+def _slope(w: "Watch", first: int, steps: int) -> float:
+    """Least-squares slope (rad a step) of the sum (dphi - omega dt) over ``steps`` from there."""
+    total, mean = 0.0, 0.5 * steps
+    for j in range(steps + 1):
+        total += (j - mean) * w.apart[(first + j) & WRAP]
+    return 12.0 * total / (steps * (steps + 1.0) * (steps + 2.0))
+
+
+@kernel
+def _slope_noise(u: Inputs, p: "Limits", steps: int) -> float:
+    """Its variance: white noise of the angle, and a random walk, which is the speed's."""
+    by_angle = 12.0 * u.angle_noise / (steps * (steps + 1.0) * (steps + 2.0))
+    return by_angle + 1.2 * u.speed_noise * p.step_s**2 / (steps + 1.0)

@@ -59,6 +59,15 @@ class Moment:
     went: float
     # Way by the speed since the first step (rad).
     turned: float
+    # The angle less its way without jumps, and by how much that has changed while held (rad).
+    zero: float
+    other_zero: float
+    # While held: whether the angle's way is known, the bristle that it bends, and the angle,
+    # smoothed, and followed past its noise (creep.py).
+    carried: int
+    bent: float
+    smoothed: float
+    followed: float
     # Dead zone: the noise that is there (second differences), path inside the zone, creep.
     speed_before: float
     speed_noise: float
@@ -175,6 +184,7 @@ def roll_back(e: Carried, kept: Kept) -> None:
     kept.steps[0] = kept.steps[1]
     s = e.moment[0]
     s.running, s.held_steps = HELD, kept.steps[1]
+    s.carried, s.bent = 1, s.bristle
 
 
 @kernel

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment, levels
+from eps_hil.estimation.creep import carry
 from eps_hil.estimation.plausibility import judge_sample, judge_step, new_watch, watch_anew
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
@@ -213,17 +214,19 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
 
 
 @kernel
-def _go_back(m: Memory, c: Constants, angle_rad: float) -> None:
-    """The state from before what is doubted; where speed and angle part, moved by the angle.
+def _go_back(m: Memory, c: Constants, x: Physics, u: Inputs, doubted: bool) -> None:
+    """The state from before what is ``doubted`` now, carried along the angle's way since.
 
-    Not where the angle jumped and the rotor rested by its speed: then the angle is wrong. A jump
-    that is read half way may show as one only a step later.
+    Where speed and angle part, it is moved by the angle; not where the angle jumped and the rotor
+    rested by its speed: then the angle is wrong. A jump that is read half way may show as one only
+    a step later.
     """
     w, s = m.watch[0], m.carried.moment[0]
-    rolled, turned = s.running == RUNS, s.turned
+    rolled, turned = doubted and s.running == RUNS, s.turned
     if rolled:
         roll_back(m.carried, m.kept)
-    if not w.parted or s.running != HELD:
+    carry(w, x, s, m.carried.rig[0], s.held_steps + 1 if rolled else 1)
+    if not doubted or not w.parted or s.running != HELD:
         return
     if rolled or s.parted == 0:
         s.parted, s.went = 1, turned - s.turned
@@ -231,7 +234,7 @@ def _go_back(m: Memory, c: Constants, angle_rad: float) -> None:
     if w.sudden and abs(before.speed) < c.limiter_speed:
         s.speed, s.acceleration = before.speed, before.acceleration
     elif rolled:
-        move_by_angle(m.carried, angle_rad, c.step_s)
+        move_by_angle(m.carried, u.motor_angle_rad, c.step_s)
 
 
 @kernel(inline="always")
@@ -269,8 +272,7 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         inputs, reason, seen = gather(m, timing, at)
         reason |= extra
         doubt, now_seen = judge_step(m.watch, timing.limits, inputs, seen, reason)
-        if now_seen:
-            _go_back(m, c, inputs.motor_angle_rad)
+        _go_back(m, c, x, inputs, now_seen)
         reason = step(c, x, m.carried, inputs, reason | (doubt if now_seen else 0))
         seen_since = m.watch[0].unsure == 0 or m.watch[0].started != 0
         sound = (reason | doubt) & ~_SOUND == 0 and seen_since
@@ -279,6 +281,7 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         now = m.carried.moment[0]
         if now.running == RUNS:
             now.turned += inputs.motor_speed_rad_s * c.step_s
+            now.zero = m.watch[0].zero
         known = now.running == RUNS and now.unknown_n <= c.unknown_limit_n
         take_friction(m.watch, now.unlimited, known)
         if timing.limits.on and abs(now.out_force) > timing.limits.estimate_n:

@@ -1,0 +1,70 @@
+"""Where a rotor went while its estimate is held: by its angle alone, without the angle's jumps.
+
+The bristle remembers its path: out and back again leaves it bent, where the contact slid on the
+way out. So what is held for a doubt of other signals, or of the angle's zero, is carried along the
+way that the angle shows meanwhile. Noise is no way: the angle is smoothed, and followed at a
+distance that noise does not pass. A step that no noise explains, nor the speed, is another zero.
+"""
+
+import math
+from typing import TYPE_CHECKING
+
+from eps_hil.compiled import kernel
+from eps_hil.estimation.compensation import CREEP_SIGMA
+from eps_hil.estimation.levels import adapted_level_nm
+from eps_hil.estimation.setup import Inputs, Physics
+from eps_hil.estimation.state import HELD, Moment, Rig
+from eps_hil.physics.friction import bristle_step
+
+if TYPE_CHECKING:
+    from eps_hil.estimation.plausibility import Limits, Watch
+
+CREPT_RING = 1024
+_WRAP = CREPT_RING - 1
+
+
+@kernel
+def follow_creep(w: "Watch", p: "Limits", u: Inputs) -> None:
+    """Take the angle of a step; what is drawn between lost samples counts at the next sample."""
+    w.pending_turn += u.motor_angle_rad - w.angle
+    w.pending_way += u.motor_speed_rad_s * p.step_s
+    w.unbroken += 1
+    if u.angle_periods <= 1.0:
+        noise = max(p.angle_tolerance, math.sqrt(p.jump * max(u.angle_noise, 0.0)))
+        if min(abs(w.pending_turn), abs(w.pending_turn - w.pending_way)) >= noise:
+            w.zeroed = 0
+        w.pending_turn = w.pending_way = 0.0
+        if w.zeroed < p.zero_steps:  # stands still until its zero is no single sample's
+            w.zeroed += 1
+            w.zero += (u.motor_angle_rad - w.smooth - w.zero) / w.zeroed
+            w.ahead = w.smooth
+        else:
+            w.ahead = u.motor_angle_rad - w.zero
+    w.smooth += p.creep_share * (w.ahead - w.smooth)
+    left = p.creep_share / (2.0 - p.creep_share)  # variance that the low-pass leaves
+    gap = CREEP_SIGMA * math.sqrt(left * max(u.angle_noise, 0.0))
+    w.followed = min(max(w.followed, w.smooth - gap), w.smooth + gap)
+    w.crept[w.unbroken & _WRAP] = w.followed
+
+
+@kernel
+def carry(w: "Watch", x: Physics, s: Moment, r: Rig, steps: int) -> None:
+    """Bend the bristle of a held state along the way of the last ``steps`` steps."""
+    if s.running != HELD or not s.carried:
+        return
+    if w.unbroken <= steps or steps >= CREPT_RING:
+        s.carried = 0
+        return
+    load = s.local * s.force
+    for j in range(steps, 0, -1):
+        last = w.crept[(w.unbroken - j) & _WRAP]
+        went = w.crept[(w.unbroken - j + 1) & _WRAP] - last
+        if went == 0.0:
+            continue
+        level = adapted_level_nm(x, r, went, load)
+        sigma0 = x.law.sigma0_nm_per_rad
+        limit = max(level / sigma0, abs(s.bent))
+        s.bent = bristle_step(s.bent, went, abs(went), level, sigma0)
+        s.bent = min(max(s.bent, -limit), limit)
+    s.other_zero = w.zero - s.zero
+    s.smoothed, s.followed = w.zero + w.smooth, w.zero + w.followed
