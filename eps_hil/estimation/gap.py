@@ -88,9 +88,10 @@ def bridge(
     go so far, and the same path is all that it may have hidden. An angle that jumped tells nothing
     of a rotor at rest on both sides: it is as if there were none, and has another zero since. So
     it is where speed and angle parted, and the angle shows in the end another way than the speed
-    did, or than none: nobody knows which of them was wrong. And where its change is too small for
-    the torque's: another load bends the bristle that holds a rotor, and an angle that begins again
-    at zero where it was near zero says that nothing moved.
+    did, or than none: nobody knows which of them was wrong. And where its zero was seen to change,
+    which may hide a way as large; and where its change is too small for the torque's: another load
+    bends the bristle that holds a rotor, and an angle that begins again at zero where it was near
+    zero says that nothing moved.
 
     Where inputs came all the while and the angle's zero is what it was, the bristle is where its
     way took it (creep.py), if that matters: out and back again may leave it bent.
@@ -121,7 +122,8 @@ def bridge(
     steady = as_told and abs(speed - s.speed) < off
     stood = abs(torque - s.drive) > _most_torque(c, s) + sigma0 * (abs(change) + far)
     disputed = s.parted != 0 and min(abs(change), abs(change - s.went)) > far
-    jumped = disputed or stood or _cannot_turn(c, change, gap_s + c.step_s)
+    other_zero = s.carried != 0 and abs(s.other_zero) > far
+    jumped = disputed or stood or other_zero or _cannot_turn(c, change, gap_s + c.step_s)
     jumped = jumped and rested and c.angle_seen
     s.parted = 0
     change = 0.0 if jumped else change
@@ -132,7 +134,7 @@ def bridge(
         s.unknown_nm = min(s.unknown_nm + sigma0 * hidden, sigma0 * abs(s.bristle) + most)
         return
     bent = sigma0 * abs(s.bent - s.bristle) > c.unknown_limit_n / c.ratio
-    if kept and rested and bent and s.carried and abs(s.other_zero) < far:
+    if kept and rested and bent and s.carried and not other_zero:
         s.bristle = s.bent
         s.angle, s.held = s.smoothed, s.followed
         return
