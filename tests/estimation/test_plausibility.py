@@ -391,8 +391,8 @@ def test_an_offset_that_begins_near_holes_in_which_the_rotor_turns_is_told(
     assert missed <= most
 
 
-@pytest.mark.parametrize("lost_ms", [4, 7])
-@pytest.mark.parametrize("offset_rad_s", [16.0, -16.0])
+@pytest.mark.parametrize("lost_ms", [4, 7, 11, 16])
+@pytest.mark.parametrize("offset_rad_s", [16.0, -30.0])
 def test_a_speed_that_jumps_in_a_hole_is_told(
     reference_model: Model, sweep_truth: Any, lost_ms: int, offset_rad_s: float
 ) -> None:
