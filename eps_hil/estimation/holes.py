@@ -20,6 +20,12 @@ _SUDDEN = 0.7
 """Share of a torque's change in a window that a jump makes in two milliseconds."""
 _TURNS_IN = 5
 """A fast rotor turns round within a fifth of a window, 2 ms, and its friction with it."""
+UNEXPLAINED_N = 50.0
+"""A jump of the torque that is worth less at the rack is not looked at."""
+ROLLED_BACK = 2
+"""Steps for which a doubt of something past is a doubt of now, so that the state is rolled back."""
+_SPIKE = 4.0
+"""A sample in a hole that strays so many times as far as the hole's end went off the course."""
 _SIGMA = 2.0
 """Deviations of the guess within which a jump at a hole's end may be the guess's own error."""
 
@@ -82,20 +88,33 @@ def course(w: "Watch", p: "Limits", torque: float, noise: float, seen: bool) -> 
     """``torque`` (Nm) of this step, or how it would have gone on where it was not seen.
 
     What it did in a short hole is one jump at its end then, which the motion confirms or not; after
-    a hole longer than a window the estimate waits for that.
+    a hole longer than a window the estimate waits for that. A single sample within the hole that is
+    far from the course before and after it was estimated with: that is taken back.
     ``noise``: variance of the torque's samples.
     """
     k, n = w.steps, p.window
     w.unseen = 0 if seen else w.unseen + 1
     if 0 < w.unseen <= p.bridged and k > 0:
-        return guessed(w, p, noise)
-    if w.guesses > n and k > 0:
+        guess = guessed(w, p, noise)
+        w.strayed = max(w.strayed, abs(torque - guess))
+        return guess
+    if w.guesses > 0 and k > 0:
         off = torque - w.torque[(k - 1) & WRAP] - w.slope_nm
-        least = max(p.jump * noise, _SIGMA**2 * w.doubt[(k - 1) & WRAP])
-        w.awaited = n + 1 if off * off > least else 0
+        if w.guesses > n:
+            w.awaited = n + 1 if _strays(w, p, off, noise, k - 1) else 0
+        if w.strayed > _SPIKE * abs(off) and _strays(w, p, w.strayed, noise, k - 1):
+            w.told = max(w.told, ROLLED_BACK)
+    w.strayed = 0.0
     w.guesses, w.doubt[k & WRAP] = 0, 0.0
     w.slope_nm = (torque - w.torque[(k - n) & WRAP]) / n if k >= n else 0.0
     return torque
+
+
+@kernel
+def _strays(w: "Watch", p: "Limits", off: float, noise: float, k: int) -> bool:
+    """Whether a torque ``off`` (Nm) the guess of step ``k`` is more than noise and guessing."""
+    least = max(p.jump * noise, _SIGMA**2 * w.doubt[k & WRAP])
+    return off * off > least and abs(off) * p.ratio > UNEXPLAINED_N
 
 
 @kernel

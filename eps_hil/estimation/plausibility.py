@@ -21,6 +21,7 @@ from eps_hil.estimation.speed_and_angle import (
     LEAK_PER_MS,
     RING,
     SLOW_LEAK_PER_MS,
+    SMOOTHED_S,
     SUDDEN,
     WRAP,
     angle_off,
@@ -28,6 +29,7 @@ from eps_hil.estimation.speed_and_angle import (
     jumped_in_hole,
     mean_noise,
     mean_share,
+    spiked_alone,
 )
 from eps_hil.estimation.state import Records, record_of
 from eps_hil.estimation.torque_jumps import (
@@ -142,8 +144,10 @@ class Watch:
     unsure: int
     missed_now: int
     started: int
-    # For how many steps more the motion has to confirm what the torque did in a hole.
+    # For how many steps more the motion has to confirm what the torque did in a hole; how far it
+    # was read from its course at most within the hole that lasts (Nm).
     awaited: int
+    strayed: float
     # Whether speed and angle part at this step; for how many steps in a row (1, or more: 2); and
     # whether the angle jumped at one of the first two, which is one jump that was read half way.
     parted: int
@@ -190,6 +194,7 @@ class Limits(NamedTuple):
     rate: Floats
     frozen_samples: int
     window: int
+    lag: int
     inverse_inertia: float
     ratio: float
     sensor_to_rotor: float
@@ -271,6 +276,7 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
         rate=np.array(rate),
         frozen_samples=chosen.frozen_samples,
         window=window,
+        lag=math.ceil(SMOOTHED_S / step_s) + 1,
         inverse_inertia=1.0 / model.inertia_kg_m2,
         ratio=ratio,
         sensor_to_rotor=model.sensor_to_rotor,
@@ -453,6 +459,8 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     off = angle_off(w, p, u, before) if p.angle_seen else 0
     if p.angle_seen and (jumped_alone(w, p, u) or jumped_in_hole(w, p, u)):
         w.stalled, w.missed, off = p.stalled_steps, 1, 1
+    elif p.angle_seen and spiked_alone(w, p, u):
+        off = 1
     if off:
         w.parted, w.parting = 1, min(parting + 1, 2)
         if parting < 2:

@@ -20,7 +20,7 @@ WRAP = RING - 1
 """``n & WRAP`` is ``n % RING``, of which there are dozens a step."""
 LEAK_PER_MS, SLOW_LEAK_PER_MS = 0.95, 0.99
 """What the residuals keep from one millisecond to the next: they cover some 20 and 100 ms."""
-_SCALE, _SMOOTHED_S = 0.25, 0.005
+_SCALE, SMOOTHED_S = 0.25, 0.005
 _MEAN_S = 0.005
 """Time constant of the mean of the fast residual: white noise of the angle is less in it."""
 _LOW_SCALE = _SCALE / (1.0 - _SCALE)
@@ -30,8 +30,9 @@ _MOST = 1.5
 _PAIR = math.sqrt(2.0)
 """Noise of two angles, whose difference is looked at, in that of one."""
 SUDDEN = 2
-_SPEED_JUMP = 1.5
-"""A jump of the speed (rad/s) from one step to the next that is looked at."""
+_SPEED_JUMP, _SPEED_SPIKE = 1.5, 5.0
+"""A jump of the speed (rad/s) from one step to the next that is looked at, and one that ends a
+spike."""
 
 
 @kernel
@@ -49,10 +50,10 @@ def angle_off(w: "Watch", p: "Limits", u: Inputs, before: float) -> int:
     w.path = p.leak * w.path + way
     w.gain = p.leak * w.gain + (speed - before)
     w.angle = u.motor_angle_rad
-    lag = _SMOOTHED_S * abs(speed - before)
+    lag = SMOOTHED_S * abs(speed - before)
     noise = _PAIR * max(p.angle_tolerance, math.sqrt(p.jump * max(u.angle_noise, 0.0)))
     jumped = abs(apart) > noise + _SCALE * abs(way) + lag
-    tolerance = p.angle_tolerance + _SCALE * abs(w.path) + _SMOOTHED_S * abs(w.gain)
+    tolerance = p.angle_tolerance + _SCALE * abs(w.path) + SMOOTHED_S * abs(w.gain)
     on_average = _off_on_average(w, p, u)
     alone = _slides_alone(w, p, u, apart, turned, speed - before)
     if not (abs(w.slip) > tolerance or on_average or alone or jumped):
@@ -90,7 +91,7 @@ def _off_on_average(w: "Watch", p: "Limits", u: Inputs) -> bool:
     noise = p.mean_angle_noise * max(u.angle_noise, p.angle_noise)
     noise += p.mean_speed_noise * max(u.speed_noise, 0.0)
     tolerance = math.sqrt(p.jump * noise)
-    tolerance += _SCALE * abs(w.mean_path) + _SMOOTHED_S * abs(w.mean_gain)
+    tolerance += _SCALE * abs(w.mean_path) + SMOOTHED_S * abs(w.mean_gain)
     return abs(w.mean_slip) > tolerance
 
 
@@ -109,7 +110,7 @@ def _slides_alone(
     w.slow_gain = p.slow_leak * w.slow_gain + change
     noise = max(u.angle_noise, p.angle_noise) + p.slow_noise * max(u.speed_noise, 0.0)
     tolerance = math.sqrt(p.jump * noise) + p.slow_rest
-    tolerance += _LOW_SCALE * abs(w.turned) + _SMOOTHED_S * abs(w.slow_gain)
+    tolerance += _LOW_SCALE * abs(w.turned) + SMOOTHED_S * abs(w.slow_gain)
     w.slow = min(max(w.slow, -_MOST * tolerance), _MOST * tolerance)
     said = w.turned - w.slow  # the speed's own way
     return abs(w.slow) > tolerance and abs(said) > abs(w.turned)
@@ -168,6 +169,38 @@ def jumped_in_hole(w: "Watch", p: "Limits", u: Inputs) -> bool:
     by_gain = _SCALE * abs(went - jump) * p.step_s
     enough = bend * bend > p.jump * rough and abs(bend) > by_gain
     return bool(enough and (bend - due) ** 2 < 0.25 * due * due)
+
+
+@kernel
+def spiked_alone(w: "Watch", p: "Limits", u: Inputs) -> bool:
+    """Whether the speed was away for less than a window, and the angle did not go with it.
+
+    An angle that is later than the speed shows the same way ``lag`` steps after the spike's end:
+    only then is it looked for, by the step that it leaves in the sum of (dphi - omega dt).
+    """
+    n, k, v = p.window, w.steps - 1, w.speed
+    end = k - p.lag
+    if end < 2 * n + 2:
+        return False
+    back = v[end & WRAP] - v[(end - 2) & WRAP]
+    if back * back < max(2.0 * p.jump * u.speed_noise, _SPEED_SPIKE**2):
+        return False
+    for steps in range(2, n + 3):
+        start = end - steps
+        slope = (v[end & WRAP] - v[start & WRAP]) / steps
+        course = (v[start & WRAP] - v[(start - n) & WRAP]) / n
+        if abs(slope - course) * steps > 0.5 * abs(back):  # it jumped, and did not come back
+            continue
+        way = 0.0
+        for j in range(1, steps):
+            way += p.step_s * (v[(start + j) & WRAP] - v[start & WRAP] - j * slope)
+        if way * back > 0.0 or abs(way) < 0.3 * p.step_s * (steps - 1) * abs(back):
+            continue
+        off = w.apart[k & WRAP] - w.apart[start & WRAP] - (k - start) * _slope(w, start - n, n)
+        noise = 2.0 * u.angle_noise + (k - start) ** 2 * _slope_noise(u, p, n)
+        if off * off > p.jump * noise and (off + way) ** 2 < 0.25 * way * way:
+            return True
+    return False
 
 
 @kernel

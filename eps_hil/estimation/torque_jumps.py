@@ -14,6 +14,8 @@ import numpy.typing as npt
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation.holes import (
+    ROLLED_BACK,
+    UNEXPLAINED_N,
     guessed,
     in_the_dark,
     learn_swing,
@@ -36,11 +38,8 @@ _CLIP, _LEAST_SPREAD = 6.6, 0.02**2
 _MOTION = 4.0
 """A jump's own motion must exceed two deviations of what the load makes of the speed: load and
 friction change its bend too, but a torque that leaves its own course at once is rare."""
-UNEXPLAINED_N = 50.0
 _KEPT = 1.5
 """So much of it is kept as unexplained; less is nothing."""
-_ROLLED_BACK = 2
-"""Steps for which a doubt of something past is a doubt of now, so that the state is rolled back."""
 _BACK = 0.4
 """Share of an unexplained torque that may be left when it has jumped back."""
 _OWN_SIGMA = 2.0
@@ -227,7 +226,7 @@ def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> 
     w.slope_nm = slope
     w.quiet, w.missed = 0, 1 if vague else 0
     if w.unsure > 0:  # it may as well be the end of what was wrong since nobody looked
-        w.missed, w.stalled, w.told = 1, p.stalled_steps, _ROLLED_BACK
+        w.missed, w.stalled, w.told = 1, p.stalled_steps, ROLLED_BACK
     else:
         w.told = p.told_steps
 

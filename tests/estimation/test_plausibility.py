@@ -654,3 +654,35 @@ def test_noise_that_ends_as_the_rotor_begins_to_move_is_a_frozen_torque(
         watch[0].moving = int(k >= 370)
         judge_sample(watch, limits, 0, (k + 1) * 10**6, value)
         assert bool(watch[0].frozen[0]) == (k >= 390) or 380 < k < 390
+
+
+@pytest.mark.parametrize("lasts_ms", [2, 4, 8])
+def test_a_short_spike_of_the_speed_is_told_by_the_angle(
+    reference_model: Model, sweep_truth: Any, lasts_ms: int
+) -> None:
+    """It leaves no bend in the angle's way less the speed's, only a step."""
+    whole, worst = series_of(sweep_truth), 0
+    for at in range(6000, 30000, 1500):
+        right = estimate(around(whole, at, 1500, 400), reference_model)
+        lied = around(whole, at, 1500, 400)
+        lied[NAMES[2]].value[1500 : 1500 + lasts_ms] -= 65.0
+        trace = estimate(lied, reference_model)
+        worst = max(worst, wrong_and_valid_ms(trace, right))
+    assert worst <= 15
+
+
+@pytest.mark.parametrize("offset_nm", [-4.4, 1.0])
+def test_a_spike_between_lost_frames_is_taken_back(
+    reference_model: Model, weave_truth: Any, offset_nm: float
+) -> None:
+    """Single samples with lost ones on either side: nothing is seen of a course there."""
+    right = estimate(series_of(weave_truth), reference_model)
+    for since in (6400, SINCE, 12_100):
+        series = series_of(weave_truth)
+        series[NAMES[0]].value[since : since + 4] += offset_nm
+        for lost_ms in (-1, 1, 3, 5):
+            series = holed(series, since + lost_ms, 1)
+        trace = estimate(series, reference_model)
+        same = np.searchsorted(right.t_ns, trace.t_ns)
+        wrong = np.abs(trace.rack_force_n - right.rack_force_n[same]) > 100.0
+        assert np.count_nonzero(wrong & trace.valid & right.valid[same]) <= 15
