@@ -4,8 +4,8 @@
     python benchmarks/offsets_near_holes.py [--cases 3000] [--seed 1]
 
 Sweep and weave of the rig of other code (tests/estimation/independent_rig.py). In each case one
-signal reads too much for 2 to 400 ms, by what scripts/estimate_faults asks at least (motor torque
-0.15 to 8 Nm, speed 1 to 80 rad/s, angle 0.05 to 20 rad), and frames of up to four stretches of 1 to
+signal reads too much for 2 to 400 ms (motor torque 0.15 to 8 Nm, speed 1 to 80 rad/s, angle 0.05 to
+20 rad; the least is what scripts/estimate_faults asks), and frames of up to four stretches of 1 to
 16 ms are lost within 30 ms of its beginning or its end, or a tenth of them around it: all frames,
 or those of both torques or of speed and angle alone. In scripts/estimate_faults so much seldom
 comes together; here it always does. The estimate is held against that of the same recording

@@ -37,6 +37,7 @@ def unseen(w: "Watch", p: "Limits") -> int:
     Whatever began to be wrong in a hole of the inputs is not seen; only its end would be, and for
     so long it is waited for. After a start it is only not known which of both a jump is: who
     begins amid traffic waits by himself (service/core.py), a recording begins before its faults.
+    So it is while the motion has to confirm what the torque did in a hole (:func:`course`).
     """
     waits, w.awaited = w.awaited, max(w.awaited - 1, 0)
     if w.missed_now:

@@ -154,6 +154,8 @@ def jumped_in_hole(w: "Watch", p: "Limits", u: Inputs) -> bool:
     after, before = w.steps - 1 - last, min(first, p.window)
     if first < 0 or after < 2 or after > p.window or before < 3:
         return False
+    if w.steps - first + before > RING:  # not remembered any more
+        return False
     v, over = w.speed, min(after, before)
     earlier = (v[first & WRAP] - v[(first - over) & WRAP]) / over
     later = (v[(last + over) & WRAP] - v[last & WRAP]) / over

@@ -114,3 +114,25 @@ def test_a_resting_bristle_keeps_its_torque_where_most_of_the_angle_is_lost(
         before = int(np.searchsorted(trace.t_ns, 1_150_000_000))
         lost_nm.append(trace.friction_torque_nm[before] - trace.friction_torque_nm[-1])
     assert np.mean(lost_nm) < 0.004
+
+
+@pytest.mark.parametrize("step_s", [1e-3, 2.5e-4, 1e-4])
+def test_a_long_hole_of_the_speed_is_no_jump_at_any_rate(
+    reference_model: Model, step_s: float
+) -> None:
+    """At 10 kHz what lies before a hole of 17 ms and a window is no longer remembered."""
+    limits = limits_of(reference_model, EstimatorSettings(step_s=step_s), True)
+    steps, lost = round(0.4 / step_s), round(0.017 / step_s)
+    swing, t = 2.0 * np.pi * 4.0, step_s * np.arange(steps)
+    for phase in PHASES:
+        speed = 60.0 * np.sin(swing * t + phase)
+        angle = -60.0 / swing * np.cos(swing * t + phase)
+        at = steps // 2
+        hole = slice(at, at + lost)
+        speed[hole] = np.interp(t[hole], t[[at, at + lost]], speed[[at, at + lost]])
+        watch = new_watch()
+        for k in range(steps):
+            periods = float(lost) if at < k < at + lost else 1.0
+            u = Inputs(0.0, 0.0, speed[k], angle[k], 0.0, 1e-6, 1e-6, 1e-8, periods)
+            said = Reason(judge_step(watch, limits, u, True, 0)[0])
+            assert not said & Reason.INCONSISTENT
