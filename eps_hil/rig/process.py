@@ -180,7 +180,8 @@ class Rig:
                 due = pacer.wait()
                 self._receive()
                 for _ in range(due):
-                    self._send(time.monotonic_ns(), stopping=False)
+                    if simulation.ticks < limit_ms * per_ms:  # what is caught up ends there too
+                        self._send(time.monotonic_ns(), stopping=False)
             for _ in range(_STOP_MS * per_ms):  # let listeners see the torque go
                 pacer.wait()
                 self._send(time.monotonic_ns(), stopping=True)

@@ -173,13 +173,25 @@ class TestOnABus:
         listener.close()
         assert len(reports) == 1
         report = reports[0]
-        assert report.simulated_s == pytest.approx(1.02, abs=0.03)
+        assert report.simulated_s == pytest.approx(1.02, abs=1e-9)
         assert report.frames_sent == len(frames)
         assert report.send_dropped == 0
         counts = Counter(frame.can_id for frame in frames)
         assert counts[MOTOR_STATE_ID] == counts[TORQUES_ID] == round(report.simulated_s * 1000)
         assert any("sends 0x100 EPS_MotorState every 1 ms" in line for line in lines)
         assert any("listens to 0x80" in line for line in lines)
+
+    def test_what_is_caught_up_ends_with_the_duration(
+        self, setup: RigSetup, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """A rig that lags by a few periods as its time ends sends no frame more for that."""
+
+        class Lagging(Pacer):
+            def wait(self) -> int:
+                return 7
+
+        monkeypatch.setattr("eps_hil.rig.process.Pacer", Lagging)
+        assert Rig(setup).run(duration_s=0.1).simulated_s == pytest.approx(0.12, abs=1e-9)
 
     @pytest.fixture
     def process_config(self, config_file: Path) -> Path:
