@@ -84,6 +84,9 @@ def changes(
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder for all cases; goes on with its own.")
     ] = None,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", min=1, help="Cases at once (default: all cores).")
+    ] = None,
     development: Annotated[
         bool, typer.Option("--development", help="Seeds that the method may be improved on.")
     ] = False,
@@ -93,17 +96,14 @@ def changes(
     Half of the cases hold a change at 0.6 of the sensor noise, half none; in half of both the two
     states share an effect without a name. Answers are sealed before anything is asked.
     """
-    from eps_hil.proof.changed import prove_changes
+    import os
+
+    from eps_hil.proof.changed import Desk, prove_changes
 
     with progress("proving") as bar:
-        content = prove_changes(
-            out or Path(f"changes_{seed}"),
-            seed,
-            cases,
-            proof=not development,
-            say=typer.echo,
-            part=bar or (lambda _part: None),
-        )
+        desk = Desk(jobs or os.cpu_count() or 1, typer.echo, bar or (lambda _part: None))
+        folder = out or Path(f"changes_{seed}")
+        content = prove_changes(folder, seed, cases, desk, proof=not development)
     if json:
         write_json(json, content)
 

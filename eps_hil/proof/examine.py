@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -142,8 +142,16 @@ def _failed(results: Path, id: str) -> bool:
     return (results / f"{id}{PROBLEM}").exists()
 
 
-def examine(out: Path, results: Path, jobs: int = 1) -> Iterator[Examined]:
-    """Diagnose all open cases, ``jobs`` at once; yields each as it is done."""
+def examine(
+    out: Path,
+    results: Path,
+    jobs: int = 1,
+    words: Callable[[Path], Sequence[str]] | None = None,
+) -> Iterator[Examined]:
+    """Diagnose all open cases, ``jobs`` at once; yields each as it is done.
+
+    ``words``: arguments of ``eps-hil`` for a case folder, where that is not ``diagnose``.
+    """
     results.mkdir(parents=True, exist_ok=True)
     cases = open_cases(out, results)
     pool = ThreadPoolExecutor(jobs)
@@ -155,7 +163,7 @@ def examine(out: Path, results: Path, jobs: int = 1) -> Iterator[Examined]:
     def diagnose(case: Path) -> Examined:
         one = idle.get()
         try:
-            return one.diagnose(case, results)
+            return one.ask(words(case), case, results) if words else one.diagnose(case, results)
         finally:
             idle.put(one)
 

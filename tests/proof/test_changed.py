@@ -1,7 +1,8 @@
 """What changed between two states: planned evenly, hidden, sealed, judged."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,16 @@ import pytest
 from eps_hil.errors import InputError
 from eps_hil.proof.changed import (
     ChangePlan,
+    Desk,
     change_plans,
+    figures,
     hide,
     judge_change,
     prove_changes,
     words_for,
 )
 from eps_hil.proof.effects import ALIENS
+from eps_hil.proof.examine import Examined
 from eps_hil.proof.plans import PROOF_SEEDS
 from eps_hil.proof.states import TwoStates
 
@@ -93,42 +97,89 @@ def test_gone_is_new_with_both_states_exchanged(
     ]
 
 
-def test_it_is_sealed_before_it_is_asked_and_goes_on(
+def hidden(plan: ChangePlan, folder: Path) -> dict[str, Any]:
+    """A case without recordings."""
+    folder.mkdir(parents=True)
+    for name in ("before_1.csv", "after_1.csv", "model.yaml"):
+        (folder / name).write_text("x")
+    return {"change": plan.change, "gone": plan.gone, "shared": plan.shared, "seed": plan.seed}
+
+
+def test_batches_are_sealed_before_they_are_asked_and_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def hidden(plan: ChangePlan, folder: Path) -> dict[str, Any]:
-        folder.mkdir(parents=True)
-        (folder / "before_1.csv").write_text("x")
-        return {"change": plan.change, "gone": plan.gone, "shared": plan.shared, "seed": plan.seed}
-
     monkeypatch.setattr("eps_hil.proof.changed.hide", hidden)
-    out, asked = tmp_path / "out", []
-    answers = out / "answers.json"
+    out, asked, said = tmp_path / "out", list[str](), list[str]()
 
-    def ask(words: Sequence[str], case: Path, results: Path) -> None:
-        assert answers.exists()
-        assert words[0] == "changes"
-        assert "before_1.csv" in words
-        assert {path.name for path in case.iterdir()} == {"before_1.csv"}
-        asked.append(case.name)
-        if len(asked) == 2:
-            raise KeyboardInterrupt
-        (results / f"{case.name}.json").write_text(json.dumps({"findings": []}))
+    def ask(cases: Path, results: Path, _jobs: int) -> Iterator[Examined]:
+        assert (cases.parent / "answers.json").exists()
+        assert any(digest in line for line in said for digest in [sealed(cases)])
+        for case in sorted(cases.iterdir()):
+            if (results / f"{case.name}.json").exists():
+                continue
+            assert "before_1.csv" in words_for(case)
+            asked.append(case.name)
+            if len(asked) == 10:
+                raise KeyboardInterrupt
+            (results / f"{case.name}.json").write_text(json.dumps({"findings": []}))
+            yield Examined(case.name, "", 2.0)
 
+    def sealed(cases: Path) -> str:
+        return (cases.parent / "answers.json.sha256").read_text().strip()
+
+    desk = Desk(say=said.append, workers=ThreadPoolExecutor, ask=ask)
     with pytest.raises(KeyboardInterrupt):
-        prove_changes(out, 1, 4, ask=ask)
-    sealed = answers.read_bytes()
-    content = prove_changes(out, 1, 4, ask=ask)
-    assert answers.read_bytes() == sealed
-    assert len(asked) == 5, "what was answered is not asked again"
-    assert content["figures"]["without_change_right"]["hits"] == 2
-    assert content["figures"]["with_change_right"]["hits"] == 0
+        prove_changes(out, 1, 12, desk)
+    so_far = json.loads((out / "figures.json").read_text())
+    assert len(so_far["lines"]) == 8, "a batch that is done is counted"
+    assert so_far["figures"]["false_alarm"]["hits"] == 0
+    assert so_far["figures"]["false_alarm"]["cases"] == 4
+    answers = out / "batch_002" / "answers.json"
+    before = answers.read_bytes()
+    content = prove_changes(out, 1, 12, desk)
+    assert answers.read_bytes() == before
+    assert len(asked) == 13, "what was answered is not asked again"
+    assert [one["answer"]["seed"] for one in content["lines"]] == [1001000 + k for k in range(12)]
+    assert content == json.loads((out / "figures.json").read_text())
+    kept = {path.name for path in out.glob("batch_*/cases/*")}
+    assert kept == {one["id"] for one in content["lines"] if one["answer"]["change"]}
     with pytest.raises(InputError, match="holds another proof"):
-        prove_changes(out, 2, 4, ask=ask)
+        prove_changes(out, 2, 12, desk)
     with pytest.raises(InputError, match="is not empty"):
-        prove_changes(tmp_path, 1, 4, ask=ask)
+        prove_changes(tmp_path, 1, 12, desk)
     with pytest.raises(InputError, match="--out: cannot be made"):
-        prove_changes(answers / "none", 1, 4, ask=ask)
-    answers.write_text(answers.read_text().replace('"seed": 1001000', '"seed": 1001009'))
+        prove_changes(answers / "none", 1, 12, desk)
+    (out / "batch_002" / "lines.jsonl").unlink()
+    answers.write_text(answers.read_text().replace('"seed": 1001008', '"seed": 1001009'))
     with pytest.raises(InputError, match="seal is broken"):
-        prove_changes(out, 1, 4, ask=ask)
+        prove_changes(out, 1, 12, desk)
+
+
+def line(change: str, shared: str, told: list[str] | None, right: bool) -> dict[str, Any]:
+    """A judged case; wrong names are those of the catalogue that are not right."""
+    false = [] if right or told is None else told
+    return {
+        "answer": {"change": change, "shared": shared},
+        "told": told,
+        "right": right,
+        "false": false,
+    }
+
+
+def test_figures_tell_alarms_from_silence_and_what_is_shared() -> None:
+    found = figures([
+        line("stribeck", "", ["stribeck new"], True),
+        line("stribeck", "", [], False),
+        line("stribeck", "eddy", ["inertia new"], False),
+        line("", "", [], True),
+        line("", "eddy", ["unknown new"], False),
+        line("", "eddy", None, False),
+    ])  # fmt: skip
+    counted = {name: (one["hits"], one["cases"]) for name, one in found.items()}
+    assert counted["right_name"] == (1, 3)
+    assert counted["right_name_alone"] == (1, 2)
+    assert counted["wrong_name"] == (1, 3)
+    assert counted["wrong_name_beside_shared"] == (1, 1)
+    assert counted["false_alarm"] == (1, 3)
+    assert counted["false_alarm_beside_shared"] == (1, 2)
+    assert counted["no_answer"] == (1, 6)
