@@ -2,15 +2,18 @@
 
     python -m eps_hil.cli._warm
 
-reads one JSON list a line: the folder to work in, the seconds that it may take, and the arguments
-of ``eps-hil``. Each is run in a fork of this process, which has loaded the code and never sees a
-recording, so no case knows of another; stdout and stderr go to files of that folder. It answers
-with one line: the exit status, or null where the time was up. Loading once saves about two
-seconds a case. When whoever started it is gone, it ends at once, and the case in work with it.
+reads one JSON list a line: the folder to work in, the seconds of processor time that it may take
+(and at most :data:`_WALL` times as many by the clock), and the arguments of ``eps-hil``. Each is
+run in a fork of this process, which has loaded the code and never sees a recording, so no case
+knows of another; stdout and stderr go to files of that folder. It answers with one line: the exit
+status, or null where the time was up. Loading once saves about two seconds a case. When whoever
+started it is gone, it ends at once, and the case in work with it.
 """
 
 import json
+import math
 import os
+import resource
 import signal
 import sys
 import time
@@ -27,6 +30,8 @@ _LOADED = (
     "eps_hil.report.diagnosis_page",
 )
 _TICK_S = 0.02
+_WALL = 8.0
+"""Times the processor time: a machine that others use too is no reason to give up."""
 
 
 def serve() -> None:
@@ -42,6 +47,8 @@ def serve() -> None:
         folder, limit_s, arguments = json.loads(line)
         child = os.fork()
         if child == 0:
+            _, most = resource.getrlimit(resource.RLIMIT_CPU)
+            resource.setrlimit(resource.RLIMIT_CPU, (max(1, math.ceil(limit_s)), most))
             os._exit(_work(main, folder, arguments))
         answer = _ended(child, limit_s, parent)
         if os.getppid() != parent:
@@ -70,11 +77,12 @@ def _work(main: object, folder: str, arguments: list[str]) -> int:
 
 
 def _ended(child: int, limit_s: float, parent: int) -> int | None:
-    until = time.monotonic() + limit_s
+    until = time.monotonic() + _WALL * limit_s
     while time.monotonic() < until and os.getppid() == parent:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
-            return os.waitstatus_to_exitcode(status)
+            code = os.waitstatus_to_exitcode(status)
+            return None if code == -signal.SIGXCPU else code
         time.sleep(_TICK_S)
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)

@@ -29,6 +29,7 @@ MODEL, WITHOUT = "model.yaml", "without.txt"
 PROBLEM = ".problem.txt"
 """What went wrong with a case stands in ``<id>.problem.txt`` instead of ``<id>.json``."""
 _TIMEOUT_S = 900.0
+"""Of processor time."""
 _ASKED_FOR = (
     *("--json", "diagnosis.json"),
     *("--write-model", "augmented.yaml"),
@@ -103,7 +104,7 @@ class Diagnoser:
             raise EpsHilError("the process that diagnoses ended by itself")
         status = json.loads(answer)
         if status is None:
-            return f"no diagnosis within {_TIMEOUT_S:.0f} s"
+            return f"no answer within {_TIMEOUT_S:.0f} s of processor time"
         if status != 0:
             said = (desk / "stderr.txt").read_text().strip().splitlines()
             return f"exit status {status}: {said[-1] if said else ''}"

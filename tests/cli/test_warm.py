@@ -62,3 +62,37 @@ def test_it_ends_with_its_parent_and_takes_the_case_in_work_along(tmp_path: Path
     os.close(writing)
     assert parent.stderr is not None
     assert parent.stderr.read() == ""
+
+
+WITHOUT_END = """
+import time
+import eps_hil.cli.main as verbs
+from eps_hil.cli._warm import serve
+
+def main(words):
+    if words == ["waits"]:
+        time.sleep(1.5)
+        return 0
+    while True:
+        pass
+
+verbs.main = main
+serve()
+"""
+
+
+def test_processor_time_is_what_is_limited(tmp_path: Path) -> None:
+    """On a machine that others use too a case waits; one that computes without end is given up."""
+    warm = subprocess.Popen(
+        [sys.executable, "-c", WITHOUT_END],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert warm.stdin is not None
+    assert warm.stdout is not None
+    for word in ("computes", "waits"):
+        warm.stdin.write(json.dumps([str(tmp_path), 1.0, [word]]) + "\n")
+    warm.stdin.close()
+    assert [json.loads(one) for one in warm.stdout] == [None, 0]
+    assert warm.wait(10.0) == 0

@@ -41,7 +41,10 @@ def test_time_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     case = _case(tmp_path / "case", "time_s,x")
     (tmp_path / "results").mkdir()
     with Diagnoser() as diagnoser:
-        assert diagnoser.diagnose(case, tmp_path / "results").problem == "no diagnosis within 0 s"
+        assert (
+            diagnoser.diagnose(case, tmp_path / "results").problem
+            == "no answer within 0 s of processor time"
+        )
 
 
 def test_a_result_is_not_made_twice(tmp_path: Path) -> None:
