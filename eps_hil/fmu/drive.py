@@ -37,7 +37,7 @@ class FmuError(EpsHilError):
 
 
 _MOTION = ("motor_speed_rad_s", "motor_angle_rad")
-_FOLLOW_RAD_S = 2.0 * np.pi * 8.0
+FOLLOW_RAD_S = 2.0 * np.pi * 8.0
 """How fast the simulator is brought back to the recorded motion."""
 
 
@@ -185,8 +185,8 @@ class Simulator:
             angle = np.cumsum(speed) * self.step_s
         names = list(self.mapped.outputs)
         places = (names.index(n) if n in names else -1 for n in _MOTION)
-        stiffness = model.inertia_kg_m2 * _FOLLOW_RAD_S**2
-        damping = 2.0 * model.inertia_kg_m2 * _FOLLOW_RAD_S
+        stiffness = model.inertia_kg_m2 * FOLLOW_RAD_S**2
+        damping = 2.0 * model.inertia_kg_m2 * FOLLOW_RAD_S
         return Follow(speed, angle - angle[0], stiffness, damping, *places)
 
     @contextlib.contextmanager

@@ -2,6 +2,8 @@
 
 The FMU is driven by the recorded inputs and kept at the recorded motion (``drive.py``): the torque
 that this takes is what the simulator lacks, and the parameters are those that leave least of it.
+Only as fast as the simulator is brought back: beyond that it is the recorded speed's noise times
+the damping, which a heavier simulator makes less of, and least squares would take that for weight.
 What is left of a simulation hangs together over seconds: intervals come from how the pulls of
 blocks of that length scatter (a sandwich), not from counting samples.
 """
@@ -14,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.errors import InputError
-from eps_hil.fmu.drive import FmuError, Follow, Signals, Simulator, physical
+from eps_hil.fmu.drive import FOLLOW_RAD_S, FmuError, Follow, Signals, Simulator, physical
 from eps_hil.fmu.mapping import variable
 from eps_hil.physics.model import Model
 
@@ -130,6 +132,12 @@ def fit(
     runs = [_run_of(simulator, one, model, not holdouts, True) for one in recordings.values()]
     runs += [_run_of(simulator, one, model, False, False) for one in holdouts.values()]
     kept = "the hold-outs" if holdouts else f"every {_KEPT}th stretch of {WINDOW_S:g} s"
+    if not (any(one.fitted.any() for one in runs) and any(one.judged.any() for one in runs)):
+        raise InputError(
+            next(iter(holdouts or recordings)), "", "is too short to fit and to judge by",
+            "give a hold-out (--holdout) of a second or more, or one recording of "
+            f"{_KEPT * WINDOW_S:g} s or more",
+        )  # fmt: skip
     scale = np.array([one.scale for one in free])
     count = [0]
 
@@ -142,7 +150,8 @@ def fit(
         for one in runs:
             use = one.judged if judged else one.fitted
             if use.any():
-                found.append(simulator.run(one.inputs, values, one.begin, one.follow)[1][use])
+                added = simulator.run(one.inputs, values, one.begin, one.follow)[1]
+                found.append(_slow(added, simulator.step_s)[use])
         return np.concatenate(found)
 
     start = np.array([one.start for one in free]) / scale
@@ -179,6 +188,14 @@ def fit(
     before, after = _rms(lacks(start, True)), _rms(lacks(found.x, True))
     notes = tuple(_notes(free, found.x * scale, sigma * scale))
     return Fitted(parameters, before, after, kept, notes)
+
+
+def _slow(torque: Floats, step_s: float) -> Floats:
+    """What a torque (n,) holds below the frequency of the spring that holds the simulator."""
+    from scipy.signal import butter, sosfiltfilt
+
+    sos = butter(2, FOLLOW_RAD_S / (2.0 * np.pi), fs=1.0 / step_s, output="sos")
+    return np.asarray(sosfiltfilt(sos, torque))
 
 
 def _interval(value: float, sigma: float) -> list[float] | None:

@@ -63,7 +63,9 @@ def other(drive: Path, tmp_path: Path) -> Callable[..., Path]:
     return made
 
 
-def recording(model: Model, seconds: float = 6.0, seed: int = 1) -> dict[str, Series]:
+def recording(
+    model: Model, seconds: float = 6.0, seed: int = 1, speed_noise: float = 0.1
+) -> dict[str, Series]:
     """A rig that is held by a soft controller; sensors as late as the model file says."""
     rng = np.random.default_rng(seed)
     t = np.asarray(np.arange(round(seconds * 1000)) * 1e-3, np.float64)
@@ -80,7 +82,7 @@ def recording(model: Model, seconds: float = 6.0, seed: int = 1) -> dict[str, Se
         "motor_torque_nm": told(motor, late.motor_torque, 2e-3),
         "torque_sensor_nm": told(0.0 * t, 0.0, 0.01),
         "rack_force_n": told(force, late.rack_force, 3.0),
-        "motor_speed_rad_s": told(motion.speed_rad_s, late.motor_speed, 0.1),
+        "motor_speed_rad_s": told(motion.speed_rad_s, late.motor_speed, speed_noise),
         "motor_angle_rad": told(motion.angle_rad, late.motor_speed, 1e-3),
     }
 
@@ -300,6 +302,17 @@ def test_its_parameters_are_found_with_intervals_and_the_gain_on_what_was_kept(
 
 
 @pytest.mark.slow
+def test_a_noisy_speed_makes_no_simulator_heavier(drive: Path, tmp_path: Path) -> None:
+    """Noise times the damping is no torque that the simulator lacks, however much there is."""
+    path = write(tmp_path / "a.csv", recording(MODEL, 8.2, 3, speed_noise=5.0))
+    fitted = eps_hil.fit_simulator(path, MODEL, drive, ["inertia_kg_m2=1e-5:1e-3"])
+    one = fitted.content["parameters"]["inertia_kg_m2"]
+    assert one["value"] == pytest.approx(MODEL.inertia_kg_m2, rel=8e-4)
+    assert one["ci95"][1] - one["ci95"][0] < 1e-3 * one["value"]
+    assert fitted.content["holdout"]["torque_rms_nm"]["after"] < 0.01
+
+
+@pytest.mark.slow
 def test_what_an_fmu_lacks_is_named(drive: Path, tmp_path: Path, other_rig: ModuleType) -> None:
     rig = other_rig.Effects({other_rig.STRIB: 0.04, other_rig.STRIB_W: 10.0})
     columns = other_rig.record(rig, "weave", 1, 1.0, 15.0)
@@ -330,6 +343,8 @@ def test_what_an_fmu_lacks_is_named(drive: Path, tmp_path: Path, other_rig: Modu
         (["identify", "R", "--simulation", "D", "--free", "inertia_kg_m2=3:1"],
          "has its bounds the wrong way round: 3 is not below 1"),
         (["identify", "R", "--simulation", "R", "--free", "a"], "only an FMU"),
+        (["identify", "R", "--simulation", "D", "--free", "inertia_kg_m2"],
+         "is too short to fit and to judge by"),
         (["diagnose", "--recording", "R", "--simulation", "none.fmu"], "no such file"),
         (["diagnose", "--recording", "R", "--simulation", "D", "R"], "stands beside other traces"),
         (["diagnose", "--recording", "R", "--simulation-values", "R"], "and an FMU"),
