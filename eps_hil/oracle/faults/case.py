@@ -78,7 +78,11 @@ def run(world: World, kinds: Sequence[Kind], seed: int, random: np.random.Genera
             return False
         tail = [each for each in sent[-800:] if each.at > now - _QUIET_NS]
         well = len(tail) > 0.95 * _QUIET_NS / MS and all(e.status == VALID for e in tail)
-        if well and float(np.nanmax(np.abs(errors(scene, tail)))) < WRONG_N / 5:
+        if not well:
+            return False
+        off = np.abs(errors(scene, tail))
+        known = off[np.isfinite(off)]
+        if len(known) and float(np.max(known)) < WRONG_N / 5:
             stopped_at[0] = now
             return True
         return False
