@@ -60,6 +60,8 @@ _WHITE_TURNS, _MOSTLY_NOISE = 2.0 / 3.0, 0.4
 _EQUAL_NOISE = 0.03
 """The least that is taken for how often two samples of noise are equal."""
 _SPREAD_MEMORY_MS, _FIRST_SPREAD = 512.0, 1.0
+_NONE_OF = 3.0
+"""What none of n was may be as often as 3 of n (95 %)."""
 _TOLD_S, _EDGE_S, _WINDOW_S = 0.2, 0.002, 0.010
 _BRIDGED_S = 0.018
 """A hole at whose end a jump of the torque is still told from the load's own course."""
@@ -348,10 +350,13 @@ def _judge_frozen(w: Watch, p: Limits, i: int, on: bool) -> None:
     if on and w.learnt[i] >= _LEARNT and w.same[i] >= p.frozen_samples:
         moved = w.same[i] * math.log(max(w.repeats[i], 1e-3))
     if on and w.rested[i] >= _LEARNT:
-        run = w.still[i]
-        if _is_noise(w, i):
-            run += w.same[i]  # noise does not end because the rotor moves
-        rested = run * math.log(_equal_at_rest(w, i)) if run >= p.frozen_samples else 0.0
+        run, equal = w.still[i], _equal_at_rest(w, i)
+        rested = w.still[i] * math.log(equal)
+        if _is_noise(w, i):  # it does not end because the rotor moves
+            run += w.same[i]
+            learnt = w.repeats[i] if w.learnt[i] >= _LEARNT else 0.0
+            rested += w.same[i] * math.log(max(equal, learnt))
+        rested = rested if run >= p.frozen_samples else 0.0
     w.frozen[i] = 1 if min(moved, rested) < _NO_ACCIDENT else 0
     if i <= _SENSOR and w.last_ns[_TORQUE] == w.last_ns[_SENSOR]:
         _judge_both(w, p)
@@ -369,7 +374,8 @@ def _equal_at_rest(w: Watch, i: int) -> float:
     turns = min(w.turns[i], _TURNS)
     equal = 1.0 - turns
     if _is_noise(w, i):  # what is equal there is so for all its noise
-        equal = min(equal, max(w.equals[i] * _WHITE_TURNS / turns, _EQUAL_NOISE))
+        least = max(_EQUAL_NOISE, _NONE_OF / w.rested[i])
+        equal = min(equal, max(w.equals[i] * _WHITE_TURNS / turns, least))
     return equal
 
 

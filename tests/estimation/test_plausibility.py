@@ -656,6 +656,24 @@ def test_noise_that_ends_as_the_rotor_begins_to_move_is_a_frozen_torque(
         assert bool(watch[0].frozen[0]) == (k >= 390) or 380 < k < 390
 
 
+def test_a_short_rest_says_little_of_how_often_noise_repeats_itself(
+    reference_model: Model,
+) -> None:
+    """Coarse noise of which no two neighbours were equal in 40 ms of rest: it had stood for 3 %."""
+    limits = limits_of(reference_model, EstimatorSettings(), angle_seen=True)
+    watch, rng = new_watch(), np.random.default_rng(3)
+    rest = 2e-3 * np.array([1, -1, 0, 2, -2] * 8)
+    noise = 2e-3 * np.round(1.5 * rng.standard_normal(600))  # 18 % of the neighbours are equal
+    noise[500:508], noise[580:596] = noise[500], noise[580]
+    said = []
+    for k, value in enumerate(np.r_[rest, noise]):
+        watch[0].moving = int(k >= len(rest))
+        judge_sample(watch, limits, 0, (k + 1) * 10**6, 0.1 + value)
+        said.append(bool(watch[0].frozen[0]))
+    assert not any(said[: len(rest) + 580])
+    assert any(said[len(rest) + 580 : len(rest) + 596])
+
+
 @pytest.mark.parametrize("lasts_ms", [2, 4, 8])
 def test_a_short_spike_of_the_speed_is_told_by_the_angle(
     reference_model: Model, sweep_truth: Any, lasts_ms: int
