@@ -13,7 +13,8 @@ from eps_hil.compiled import kernel
 from eps_hil.estimation.compensation import CREEP_SIGMA
 from eps_hil.estimation.levels import adapted_level_nm
 from eps_hil.estimation.setup import Inputs, Physics
-from eps_hil.estimation.state import HELD, Moment, Rig
+from eps_hil.estimation.state import HELD, Moment, Records, Rig
+from eps_hil.estimation.torque_jumps import take_friction
 from eps_hil.physics.friction import bristle_step
 
 if TYPE_CHECKING:
@@ -68,3 +69,18 @@ def carry(w: "Watch", x: Physics, s: Moment, r: Rig, steps: int) -> None:
         s.bent = min(max(s.bent, -limit), limit)
     s.other_zero = w.zero - s.zero
     s.smoothed, s.followed = w.zero + w.smooth, w.zero + w.followed
+
+
+@kernel
+def slide_on(watch: Records, x: Physics, s: Moment, r: Rig, went: float) -> None:
+    """The friction of a step without an estimate, as the rotor ``went`` by its speed (rad).
+
+    It turns over where the rotor does, which is not to be taken for what a torque does
+    (``torque_jumps.add_pace``).
+    """
+    w = watch[0]
+    sigma0 = x.law.sigma0_nm_per_rad
+    level = adapted_level_nm(x, r, went, s.local * s.force)
+    bristle = bristle_step(w.bristle, went, abs(went), level, sigma0)
+    friction_nm = w.friction_nm + sigma0 * (bristle - w.bristle)
+    take_friction(watch, friction_nm, w.friction_known != 0, bristle)

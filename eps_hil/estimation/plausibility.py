@@ -39,6 +39,7 @@ from eps_hil.estimation.torque_jumps import (
     due_noise,
     hinge,
     latched,
+    swing_hinge,
     watch_jump,
 )
 from eps_hil.estimation.validity import Reason
@@ -59,9 +60,9 @@ _TURNS = 0.9
 _WHITE_TURNS, _MOSTLY_NOISE = 2.0 / 3.0, 0.4
 _EQUAL_NOISE = 0.03
 """The least that is taken for how often two samples of noise are equal."""
-_SPREAD_MEMORY_MS, _FIRST_SPREAD = 512.0, 1.0
 _NONE_OF = 3.0
 """What none of n was may be as often as 3 of n (95 %)."""
+_SPREAD_MEMORY_MS, _FIRST_SPREAD = 512.0, 1.0
 _TOLD_S, _EDGE_S, _WINDOW_S = 0.2, 0.002, 0.010
 _BRIDGED_S = 0.018
 """A hole at whose end a jump of the torque is still told from the load's own course."""
@@ -103,13 +104,14 @@ class Watch:
     speed: Annotated[Floats, RING]
     # The speed as it would be if the friction stayed the same, and its bend; what is added to the
     # speed for that (rad/s), the friction torque (Nm) that it makes up for, that of the last step,
-    # and whether that was known.
+    # whether that was known, and the bristle (rad) that makes it.
     pace: Annotated[Floats, RING]
     bend: Annotated[Floats, RING]
     lent: float
     changed_nm: float
     friction_nm: float
     friction_known: int
+    bristle: float
     steps: int
     # The step at which the torque left its course last, what it was, and its slope (Nm a step).
     edge_at: int
@@ -133,10 +135,13 @@ class Watch:
     drawn_at: Annotated[Ints, RING]
     hole_first: int
     hole_last: int
-    # Innovation of the motion after a torque jump: its spread, the jumps that nothing followed.
+    # Innovation of the motion after a torque jump: its spread, that of the bend beside a swing, the
+    # jumps that nothing followed, and whether much was left of the last as it jumped back.
     spread: float
+    residual: float
     innovation: float
     unexplained_nm: float
+    left: int
     stalled: int
     missed: int
     told: int
@@ -212,6 +217,10 @@ class Limits(NamedTuple):
     bend_noise: float
     due_noise: float
     spread_memory: float
+    swing_before: int
+    swing_every: int
+    swing_hinge: Floats
+    swing_noise: float
     leak: float
     slow_leak: float
     slow_noise: float
@@ -231,7 +240,7 @@ class Limits(NamedTuple):
 def new_watch() -> Records:
     """Nothing seen yet."""
     watch = np.zeros(1, WATCH)
-    watch["spread"], watch["repeats"] = _FIRST_SPREAD, 1.0
+    watch["spread"], watch["residual"], watch["repeats"] = _FIRST_SPREAD, _FIRST_SPREAD, 1.0
     watch["missed_now"], watch["started"], watch["hole_first"] = 1, 1, -1
     return watch
 
@@ -249,11 +258,12 @@ def _each(of: npt.NDArray[Any]) -> tuple[Any, Any, Any, Any, Any]:
 def watch_anew(watch: Records) -> None:
     """Nothing seen yet, after a jump of time; what is of the rig's signals stays known."""
     w = watch[0]
-    spread, repeats, learnt = w.spread, _each(w.repeats), _each(w.learnt)
+    spread, residual, repeats, learnt = w.spread, w.residual, _each(w.repeats), _each(w.learnt)
     turns, equals, rested = _each(w.turns), _each(w.equals), _each(w.rested)
     both, paired = w.both, w.paired
     copy(watch, 0, _NEW, 0)
-    w.spread, w.started, w.both, w.paired = spread, 0, both, paired
+    w.spread, w.residual, w.started = spread, residual, 0
+    w.both, w.paired = both, paired
     for i in range(COUNT):
         w.repeats[i], w.learnt[i] = repeats[i], learnt[i]
         w.turns[i], w.equals[i], w.rested[i] = turns[i], equals[i], rested[i]
@@ -271,6 +281,7 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
     window = min(max(round(1.5 / stiff / step_s), 4), round(_WINDOW_S / step_s))
     slow, leak, share = SLOW_LEAK_PER_MS**step_ms, LEAK_PER_MS**step_ms, mean_share(step_s)
     by_angle, by_speed = mean_noise(leak, share, step_s)
+    before = min(3 * window, WRAP - 1 - window)
     return Limits(
         on=chosen.enabled,
         step_s=step_s,
@@ -294,6 +305,10 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
         bend_noise=bend_noise(hinge(window)),
         due_noise=due_noise(window, step_s, 1.0 / model.inertia_kg_m2),
         spread_memory=step_ms / _SPREAD_MEMORY_MS,
+        swing_before=before,
+        swing_every=max(window // 2, 1),
+        swing_hinge=swing_hinge(before, window),
+        swing_noise=float(np.sum(swing_hinge(before, window) ** 2)),
         leak=leak,
         slow_leak=slow,
         slow_noise=step_s**2 / (1.0 - slow**2),

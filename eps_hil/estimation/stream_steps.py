@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment, levels
-from eps_hil.estimation.creep import carry
+from eps_hil.estimation.creep import carry, slide_on
 from eps_hil.estimation.plausibility import judge_sample, judge_step, new_watch, watch_anew
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
@@ -237,6 +237,21 @@ def _go_back(m: Memory, c: Constants, x: Physics, u: Inputs, doubted: bool) -> N
         move_by_angle(m.carried, u.motor_angle_rad, c.step_s)
 
 
+@kernel
+def _slid(m: Memory, c: Constants, x: Physics, went: float, missing: bool) -> None:
+    """Take the way (rad) of a step, and the friction that it made."""
+    now = m.carried.moment[0]
+    if now.running == RUNS:
+        now.turned += went
+        now.zero = m.watch[0].zero
+        known = now.unknown_n <= c.unknown_limit_n
+        take_friction(m.watch, now.unlimited, known, now.bristle)
+    elif missing:
+        take_friction(m.watch, 0.0, False, m.watch[0].bristle)
+    else:
+        slide_on(m.watch, x, now, m.carried.rig[0], went)
+
+
 @kernel(inline="always")
 def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     """Step the grid up to sync stamp ``t``; results in m.t_ns, m.estimate, m.reason [0:n]."""
@@ -273,17 +288,14 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         reason |= extra
         doubt, now_seen = judge_step(m.watch, timing.limits, inputs, seen, reason)
         _go_back(m, c, x, inputs, now_seen)
+        missing = reason != 0
         reason = step(c, x, m.carried, inputs, reason | (doubt if now_seen else 0))
         seen_since = m.watch[0].unsure == 0 or m.watch[0].started != 0
         sound = (reason | doubt) & ~_SOUND == 0 and seen_since
         keep(m.carried, m.kept, sound, c.keep_steps)
         m.t_ns[n] = at - lag
         now = m.carried.moment[0]
-        if now.running == RUNS:
-            now.turned += inputs.motor_speed_rad_s * c.step_s
-            now.zero = m.watch[0].zero
-        known = now.running == RUNS and now.unknown_n <= c.unknown_limit_n
-        take_friction(m.watch, now.unlimited, known)
+        _slid(m, c, x, inputs.motor_speed_rad_s * c.step_s, missing)
         if timing.limits.on and abs(now.out_force) > timing.limits.estimate_n:
             doubt |= _IMPLAUSIBLE
             now.settle_steps = max(now.settle_steps, c.settle_steps)

@@ -60,6 +60,17 @@ def hinge(n: int) -> Floats:
     return weights
 
 
+def swing_hinge(before: int, n: int) -> Floats:
+    """Weights (before + n + 1,) on speeds, a bend at ``before``, as :func:`hinge` tells it.
+
+    Least squares of a parabola with that bend: blind to a load that changes steadily, too.
+    """
+    t = np.arange(-before, n + 1, dtype=float)
+    columns = np.stack([np.ones_like(t), t, t * t, np.maximum(t, 0.0)], axis=1)
+    weights: Floats = n * np.linalg.pinv(columns)[3]
+    return weights
+
+
 def bend_noise(weights: Floats) -> float:
     """Variance of the bend (2n + 1 weights) less that of n steps before, for white noise of 1."""
     n = len(weights) // 2
@@ -97,6 +108,7 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
         return
     done -= w.bend[(k - n) & WRAP]  # the load goes on bending the course as it did
     learn_swing(w, p)
+    _learn_residual(w, p)
     base, slope, edge = torque[(k - n) & WRAP], *_edge(w, p, u)
     noise = p.bend_noise * u.speed_noise + p.due_noise * u.drive_noise
     limit = max(p.jump * noise, _MOTION * w.spread)
@@ -111,11 +123,13 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
         due += weights[n + j] * speed
         most, before = max(most, abs(off)), off
     w.innovation = done - due
-    if abs(edge) < 0.3 * most or edge * due <= 0.0 or due * due < limit:
+    if abs(edge) < 0.3 * most or edge * due <= 0.0:
         return
-    unclear = w.dark > 0 and _contradict(done, w.bend[k & WRAP], due, limit)
-    clear = w.innovation * w.innovation >= limit and not _followed(done, due, limit)
-    if not clear and not unclear:
+    clear = unclear = False
+    if due * due >= limit:
+        unclear = w.dark > 0 and _contradict(done, w.bend[k & WRAP], due, limit)
+        clear = w.innovation * w.innovation >= limit and not _followed(done, due, limit)
+    if not clear and not unclear and not _alone(w, p, u, edge):
         return
     if w.stalled > 0 and w.unexplained_nm == 0.0:  # what stood still catches up, or is wrong anew
         w.stalled, w.missed = p.stalled_steps, 1
@@ -123,6 +137,62 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
         lose_course(w)
     else:
         _found(w, p, base, slope, before)
+
+
+@kernel
+def _residual(w: "Watch", p: "Limits") -> tuple[float, float]:
+    """Bend of the speed a window ago less that which the torques make, and that of the torques.
+
+    In rad/s, over a longer time before it than :func:`watch_jump` looks at: what the torque does to
+    the speed is taken out first, so that a rotor that swings makes none, but a load that does.
+    """
+    length = p.swing_before + p.window
+    first = w.steps - 1 - length
+    way, before, due, done = 0.0, w.torque[first & WRAP], 0.0, 0.0
+    for j in range(1, length + 1):
+        torque = w.torque[(first + j) & WRAP]
+        way += 0.5 * (before + torque)
+        before = torque
+        due += p.swing_hinge[j] * way
+        done += p.swing_hinge[j] * (w.pace[(first + j) & WRAP] - w.pace[first & WRAP])
+    due *= p.step_s * p.inverse_inertia
+    return done - due, due
+
+
+@kernel
+def _seen_for_long(w: "Watch", p: "Limits") -> bool:
+    """Whether all that :func:`_residual` looks at was seen."""
+    length = p.swing_before + p.window
+    if w.steps <= length or w.dark > 0:
+        return False
+    guessed_most = 0.0
+    for j in range(length + 1):
+        guessed_most = max(guessed_most, w.doubt[(w.steps - 1 - j) & WRAP])
+    return bool(guessed_most == 0.0)
+
+
+@kernel
+def _learn_residual(w: "Watch", p: "Limits") -> None:
+    """How large :func:`_residual` is by itself (mean square); looked at every few steps."""
+    if w.steps % p.swing_every or not _seen_for_long(w, p):
+        return
+    off, _ = _residual(w, p)
+    share = p.swing_every * p.spread_memory
+    w.residual += share * (min(off * off, _CLIP * w.residual) - w.residual)
+    w.residual = max(w.residual, _LEAST_SPREAD)
+
+
+@kernel
+def _alone(w: "Watch", p: "Limits", u: Inputs, edge: float) -> bool:
+    """Whether a torque that left its course by ``edge`` (Nm) amid a swing was not followed."""
+    if not _seen_for_long(w, p):
+        return False
+    off, due = _residual(w, p)
+    noise = p.swing_noise * u.speed_noise + p.due_noise * u.drive_noise
+    limit = max(p.jump * noise, _MOTION * w.residual)
+    if edge * due <= 0.0 or due * due < limit or off * off < limit:
+        return False
+    return not _followed(off + due, due, limit)
 
 
 @kernel
@@ -163,12 +233,12 @@ def add_pace(w: "Watch", p: "Limits") -> None:
 
 
 @kernel
-def take_friction(watch: Records, friction_nm: float, known: bool) -> None:
-    """The estimator's friction torque (Nm) of the step that was made, and whether it is known."""
+def take_friction(watch: Records, friction_nm: float, known: bool, bristle: float) -> None:
+    """The friction torque (Nm) of the step that was made, if it is ``known``; its bristle (rad)."""
     w = watch[0]
     if known and w.friction_known:
         w.changed_nm += friction_nm - w.friction_nm
-    w.friction_nm, w.friction_known = friction_nm, 1 if known else 0
+    w.friction_nm, w.friction_known, w.bristle = friction_nm, 1 if known else 0, bristle
 
 
 @kernel
@@ -203,7 +273,7 @@ def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> 
     """Take a jump that nothing followed out of the ring; ``level`` (Nm) is what is left of it.
 
     What is left of a jump that went back, or of a spike, may be what the course did meanwhile: it
-    is not doubted for long.
+    is not doubted for long. Nor is a jump after one of which much was left: it may be its end.
     """
     n, k = p.window, w.steps - 1
     first, since = k - n, k - n - w.edge_at
@@ -218,10 +288,13 @@ def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> 
         w.torque[(first + j) & WRAP] = base + j * slope
     old = w.unexplained_nm
     w.unexplained_nm += level if abs(level) * p.ratio > UNEXPLAINED_N else 0.0
-    if abs(w.unexplained_nm) * p.ratio < _KEPT * UNEXPLAINED_N or (
-        level * old < 0.0 and abs(w.unexplained_nm) < _BACK * abs(old)
-    ):
+    vague = vague or (w.left > 0 and w.quiet <= p.consistent_steps)
+    w.left = 0
+    if abs(w.unexplained_nm) * p.ratio < _KEPT * UNEXPLAINED_N:
         forget_unexplained(w)
+    elif level * old < 0.0 and abs(w.unexplained_nm) < _BACK * abs(old):
+        forget_unexplained(w)
+        w.left = 1
     vague = vague or (level * old < 0.0 and abs(w.unexplained_nm) < abs(old))
     w.slope_nm = slope
     w.quiet, w.missed = 0, 1 if vague else 0

@@ -1,0 +1,78 @@
+"""Torque jumps amid a swing of the load: the speed's bend less that which the torques make."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eps_hil.estimation.batch import estimate
+from eps_hil.estimation.torque_jumps import swing_hinge
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+NAMES = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "motor_angle_rad")
+OF_THREE = st.lists(st.floats(-100.0, 100.0), min_size=3, max_size=3)
+
+
+@given(OF_THREE, st.floats(-50.0, 50.0), st.integers(4, 40))
+def test_the_bend_is_that_beside_any_parabola(
+    parabola: list[float], bend: float, window: int
+) -> None:
+    t = np.arange(-3 * window, window + 1) / window
+    speed = np.polyval(parabola, t) + bend * np.maximum(t, 0.0)
+    assert swing_hinge(3 * window, window) @ speed == pytest.approx(bend, abs=1e-6)
+
+
+def _wrong_ms(model: Model, columns: dict[str, Any], since: int, offset_nm: float) -> int:
+    """Longest spell in which a torque off by ``offset_nm`` from ``since`` on is valid and wrong."""
+    part, begins = slice(since - 2000, since + 300), 2000
+    t_ns = np.round(columns["time_s"][part] * 1e9).astype(np.int64)
+    right = {name: Series(t_ns, columns[name][part]) for name in NAMES}
+    torque = right[NAMES[0]].value.copy()
+    torque[begins:] += offset_nm
+    wrong, of = estimate({**right, NAMES[0]: Series(t_ns, torque)}, model), estimate(right, model)
+    assert np.array_equal(wrong.t_ns, of.t_ns)
+    apart = wrong.valid & of.valid & (abs(wrong.rack_force_n - of.rack_force_n) > 100.0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], apart.astype(int), [0]])))
+    return int(max(np.diff(edges)[::2], default=0))
+
+
+@pytest.mark.parametrize("offset_nm", [-0.12, 0.12])
+def test_an_offset_amid_a_fast_swing_is_told(
+    reference_model: Model, sweep_truth: Any, offset_nm: float
+) -> None:
+    """Of 300 N, over one and a half periods of 3.6 Hz; the torque bends as fast as it jumps."""
+    for since in range(36_000, 36_420, 19):
+        assert _wrong_ms(reference_model, sweep_truth.columns, since, offset_nm) <= 20
+
+
+def _back_ms(model: Model, columns: dict[str, Any], since: int, off_nm: dict[int, float]) -> int:
+    """When the estimate is valid for good, after torques that are off for so many ms by so much."""
+    part, begins = slice(since - 2000, since + 2600), 2000
+    t_ns = np.round(columns["time_s"][part] * 1e9).astype(np.int64)
+    series = {name: Series(t_ns, columns[name][part].copy()) for name in NAMES}
+    for length, offset_nm in off_nm.items():
+        first = begins + (75 - length) // 2
+        series[NAMES[0]].value[first : first + length] += offset_nm
+    bad = np.flatnonzero(~estimate(series, model).valid[begins:])
+    return int(max(bad, default=0))
+
+
+@pytest.mark.parametrize("offset_nm", [-0.2, 0.2])
+def test_the_end_of_an_offset_is_seen_where_the_friction_turns_over(
+    reference_model: Model, sweep_truth: Any, offset_nm: float
+) -> None:
+    """No estimate is made then; it took 10 s where the rotor turned round meanwhile."""
+    for since in range(34_000, 34_300, 10):
+        assert _back_ms(reference_model, sweep_truth.columns, since, {65: offset_nm}) < 600
+
+
+def test_an_offset_within_an_offset_is_not_doubted_for_long(
+    reference_model: Model, sweep_truth: Any
+) -> None:
+    """What is left of the first as the second ends is some 0.2 Nm: the first itself."""
+    for since in range(34_000, 34_300, 20):
+        two = {75: 0.2, 33: -0.7}
+        assert _back_ms(reference_model, sweep_truth.columns, since, two) < 1700
