@@ -2,8 +2,9 @@
 
 The bristle remembers its path: out and back again leaves it bent, where the contact slid on the
 way out. So what is held for a doubt of other signals, or of the angle's zero, is carried along the
-way that the angle shows meanwhile. Noise is no way: the angle is smoothed, and followed at a
-distance that noise does not pass. A step that no noise explains, nor the speed, is another zero.
+way that the angle shows meanwhile. Noise is no way: the angle is smoothed, by no more than noise,
+and followed at a distance that noise does not pass. A step that no noise explains, nor the speed,
+is another zero.
 """
 
 import math
@@ -42,6 +43,8 @@ def follow_creep(w: "Watch", p: "Limits", u: Inputs) -> None:
         else:
             w.ahead = u.motor_angle_rad - w.zero
     w.smooth += p.creep_share * (w.ahead - w.smooth)
+    near = CREEP_SIGMA * math.sqrt(max(u.angle_noise, 0.0))  # out and back is no noise
+    w.smooth = min(max(w.smooth, w.ahead - near), w.ahead + near)
     left = p.creep_share / (2.0 - p.creep_share)  # variance that the low-pass leaves
     gap = CREEP_SIGMA * math.sqrt(left * max(u.angle_noise, 0.0))
     w.followed = min(max(w.followed, w.smooth - gap), w.smooth + gap)
