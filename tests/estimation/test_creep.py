@@ -23,12 +23,15 @@ BENT = 0.0124
 NOISE_RAD = 1e-3
 
 
-def out_and_back(way_rad: float) -> dict[str, Series]:
-    """Half a second of sine, rest, and at 1.06 s a creep of 40 ms on and one of 60 ms back."""
-    t = np.arange(3500) * 1e-3
+def out_and_back(
+    way_rad: float, back_rad: float | None = None, out_s: float = 0.04, back_s: float = 0.06
+) -> dict[str, Series]:
+    """Half a second of sine, rest, at 1.06 s a creep on, then one back (as far, if not said)."""
+    back_rad = way_rad if back_rad is None else back_rad
+    t, turns = np.arange(3500) * 1e-3, 1.06 + out_s
     speed = np.where(t < 0.5, 20.0 * np.sin(2 * np.pi * t), 0.0)
-    speed += np.where((t >= 1.06) & (t < 1.1), way_rad / 0.04, 0.0)
-    speed -= np.where((t >= 1.1) & (t < 1.16), way_rad / 0.06, 0.0)
+    speed += np.where((t >= 1.06) & (t < turns), way_rad / out_s, 0.0)
+    speed -= np.where((t >= turns) & (t < turns + back_s), back_rad / back_s, 0.0)
     t_ns = (t * 1e9).round().astype(np.int64)
     torque = np.where(t < 0.5, 0.5 + 0.01 * speed, 0.5)
     noise = np.random.default_rng(2).standard_normal((4, len(t)))
@@ -43,6 +46,17 @@ def out_and_back(way_rad: float) -> dict[str, Series]:
 
 def at(trace: Trace, time_s: float) -> float:
     return float(trace.rack_force_n[np.searchsorted(trace.t_ns, time_s * 1e9)])
+
+
+@pytest.mark.parametrize("since_ms", [1112, 1118, 1124])
+def test_a_quick_way_back_is_not_smoothed_away(reference_model: Model, since_ms: int) -> None:
+    """An angle that jumps just after a rotor swung back by 0.013 rad of 0.06: 107 N were off."""
+    series = out_and_back(0.06, 0.0134, 0.03, 0.015)
+    right = estimate(series, reference_model)
+    angle = series[NAMES[3]].value.copy()
+    angle[since_ms : since_ms + 240] += 0.0825
+    series[NAMES[3]] = Series(series[NAMES[3]].t_ns, angle)
+    assert abs(at(estimate(series, reference_model), 3.0) - at(right, 3.0)) < 60.0
 
 
 @pytest.mark.parametrize(
