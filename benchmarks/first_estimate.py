@@ -59,7 +59,7 @@ def main() -> int:
                 return 1
         ready = time.perf_counter() - begun
         second, second_cpu = run(Path(folder), "second.csv")
-        (lock,) = Path(folder).rglob("ahead_run-*")
+        (lock,) = Path(folder).rglob("ahead.lock")
         with lock.open() as held:  # nothing goes on when this ends
             fcntl.flock(held, fcntl.LOCK_EX)
         same = (Path(folder) / "first.csv").read_bytes() == (

@@ -1,16 +1,37 @@
-"""``njit`` with a disk cache that can be trusted (:mod:`eps_hil.machine_code`).
+"""``njit`` with a disk cache that can be trusted.
+
+numba's own cache looks only at the file that a function stands in: change a function that is
+called from another file, and the caller goes on running the old machine code. Here the cache
+folder is named by a hash over every source file of this package that compiles anything, so a
+change anywhere, an upgrade or a ``git pull``, can never leave stale physics behind.
 
 Where no folder can be written (a rig PC with a read-only home), functions are compiled anew by
 every process: slower, and just as right.
 """
 
-from collections.abc import Callable
+import contextlib
+import functools
+import hashlib
+import inspect
+import os
+import shutil
+import stat
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, Literal, TypeVar, overload
 
 import numba
 
-from eps_hil import machine_code
-from eps_hil.machine_code import FOLDER
+_KEPT_FOLDERS = 4
+_LONGEST_WAIT_S, _LOOK_S = 300.0, 0.02
+_BACKGROUND_NICE = 5
+"""For code that another process compiles: then it is compiled here too."""
+_PACKAGE = Path(__file__).resolve().parent
+_COMPILED = b"eps_hil.compiled import", b"# frozen into compiled code"
+"""What marks a source as one that machine code depends on; the second one, constants."""
 
 _INLINED = ("eps_hil.estimation.", "eps_hil.physics.friction", "eps_hil.physics.effects.added",
             "eps_hil.physics.effects.effect")  # fmt: skip
@@ -19,6 +40,67 @@ _INLINED = ("eps_hil.estimation.", "eps_hil.physics.friction", "eps_hil.physics.
 A call passes tens of records of arrays by value, which takes longer than what it does. Not more:
 a call that is spread out is compiled again wherever it stands.
 """
+
+
+def _bases() -> Iterator[Path]:
+    """Folders to try: the one that numba is told, the user's cache, one of the user's in /tmp."""
+    said = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
+    if said:
+        yield Path(said)
+    else:
+        with contextlib.suppress(RuntimeError):  # a user without a home
+            yield Path.home() / ".cache"
+    if hasattr(os, "getuid"):
+        yield from _private()
+
+
+def _private() -> Iterator[Path]:
+    with contextlib.suppress(OSError):
+        private = Path(tempfile.gettempdir()) / f"eps_hil-{os.getuid()}"
+        private.mkdir(mode=0o700, exist_ok=True)
+        found = private.lstat()
+        # what lies in a cache is executed: never read one that somebody else could have made
+        if (
+            stat.S_ISDIR(found.st_mode)
+            and found.st_uid == os.getuid()
+            and not found.st_mode & 0o077
+        ):
+            yield private
+
+
+def _source_hash() -> str:
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in sorted(_PACKAGE.rglob("*.py")):
+        text = source.read_bytes()
+        if any(mark in text for mark in _COMPILED):
+            digest.update(str(source.relative_to(_PACKAGE)).encode() + text)
+    return digest.hexdigest()[:16]
+
+
+def _folder() -> Path | None:
+    """The folder of this source's machine code, made if need be; None if none can be written."""
+    name = _source_hash()
+    for base in _bases():
+        folder = base / "eps_hil" / "compiled" / name
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+            os.utime(folder)
+            _forget_old(folder.parent)
+            return folder
+    return None
+
+
+def _forget_old(parent: Path) -> None:
+    with contextlib.suppress(OSError):  # another process may be forgetting the same
+        others = sorted(parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+        for stale in others[_KEPT_FOLDERS:]:
+            shutil.rmtree(stale, ignore_errors=True)
+
+
+FOLDER = _folder()
+"""Where compiled functions are kept; None: nowhere."""
 
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -43,7 +125,7 @@ def njit(
     inline: Literal["never", "always"] = "never",
     error_model: Literal["python", "numpy"] = "python",
 ) -> F | Callable[[F], F]:
-    """:func:`numba.njit`, cached on disk by the sources that the function is made of.
+    """:func:`numba.njit`, cached on disk in the folder that this package's sources name.
 
     ``error_model``: what a division by zero does; only "numpy" (an infinity, no exception) lets
     a loop with divisions run on several numbers at once.
@@ -77,7 +159,6 @@ def kernel(
     return decorate if function is None else decorate(function)
 
 
-__all__ = ["FOLDER", "direct", "interpret", "interpreted", "kernel", "njit"]
 _CONFIG: Any = numba.config
 _made: list[str] = []
 """Names of the functions that are there to be compiled."""
@@ -86,37 +167,18 @@ _made: list[str] = []
 def _decorator(**options: Any) -> Callable[[F], F]:
     def decorated(function: F) -> F:
         _made.append(function.__qualname__)
-        compiled: F = numba.njit(nogil=True, **options)(function)
-        if hasattr(compiled, "compile"):  # else compilation is switched off
-            _keep(compiled, function)
+        with _cached_there(function):
+            try:
+                compiled: F = numba.njit(cache=FOLDER is not None, nogil=True, **options)(function)
+            except RuntimeError:  # numba finds no folder that it may write to after all
+                return numba.njit(nogil=True, **options)(function)
+        if FOLDER is not None:
+            _compile_once(compiled, FOLDER / "locks")
+        else:
+            _say_each_time(compiled)
         return compiled
 
     return decorated
-
-
-def _keep(compiled: Any, function: Callable[..., Any]) -> None:
-    """Let ``compiled`` be kept on disk, or say each time that it is not."""
-    compile_for = compiled.compile
-    try:
-        kept = None if FOLDER is None else machine_code.Cache(function)
-    except OSError:  # no source, none that can be read
-        kept = None
-
-    def compiled_by_one(signature: Any) -> Any:
-        try:
-            return compile_for(signature)
-        finally:
-            if kept is not None:
-                kept.let_go()
-
-    def compiled_each_time(signature: Any) -> Any:
-        machine_code.tell("each time, for no cache folder can be written (set NUMBA_CACHE_DIR)")
-        return compile_for(signature)
-
-    if kept is not None:
-        compiled._cache, compiled.compile = kept, compiled_by_one
-    elif FOLDER is None:
-        compiled.compile = compiled_each_time
 
 
 def interpret() -> bool:
@@ -148,3 +210,146 @@ def direct(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
         return function
     entry: Callable[..., Any] = compile_for(tuple(type_of(each) for each in arguments))
     return entry
+
+
+class Locator:
+    """Tells numba where a function of this package is kept, wherever the package is installed.
+
+    numba's own locators know a file by its path and by when it was changed, so that a checkout, a
+    wheel and every ``git switch`` compile anew what the folder's name says is the same source.
+    (numba before 0.62 does not ask; it then goes by path and date, as it does for other files.)
+    """
+
+    def __init__(self, folder: Path, line: int) -> None:
+        self._folder, self._line = folder, line
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], source: str) -> "Locator":
+        """Called by numba when it decorates."""
+        if FOLDER is None:
+            raise RuntimeError("no folder to keep compiled functions in")
+        place = Path(source).resolve().relative_to(_PACKAGE).with_suffix("")
+        return cls(FOLDER / "functions" / place, function.__code__.co_firstlineno)
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        """The function's folder."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """The name of the folder above says which source it is."""
+        return ""
+
+    def get_disambiguator(self) -> str:
+        """As numba does it: the line where the function begins."""
+        return str(self._line)
+
+
+class _Kept:
+    """A function's code on disk: of several processes that want it at once, one compiles.
+
+    The others wait for it; a process that dies lets go. A folder that knows no locks has none.
+    Nobody waits for a process in the background, which may stand still on a busy machine.
+    """
+
+    def __init__(self, cache: Any, place: Path) -> None:
+        self._cache, self._place = cache, place
+        self._lock: Any = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cache, name)
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """The code from disk; None: compile it, and :meth:`let_go` when it is there."""
+        found = self._cache.load_overload(signature, context)
+        if found is not None or self._lock is not None:
+            return found
+        with contextlib.suppress(OSError, ImportError):
+            self._lock = _locked(self._place)
+        found = self._cache.load_overload(signature, context)
+        if found is None:
+            _tell()
+            if os.nice(0) >= _BACKGROUND_NICE:
+                self.let_go()
+        return found
+
+    def let_go(self) -> None:
+        """Let others in."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+
+@functools.cache
+def _tell(why: str = "once after installation") -> None:
+    """Once, to a person at a terminal: why nothing seems to happen."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        if sys.stderr.isatty():
+            sys.stderr.write(f"compiling, {why}: up to a minute\n")
+            sys.stderr.flush()
+
+
+def _locked(place: Path) -> Any:
+    """An open file that no other process has locked, or, after a long wait, any."""
+    import fcntl
+
+    place.parent.mkdir(parents=True, exist_ok=True)
+    lock = place.open("wb")
+    for _ in range(round(_LONGEST_WAIT_S / _LOOK_S)):
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            break
+        except BlockingIOError:
+            time.sleep(_LOOK_S)
+    return lock
+
+
+def _compile_once(function: Any, folder: Path) -> None:
+    """Let processes that start together, on an empty cache, share the work."""
+    compile_for = getattr(function, "compile", None)
+    if compile_for is None:  # compilation is switched off
+        return
+    name = f"{function.__module__}.{function.__qualname__}"
+    kept = _Kept(function._cache, folder / name.replace("<locals>", "in"))
+
+    def compiled(signature: Any) -> Any:
+        try:
+            return compile_for(signature)
+        finally:
+            kept.let_go()
+
+    function._cache, function.compile = kept, compiled
+
+
+def _say_each_time(function: Any) -> None:
+    """Where nothing can be kept: every process compiles, and says so."""
+    compile_for = getattr(function, "compile", None)
+    if compile_for is None:  # compilation is switched off
+        return
+
+    def compiled(signature: Any) -> Any:
+        _tell("each time, for no cache folder can be written (set NUMBA_CACHE_DIR)")
+        return compile_for(signature)
+
+    function.compile = compiled
+
+
+@contextlib.contextmanager
+def _cached_there(function: Callable[..., Any]) -> Iterator[None]:
+    """numba looks for its folder when it decorates: ours is told then, and to nobody else."""
+    ours = Path(inspect.getfile(function)).resolve().is_relative_to(_PACKAGE)
+    told = {
+        "CACHE_DIR": str(FOLDER or ""),
+        "CACHE_LOCATOR_CLASSES": f"{__name__}.{Locator.__name__}" if ours and FOLDER else "",
+    }
+    before = {name: getattr(numba.config, name, "") for name in told}
+    for name, value in told.items():
+        setattr(numba.config, name, value)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(numba.config, name, value)

@@ -17,11 +17,13 @@ MOST_SAMPLES = 400_000
 
 def _is_compiled(effects: bool) -> bool:
     """Whether machine code of the batch run is on disk, for models with or without effects."""
-    from eps_hil import machine_code
+    from eps_hil import compiled
 
+    if compiled.FOLDER is None:
+        return False
+    place = compiled.FOLDER / "functions" / "estimation" / "stream_steps"
     table = b"Added" if effects else b"Nothing"  # the type by which it was compiled
-    indices = machine_code.indices("estimation/stream_steps.py", "run")
-    return any(table in index.read_bytes() for index in indices)
+    return any(table in index.read_bytes() for index in place.glob("*.run-*.nbi"))
 
 
 def prepare(series: "Mapping[str, Series]", recordings: int, *, effects: bool) -> None:

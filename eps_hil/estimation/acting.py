@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import types
-from numba.extending import overload
+from numba.extending import overload  # frozen into compiled code
 
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.added import Added, InUse

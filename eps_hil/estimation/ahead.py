@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from eps_hil import machine_code
+from eps_hil import compiled
 from eps_hil.estimation.batch import events
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator
@@ -22,10 +22,9 @@ from eps_hil.series import Series
 
 def main() -> None:
     """The batch run first, then what a live service calls, then the run with added effects."""
-    place = machine_code.lock_of("estimation/stream_steps.py", "run")
-    if place is None:
+    if compiled.FOLDER is None:
         return
-    with place.open("w") as lock, contextlib.suppress(BlockingIOError):
+    with (compiled.FOLDER / "ahead.lock").open("w") as lock, contextlib.suppress(BlockingIOError):
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         os.nice(5)
         model = load_model(CONFIGS / "reference_rig.yaml")

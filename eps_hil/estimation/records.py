@@ -9,7 +9,7 @@ from typing import Any
 
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, overload
+from numba.extending import intrinsic, overload  # frozen into compiled code
 
 
 def copy(to: Any, i: Any, of: Any, j: Any) -> None:
