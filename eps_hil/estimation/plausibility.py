@@ -365,13 +365,13 @@ def _judge_frozen(w: Watch, p: Limits, i: int, on: bool) -> None:
     if on and w.learnt[i] >= _LEARNT and w.same[i] >= p.frozen_samples:
         moved = w.same[i] * math.log(max(w.repeats[i], 1e-3))
     if on and w.rested[i] >= _LEARNT:
-        run, equal = w.still[i], _equal_at_rest(w, i)
-        rested = w.still[i] * math.log(equal)
-        if _is_noise(w, i):  # it does not end because the rotor moves
-            run += w.same[i]
-            learnt = w.repeats[i] if w.learnt[i] >= _LEARNT else 0.0
-            rested += w.same[i] * math.log(max(equal, learnt))
-        rested = rested if run >= p.frozen_samples else 0.0
+        noise = _is_noise(w, i)  # it does not end because the rotor moves
+        if w.still[i] + (w.same[i] if noise else 0) >= p.frozen_samples:
+            equal = _equal_at_rest(w, i)
+            rested = w.still[i] * math.log(equal)
+            if noise:
+                learnt = w.repeats[i] if w.learnt[i] >= _LEARNT else 0.0
+                rested += w.same[i] * math.log(max(equal, learnt))
     w.frozen[i] = 1 if min(moved, rested) < _NO_ACCIDENT else 0
     if i <= _SENSOR and w.last_ns[_TORQUE] == w.last_ns[_SENSOR]:
         _judge_both(w, p)
