@@ -13,6 +13,7 @@ Ints = npt.NDArray[np.int64]
 _MOST_SEEN = 16
 _PLAIN = (
     "counter", "cycle", "stamp", "late_total", "late_run", "late_last", "in_time", "in_a_row",
+    "again", "again_run", "again_stamp", "again_still",
 )  # fmt: skip
 
 

@@ -36,7 +36,7 @@ LANE = np.dtype(
         for name in (
             "joined", "counter", "cycle", "stamp", "has_t", "t", "repeated", "late_total",
             "late_run", "late_last", "has_behind", "behind_since", "in_time", "in_a_row",
-            "has_last", "last_ns", "first",
+            "has_last", "last_ns", "again", "again_run", "again_stamp", "again_still",
         )
     ]
 )  # fmt: skip
@@ -123,6 +123,19 @@ def _forward(line: Any, lane: Any, stamp: int, due: int) -> int:
 
 
 @kernel
+def _came_again(line: Any, lane: Any, stamp: int, counter: int, other_data: bool) -> None:
+    """As ``SampleClock.again``."""
+    since = stamp - lane.again_stamp
+    still = counter == lane.again and other_data
+    follows = still or counter == (lane.again + 1) % line.modulo
+    if line.period // 4 < since < 2 * line.unit and lane.stamp <= lane.again_stamp and follows:
+        lane.again_run += 1
+    else:
+        lane.again_run = 1
+    lane.again, lane.again_stamp, lane.again_still = counter, stamp, 1 if still else 0
+
+
+@kernel
 def by_stamp(
     rows: Rows, lanes: Any, ring: Ring, modulo: Ints, data: Any, number: Ints, width: Ints
 ) -> None:
@@ -169,6 +182,8 @@ def by_counter(
         if rows.state[k] != BAD:
             again = _again(ring, i, t, counter, number[k], data, width)
             rows.state[k] = again
+            if again != GOOD:
+                _came_again(c, lane, t, counter, again == SECOND_SENDER)
         if rows.state[k] == BAD or again == SECOND_SENDER:
             due = _due(c, lane.cycle + 1) if lane.joined != 0 else t
             rows.t_ns[k] = _forward(c, lane, t, min(due, t))

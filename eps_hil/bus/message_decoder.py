@@ -145,6 +145,8 @@ class MessageDecoder:
         """Sample instant of a frame with a right CRC; None if it repeats one before."""
         faults = self._faults
         again = None if self.seen is None else self.seen.again(stamp, counter, data)
+        if again is not None and self.clock is not None:
+            self.clock.again(stamp, counter, self.name, other_data=not again)
         if again is False:
             faults["second_sender"] += 1
             return Instant(self._expected(stamp), trusted=False)

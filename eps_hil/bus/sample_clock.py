@@ -159,10 +159,40 @@ class SampleClock:
             at.late_last = 0
             at.behind_since = None
             at.in_time += 1
+        elif self._in_their_place(at, t_ns, counter, late):
+            at.joined, at.phase, at.behind_since = False, None, None
+            return self._join(at, t_ns, counter, skip)
         elif self._slipped(at, late, silence):
             return self._late(at, t_ns, counter, skip, cycles, late)
         due = self._place(at, t_ns, counter, at.cycle + cycles)
         return _instant((due, cycles - 1, False, True))  # as almost always
+
+    def again(self, t_ns: int, counter: int, lane: str = "", *, other_data: bool = False) -> None:
+        """A frame came whose counter was there a moment ago, also for ``other_data``: no instant.
+
+        At the rate, of counters that follow each other or of one that stands still over other
+        data, such frames are the message's own.
+        """
+        at = self._lanes.setdefault(lane, Lane())
+        still = counter == at.again and other_data
+        follows = still or counter == (at.again + 1) % self.counter_modulo
+        at.again_run = at.again_run + 1 if follows and self._at_the_rate(at, t_ns) else 1
+        at.again, at.again_stamp, at.again_still = counter, t_ns, int(still)
+
+    def _at_the_rate(self, at: Lane, t_ns: int) -> bool:
+        """Whether it comes a period after one that was there before, and none between."""
+        since = t_ns - at.again_stamp
+        return self.period_ns // 4 < since < 2 * self._unit_ns and at.stamp <= at.again_stamp
+
+    def _in_their_place(self, at: Lane, t_ns: int, counter: int, late: int) -> bool:
+        """Whether a late frame is in time, and its counter jumped back, or had stood still.
+
+        Then the counters that were there before came in its place, at the rate, and fill at least
+        two thirds of the time that it seems to be late.
+        """
+        follows = at.again_still or counter == (at.again + 1) % self.counter_modulo
+        filled = at.again_run > 1 and 3 * at.again_run * self.period_ns >= 2 * late
+        return bool(follows and filled and self._at_the_rate(at, t_ns))
 
     def expected(self, t_ns: int, lane: str = "") -> int:
         """The likely instant of a frame whose counter cannot be trusted (its CRC failed)."""
@@ -188,6 +218,8 @@ class SampleClock:
         if at.phase is not None:
             half = self.counter_modulo // 2
             ahead = (counter - at.phase - cycle + half) % self.counter_modulo - half
+            if ahead < -1 and self._kept_pace(at, t_ns, skip):
+                ahead = 0  # the other was before its time: it waits no more, or its counter jumped
             if ahead > 1:  # by its counter the line is that of frames that waited
                 return self._restart(at, t_ns, counter, skip, silence)
             at.phase = None
@@ -201,12 +233,22 @@ class SampleClock:
         lost = 0 if first else self._held(skip, silence)
         return Instant(self._place(at, t_ns, counter, cycle), lost, trusted=not waits)
 
+    def _kept_pace(self, at: Lane, t_ns: int, skip: int) -> bool:
+        """Whether it counted on as time went since its last frame, and waited for none of late."""
+        elapsed = (t_ns - at.stamp + self.period_ns // 2) // self.period_ns
+        off = (skip - elapsed + 1) % self.counter_modulo - 1
+        waited = at.waited_at > 0 and 0 <= t_ns - at.waited_at <= _DOUBT_NS
+        return abs(off) <= 1 and at.in_time >= _RELATED and not waited
+
     def _early(self, at: Lane, t_ns: int, counter: int, skip: int) -> Instant:
         """A frame before its time: the stamps' clock was set, or the counter cannot be."""
         silence = t_ns - _heard(at)
+        if counter == 0 and skip > 1 and silence > self.silence_ns:
+            return self._anew(at, t_ns, silence)
         since, by = self._later  # it may be the line of frames that waited: others did, too
         burst = 0 <= t_ns - since <= by and self._due(at.cycle + skip) - t_ns <= by
-        if skip == 1 or burst or not 0 <= silence <= self.silence_ns:
+        alone = self._caught_up(at, t_ns) and self._others_in_time(at, t_ns)
+        if (skip == 1 and not alone) or burst or not 0 <= silence <= self.silence_ns:
             found = self._restart(at, t_ns, counter, skip, silence)
             self._be_patient(at, t_ns)
             return found
@@ -220,10 +262,17 @@ class SampleClock:
             return Instant(self._forward(at, t_ns, t_ns), trusted=False)
         at.in_a_row = 0
         waited = 2 * (t_ns - at.row_since) < _IN_A_ROW * self.period_ns
+        if waited and alone:  # still a burst: by time it has no place yet
+            at.strayed, at.in_a_row, at.row_since = t_ns, 1, t_ns
+            return Instant(self._forward(at, t_ns, t_ns), trusted=False)
         if waited or not self._others_in_time(at, t_ns):
             return self._restart(at, t_ns, counter, skip, silence)
         at.joined, at.phase = False, None
         return self._join(at, t_ns, counter, skip) or Instant(t_ns, trusted=False)
+
+    def _caught_up(self, at: Lane, t_ns: int) -> bool:
+        """Whether its frames waited until a moment ago: what comes now may be of that burst."""
+        return at.waited_at > 0 and 0 <= t_ns - at.waited_at <= self.silence_ns
 
     def _be_patient(self, at: Lane, t_ns: int) -> None:
         """For how long others are taken to wait where ``at`` was too early for the line.
@@ -240,6 +289,7 @@ class SampleClock:
         self, at: Lane, t_ns: int, counter: int, skip: int, cycles: int, late: int
     ) -> Instant:
         """Late without catching up: the sender's schedule slipped, or this lane's frames wait."""
+        at.waited_at = t_ns
         if self._others_in_time(at, t_ns):
             if at.behind_since is None or not t_ns - at.behind_since > at.patience:
                 if at.behind_since is None:
@@ -250,8 +300,19 @@ class SampleClock:
                 return Instant(t, cycles - 1, trusted=late < _WAITED * self._unit_ns)
             at.joined, at.phase, at.behind_since = False, None, None
             return self._join(at, t_ns, counter, skip) or Instant(t_ns, trusted=False)
+        silence = t_ns - at.stamp
+        if silence > self.silence_ns and counter == 0 and skip > 1:
+            return self._anew(at, t_ns, silence)
         waited = max(late - at.late_low, 0)
-        return self._restart(at, t_ns, counter, skip, t_ns - at.stamp, waited)
+        return self._restart(at, t_ns, counter, skip, silence, waited)
+
+    def _anew(self, at: Lane, t_ns: int, silence: int) -> Instant:
+        """After a silence the sender counts from 0: what related its messages before is over."""
+        at.joined, at.phase = False, None
+        found = self._restart(at, t_ns, 0, 1, silence)
+        for lane in self._lanes.values():
+            lane.phase = None
+        return found
 
     def _others_in_time(self, at: Lane, t_ns: int) -> bool:
         """Whether another lane's newest frame was in time, and is new."""
@@ -289,6 +350,8 @@ class SampleClock:
             elif lane.phase is not None:
                 lane.phase += moved
             lane.joined = False
+            if lane.late_last > LATE * self._unit_ns:
+                lane.waited_at = lane.stamp
             lane.late_total = lane.late_run = lane.late_last = 0
             lane.behind_since, lane.patience = None, _DOUBT_NS
             if silence > self.silence_ns:  # the sender may have begun anew, each counter by itself

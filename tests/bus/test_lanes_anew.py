@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from random import Random
 
+import pytest
+
+from eps_hil.bus.protection import Seen
 from eps_hil.bus.sample_clock import Instant, SampleClock
 
 MS = 1_000_000
@@ -21,11 +24,13 @@ def run(events: Sequence[Event]) -> dict[tuple[int, str], Instant]:
     return found
 
 
-def queue(cycles: range, counter: int, wait: int, until: int, lane: str) -> list[Event]:
-    """Frames of cycles before ``until`` wait; nothing overtakes, then all go at the bus's speed."""
+def queue(
+    cycles: range, counter: int, wait: int, until: int, lane: str, since: int = 0
+) -> list[Event]:
+    """Frames of cycles ``since`` to ``until`` wait; nothing overtakes, then all go at bus speed."""
     events, free = [], 0
     for n in cycles:
-        stamp = max(n * MS + 220_000 + (wait if n < until else 0), free + 120_000)
+        stamp = max(n * MS + 220_000 + (wait if since <= n < until else 0), free + 120_000)
         free = stamp
         events.append((stamp, n, n + counter, lane))
     return events
@@ -71,3 +76,87 @@ def test_frames_that_come_in_a_burst_leave_their_relation_alone() -> None:
         found = run(events)
         doubted += not all(together(found, n) for n in range(3550 + blocked, 4400))
     assert doubted <= 1
+
+
+def decoded(events: Sequence[Event]) -> dict[tuple[int, str], Instant]:
+    """As :func:`run`, where a counter that was there a moment ago has no instant."""
+    clock, found, seen = SampleClock(MS, 256), {}, {lane: Seen(256, MS) for lane in "ab"}
+    for stamp, n, count, lane in sorted(events):
+        t, counter = EPOCH + stamp, count % 256
+        again = seen[lane].again(t, counter, bytes([n % 251]))
+        if again is not None:
+            clock.again(t, counter, lane, other_data=not again)
+            continue
+        at = clock.instant(t, counter, lane)
+        if at is not None:
+            found[n, lane] = at
+    return found
+
+
+@pytest.mark.parametrize("back", [2, 3, 8, 14, 16, 20, 60])
+def test_a_counter_that_jumps_back_is_believed_at_once(back: int) -> None:
+    """Its frames come in time; by their counter they would be as late as it went back."""
+    events = [(n * MS + 100_000, n, n, "a") for n in range(900)]
+    events += [(n * MS + 220_000, n, n + 77 - (back if n >= 300 else 0), "b") for n in range(900)]
+    found = decoded(events)
+    assert all(together(found, n) for n in range(305 + back, 900))
+
+
+@pytest.mark.parametrize("again", [4, 8])
+def test_frames_that_waited_behind_others_that_came_again_keep_their_cycle(again: int) -> None:
+    """A gateway repeats its last frames in a burst, and sends 10 ms late from then on."""
+    events = [(n * MS + 100_000, n, n, "a") for n in range(700)]
+    events += [(n * MS + 220_000 + (10 * MS if n >= 300 else 0), n, n, "b") for n in range(700)]
+    events += [(305 * MS + 120_000 * k, n, n, "b") for k, n in enumerate(range(300 - again, 300))]
+    found = decoded(events)
+    for n in range(300, 700):
+        assert abs(found[n, "b"].t_ns - found[n, "a"].t_ns) < 0.3 * MS
+        assert n < 320 or not found[n, "b"].trusted
+
+
+def test_a_counter_that_jumps_within_a_burst_puts_no_other_in_doubt() -> None:
+    """By its counter the frames are early then; the line and the other message are right."""
+    first = [(n * MS + 100_000, n, n, "a") for n in range(3400)]
+    late = [
+        (stamp, n, counter + (14 if n >= 3050 else 0), lane)
+        for stamp, n, counter, lane in queue(range(3400), 0, 105 * MS, 3080, "b", 2900)
+    ]
+    found = run([*first, *late])
+    assert all(found[n, "a"].trusted for n in range(3400))
+    for n in range(3400):  # one that is early by less than half a period counts as in time
+        assert abs(found[n, "a"].t_ns - EPOCH - n * MS - 100_000) < 0.5 * MS
+    assert all(together(found, n) for n in range(3210, 3400))
+
+
+def test_counters_that_begin_at_zero_keep_no_relation_that_was_a_guess() -> None:
+    """One message was late as the service began; then the ECU is started anew."""
+    events = [(n * MS + 100_000, n, n + 240, "a") for n in range(930)]
+    events += queue(range(930), 240, 20 * MS, 600, "b")
+    events = [each for each in events if each[0] >= 10 * MS and each[0] < 660 * MS]
+    for place, lane in ((100_000, "a"), (220_000, "b")):
+        events += [(n * MS + place + 820_000, n, n - 930, lane) for n in range(930, 1300)]
+    found = run(events)
+    assert all(together(found, n) for n in range(935, 1300))
+
+
+@pytest.mark.parametrize("still", [30, 200])
+def test_a_counter_that_stood_still_is_believed_as_it_goes_on(still: int) -> None:
+    """Elsewhere in its count: the frames came in time all the while."""
+    events = [(n * MS + 100_000, n, n, "a") for n in range(900)]
+    for n in range(900):
+        counter = n if n < 300 else 300 if n < 300 + still else n + 153
+        events.append((n * MS + 220_000, n, counter, "b"))
+    found = decoded(events)
+    assert all(together(found, n) for n in range(312 + still, 900))
+
+
+def test_a_counter_that_jumped_ahead_in_a_silence_puts_no_other_in_doubt() -> None:
+    """What kept pace did not wait, and what is before its time did not either."""
+    events = [
+        (n * MS + place, n, n + (14 if lane == "b" and n >= 800 else 0), lane)
+        for place, lane in ((220_000, "a"), (100_000, "b"))
+        for n in range(1200)
+        if n < 400 or n >= 800
+    ]
+    found = decoded(events)
+    assert all(together(found, n) for n in range(805, 1200))

@@ -132,9 +132,20 @@ def swapped(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
     return [*frames[:k], *reversed(frames[k : k + 5]), *frames[k + 5 :]]
 
 
+def counter_back(frames: list[Frame], rng: np.random.Generator) -> list[Frame]:
+    k, by = int(rng.integers(len(frames))), int(rng.integers(1, 20))
+    encoder = FrameEncoder(load_database([DBC]), "EPS_Torques")
+    torques = [f for f in frames[k:] if f.can_id == 0x101 and len(f.data) == 8]
+    for _ in range((torques[0].data[1] - by) % 256 if torques else 0):
+        encoder.encode({})
+    values = {"MotorTorque": float(rng.normal()), "TorsionBarTorque": 0.1}
+    anew = {id(f): replace(f, data=encoder.encode(values)) for f in torques}
+    return frames[:k] + [anew.get(id(f), f) for f in frames[k:]]
+
+
 FAULTS: tuple[Fault, ...] = (
     lost, wrong_bits, short, repeated, late_burst, clock_step, second_sender, one_message_late,
-    swapped,
+    swapped, counter_back,
 )  # fmt: skip
 
 
