@@ -79,6 +79,8 @@ def friction_step(
     """
     resting = _is_resting(c, s, u, torque)
     travel, slip = _path(c, s, u, resting)
+    if s.wary:
+        s.wary_way += slip
     speed = u.motor_speed_rad_s
     moving = 0.0 if resting else speed
     s.acceleration += c.acceleration_low_pass * ((speed - s.speed) / c.step_s - s.acceleration)
@@ -152,7 +154,11 @@ def _periods_held(c: Constants, held: float, periods: float) -> float:
 
 @kernel
 def _is_resting(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
-    """Whether the observed speed is no more than the noise that is there would make it."""
+    """Whether the observed speed is no more than the noise that is there would make it.
+
+    A torque that the rotor does not follow drives the observed speed off for a while. Where there
+    is such a doubt the measured speed has to say that it moves, too.
+    """
     speed = u.motor_speed_rad_s
     bend = speed - 2.0 * s.speed + s.speed_before
     s.speed_noise = _noise(c, s.speed_noise, bend, u.speed_noise)
@@ -162,7 +168,11 @@ def _is_resting(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
     s.speed_periods = _periods_held(c, s.speed_periods, u.speed_periods)
     gain = _noise_gain(c.speed_noise_gain, s.speed_periods)
     sigma = math.sqrt(gain * s.speed_noise + c.torque_noise_gain * s.drive_noise)
-    return c.use_dead_zone and abs(s.omega) < max(c.dead_zone, c.dead_zone_sigma * sigma)
+    zone = max(c.dead_zone, c.dead_zone_sigma * sigma)
+    resting = abs(s.omega) < zone
+    if not resting and s.wary:
+        resting = speed * speed < zone * zone + CREEP_SIGMA * CREEP_SIGMA * s.speed_noise
+    return c.use_dead_zone and resting
 
 
 @kernel

@@ -9,8 +9,9 @@ hundredths of a radian of sliding are enough, and no time at rest is.
 import math
 
 from eps_hil.compiled import kernel
-from eps_hil.estimation.setup import Constants, Inputs
-from eps_hil.estimation.state import HELD, NEVER_RAN, NOBODY_KNOWS, Moment
+from eps_hil.estimation.levels import adapted_level_nm
+from eps_hil.estimation.setup import Constants, Inputs, Physics
+from eps_hil.estimation.state import HELD, NEVER_RAN, NOBODY_KNOWS, Moment, Rig
 from eps_hil.physics.friction import bristle_step
 
 NOISE_SIGMA = 4.0
@@ -27,6 +28,20 @@ def still_unknown(unknown_nm: float, slip_rad: float, level_nm: float, sigma0: f
     if unknown_nm < KNOWN_NM or slip_rad == 0.0:
         return unknown_nm
     return unknown_nm * math.exp(-slip_rad * sigma0 / level_nm)
+
+
+@kernel
+def misled(x: Physics, s: Moment, r: Rig) -> None:
+    """A torque that was doubted, and estimated on with, was wrong: what that made of the bristle.
+
+    T_fs follows the load, and the load was taken from that torque: the way since then bent the
+    bristle towards another end than its own.
+    """
+    sigma0, load = x.law.sigma0_nm_per_rad, s.local * s.force
+    most = max(adapted_level_nm(x, r, 1.0, load), adapted_level_nm(x, r, -1.0, load))
+    anything = sigma0 * abs(s.bristle) + most
+    s.unknown_nm = min(s.unknown_nm + sigma0 * s.wary_way, anything)
+    s.wary_way = 0.0
 
 
 @kernel

@@ -136,7 +136,8 @@ class Watch:
     hole_first: int
     hole_last: int
     # Innovation of the motion after a torque jump: its spread, that of the bend beside a swing, the
-    # jumps that nothing followed, and whether much was left of the last as it jumped back.
+    # jumps that nothing followed, whether much was left of the last as it jumped back, and whether
+    # one came in a doubt that was estimated on with.
     spread: float
     residual: float
     innovation: float
@@ -144,6 +145,7 @@ class Watch:
     left: int
     stalled: int
     missed: int
+    misled: int
     told: int
     quiet: int
     # For how many steps more the torque may be wrong since nobody looked; whether that is now;

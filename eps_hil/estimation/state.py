@@ -57,6 +57,10 @@ class Moment:
     held_steps: int
     parted: int
     went: float
+    # Whether the torque is doubted in this step, and estimated on with (0 or 1), and the way since
+    # it is (rad).
+    wary: int
+    wary_way: float
     # Way by the speed since the first step (rad).
     turned: float
     # The angle less its way without jumps, and by how much that has changed while held (rad).

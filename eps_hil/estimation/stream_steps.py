@@ -11,6 +11,7 @@ import numpy.typing as npt
 from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment, levels
 from eps_hil.estimation.creep import carry, slide_on
+from eps_hil.estimation.gap import misled
 from eps_hil.estimation.plausibility import judge_sample, judge_step, new_watch, watch_anew
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
@@ -51,6 +52,7 @@ _LOST = np.array(
     dtype=np.int64,
 )
 _TIME, _NOT_STARTED = int(Reason.TIME), int(Reason.NOT_STARTED)
+_INCONSISTENT = int(Reason.INCONSISTENT)
 _SOUND = int(Reason.SETTLING | Reason.OUT_OF_RANGE)
 """What leaves the state itself sound, and worth going back to."""
 _BAD, _IMPLAUSIBLE = int(Reason.BAD_SAMPLE), int(Reason.IMPLAUSIBLE)
@@ -238,6 +240,19 @@ def _go_back(m: Memory, c: Constants, x: Physics, u: Inputs, doubted: bool) -> N
 
 
 @kernel
+def _be_wary(m: Memory, x: Physics, doubted: bool) -> None:
+    """Tell the estimator whether its torque is doubted, and what a wrong one has made of it."""
+    w, s = m.watch[0], m.carried.moment[0]
+    if not doubted:
+        s.wary, s.wary_way = 0, 0.0
+        return
+    s.wary = 1
+    if w.misled:
+        w.misled = 0
+        misled(x, s, m.carried.rig[0])
+
+
+@kernel
 def _slid(m: Memory, c: Constants, x: Physics, went: float, missing: bool) -> None:
     """Take the way (rad) of a step, and the friction that it made."""
     now = m.carried.moment[0]
@@ -289,6 +304,7 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         doubt, now_seen = judge_step(m.watch, timing.limits, inputs, seen, reason)
         _go_back(m, c, x, inputs, now_seen)
         missing = reason != 0
+        _be_wary(m, x, doubt & _INCONSISTENT != 0)
         reason = step(c, x, m.carried, inputs, reason | (doubt if now_seen else 0))
         seen_since = m.watch[0].unsure == 0 or m.watch[0].started != 0
         sound = (reason | doubt) & ~_SOUND == 0 and seen_since

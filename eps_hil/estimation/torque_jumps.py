@@ -132,7 +132,7 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
     if not clear and not unclear and not _alone(w, p, u, edge):
         return
     if w.stalled > 0 and w.unexplained_nm == 0.0:  # what stood still catches up, or is wrong anew
-        w.stalled, w.missed = p.stalled_steps, 1
+        w.stalled, w.missed, w.misled = p.stalled_steps, 1, 1
     elif unclear or undecided(w, p, edge):
         lose_course(w)
     else:
@@ -273,15 +273,18 @@ def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> 
     """Take a jump that nothing followed out of the ring; ``level`` (Nm) is what is left of it.
 
     What is left of a jump that went back, or of a spike, may be what the course did meanwhile: it
-    is not doubted for long. Nor is a jump after one of which much was left: it may be its end.
+    is not doubted for long. Nor is a jump after one of which much was left: it may be its end. Nor
+    one beside a hole: how large it was is a guess, as the course through the hole is.
     """
     n, k = p.window, w.steps - 1
     first, since = k - n, k - n - w.edge_at
     vague = False
+    for j in range(2 * n + 1):
+        vague = vague or w.doubt[(k - j) & WRAP] > 0.0
     if 0 < since <= n + p.edge:  # perhaps the end of a spike: what is left is of before it
         level += base - w.edge_nm - since * slope
         first, base = w.edge_at, w.edge_nm
-        vague = level * level <= _OWN_SIGMA**2 * w.swing
+        vague = vague or level * level <= _OWN_SIGMA**2 * w.swing
         if abs(level) * p.ratio < _KEPT * UNEXPLAINED_N:
             level = 0.0
     for j in range(1, k - first + 1):

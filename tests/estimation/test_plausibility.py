@@ -628,6 +628,26 @@ def test_what_begins_amid_the_doubt_of_another_is_doubted_anew(
     assert told(trace, 13_000, 14_000) == Reason.FINE
 
 
+@pytest.mark.parametrize("since", [2700, 5100, 7500, 12_300])
+def test_friction_is_unknown_after_a_torque_that_was_wrong_all_along(
+    reference_model: Model, steps_truth: Any, since: int
+) -> None:
+    """It begins in a hole, and its end amid that doubt; the level of the way was another load's."""
+    right = estimate(series_of(steps_truth), reference_model)
+    lied = series_of(steps_truth)
+    torque = lied[NAMES[0]].value
+    torque[since - 330 : since - 280] = torque[since - 330]
+    torque[since : since + 500] += 1.3
+    kept = np.ones(len(torque), bool)
+    kept[since - 30 : since] = False
+    for name in NAMES[:2]:
+        lied[name] = Series(lied[name].t_ns[kept], lied[name].value[kept])
+    trace = estimate(lied, reference_model)
+    assert wrong_and_valid_ms(trace, right) <= 20
+    slid = (right.t_ns > (since + 2000) * 10**6) & right.valid
+    assert np.count_nonzero(trace.valid[slid]) > 0.6 * np.count_nonzero(slid)
+
+
 def test_a_jump_just_before_a_hole_is_no_slope_within_it(
     reference_model: Model, sweep_truth: Any
 ) -> None:

@@ -76,3 +76,20 @@ def test_an_offset_within_an_offset_is_not_doubted_for_long(
     for since in range(34_000, 34_300, 20):
         two = {75: 0.2, 33: -0.7}
         assert _back_ms(reference_model, sweep_truth.columns, since, two) < 1700
+
+
+def test_a_jump_beside_a_hole_is_not_doubted_for_long(
+    reference_model: Model, steps_truth: Any
+) -> None:
+    """Two holes of the torques and a false sample between; the rotor comes to rest meanwhile."""
+    t_ns = np.round(steps_truth.columns["time_s"] * 1e9).astype(np.int64)
+    for since in (4522, 7529, 12_379, 15_580):
+        part = slice(since - 1900, since + 2600)
+        series = {n: Series(t_ns[part], steps_truth.columns[n][part].copy()) for n in NAMES}
+        series[NAMES[0]].value[1907] += 0.12
+        kept = np.ones(4500, bool)
+        kept[1900:1907] = kept[1908:1922] = False
+        for name in NAMES[:2]:
+            series[name] = Series(series[name].t_ns[kept], series[name].value[kept])
+        bad = np.flatnonzero(~estimate(series, reference_model).valid[1900:])
+        assert max(bad, default=0) < 1700
