@@ -183,3 +183,9 @@ def _say(report: "RecordReport", paths: Sequence[Path]) -> None:
         f"error frames {report.error_frames}"
         + (f", outages of a bus {report.outages}" if report.outages else "")
     )
+    if not report.frames:
+        typer.echo(
+            "no frame came: does anything send there (a simulated rig does from READY on), on this "
+            "channel and port?",
+            err=True,
+        )

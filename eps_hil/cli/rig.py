@@ -19,7 +19,10 @@ def register(app: typer.Typer) -> None:
         ),
         loop: bool = typer.Option(False, "--loop", help="Repeat the manoeuvre until stopped."),
     ) -> None:
-        """Simulate a rig and its ECU on a bus, in real time, until the manoeuvre is over."""
+        """Simulate a rig and its ECU on a bus, in real time, until the manoeuvre is over.
+
+        Sends from the line READY on; the first time its code is compiled before.
+        """
         import math
         import signal
 

@@ -35,7 +35,9 @@ class Example:
     def commands(self, folder: Path) -> tuple[str, ...]:
         """What the file's head says to run, for a copy below ``folder``."""
         lines = re.findall(r"^#   (eps-hil .+)$", self.path.read_text(encoding="utf-8"), re.M)
-        return tuple(re.sub(r"\bconfigs/", f"{folder / 'configs'}/", line) for line in lines)
+        return tuple(
+            re.sub(r"\b(configs|dbc)/", lambda place: f"{folder / place[1]}/", one) for one in lines
+        )
 
 
 @dataclass(frozen=True, slots=True)

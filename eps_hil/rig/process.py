@@ -172,6 +172,7 @@ class Rig:
         self._warm_up()
         notice.end()
         self._say(f"timing: {settle(self._setup.rig.realtime)}")
+        self._say("READY")
         while self._port.recv(0.0):
             pass  # what was commanded before we were ready is out of date
         pacer = Pacer(simulation.tick_ns)

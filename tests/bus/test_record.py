@@ -201,7 +201,9 @@ def test_the_verb_stops_after_its_duration(
     out = tmp_path / "x.log"
     words = ["record", str(out), "--interface", "virtual", "--channel", uuid.uuid4().hex]
     assert main([*words, "--duration", "0.1"]) == 0
-    assert "recorded 0 frames" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "recorded 0 frames" in said.out
+    assert "no frame came" in said.err
 
 
 def test_the_bus_may_come_from_a_configuration_file(

@@ -77,6 +77,9 @@ def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = capsys.readouterr().out
     assert f"wrote: {tmp_path}/new/configs/demo_udp.yaml" in said
     assert f"run: eps-hil rig --config {tmp_path}/new/configs/demo_udp.yaml" in said
+    (diagnose,) = (line for line in said.splitlines() if line.startswith("run: eps-hil diagnose"))
+    named = [word for word in diagnose.split() if word.startswith(str(tmp_path))]
+    assert [Path(each).is_file() for each in named] == [True] * 3  # model, database, mapping
     assert main(["example", "nothing"]) == 2
 
 

@@ -180,6 +180,7 @@ class TestOnABus:
         assert counts[MOTOR_STATE_ID] == counts[TORQUES_ID] == round(report.simulated_s * 1000)
         assert any("sends 0x100 EPS_MotorState every 1 ms" in line for line in lines)
         assert any("listens to 0x80" in line for line in lines)
+        assert "READY" in lines
 
     def test_what_is_caught_up_ends_with_the_duration(
         self, setup: RigSetup, monkeypatch: pytest.MonkeyPatch
