@@ -493,6 +493,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         *unseen(every),
         *([sentence(case.untold)] if case.untold else []),
         *look.remarks,
+        *look.notes,
         *only_part(problem, selection.part),
         *_not_explained(
             content,

@@ -20,6 +20,7 @@ from eps_hil.diagnosis.direct.reversals import Bristle
 from eps_hil.diagnosis.direct.seen import finding
 from eps_hil.diagnosis.direct.separation import Separation
 from eps_hil.diagnosis.direct.speed_and_angle import speed_and_angle
+from eps_hil.diagnosis.direct.speed_scale import speed_scale
 from eps_hil.diagnosis.direct.zero_reading import ZeroReadings, zero_readings
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -54,6 +55,8 @@ class FirstLook:
     """What the torque sensors read with nothing on them; ``model`` has the errors among it."""
     remarks: tuple[str, ...] = ()
     """What a reader has to know of speed and angle, which have been put right in it."""
+    notes: tuple[str, ...] = ()
+    """The same of what is as it was read."""
 
     @property
     def put_right(self) -> bool:
@@ -168,7 +171,10 @@ def first_look(
     lost = quality.finding(looks)
     if lost is not None and "dropped_frames" not in without:
         findings.append(lost)
+    scale = speed_scale(ready)
     apart = speed_and_angle(evenly(ready[:n]), model, without)
+    remarks = [] if apart is None else apart.remarks()
+    notes: list[str] = []
     if apart is not None:
         ready, model = [apart.put_right(one) for one in ready], apart.in_model(model)
         findings += apart.findings()
@@ -176,6 +182,9 @@ def first_look(
     if drifting is not None:
         findings = [one for one in findings if one["effect"] != _DRIFT]  # one clock, one finding
         findings.append(drifting.finding())
+    if scale is not None:
+        ready, more, notes = scale.told(ready, seen.content)
+        remarks += more
     ready = [seen.put_right(one, model) for one in ready]
     given = model
     for effect in seen.seen:  # the balance has of them what is put right, once
@@ -212,5 +221,6 @@ def first_look(
         tuple(looks[n:]),
         seen.left,
         zero,
-        () if apart is None else tuple(apart.remarks()),
+        tuple(remarks),
+        tuple(notes),
     )

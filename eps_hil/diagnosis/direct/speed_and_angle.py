@@ -205,19 +205,22 @@ def speed_and_angle(
         Number(late + float(best[0]), float(half[0])),
         ppm,
         float(np.sqrt(2.0 * bend.value)) if smoothed else 0.0,
-        float(np.median([_noise_ratio(one, known + late) for one in both])),
+        float(np.median([_noise_ratio(one, known + late, 1.0 + float(best[2])) for one in both])),
         drifts and not smoothed,
         model,
     )
     return found if found.matters else None
 
 
-def _noise_ratio(one: Prepared, apart_s: float) -> float:
-    """Rms of the two accelerations' difference below 40 Hz over what white noise would make it."""
+def _noise_ratio(one: Prepared, apart_s: float, gain: float) -> float:
+    """Rms of the two accelerations' difference below 40 Hz over what white noise would make it.
+
+    ``gain``: of the speed, times the angle's rate.
+    """
     rate = np.gradient(shifted(one.raw["motor_angle_rad"], -apart_s), STEP_S)
-    between = one.thin(np.gradient(one.raw["motor_speed_rad_s"] - rate, STEP_S))
+    between = one.thin(np.gradient(one.raw["motor_speed_rad_s"] - gain * rate, STEP_S))
     white = one.noise["motor_speed_rad_s"] ** 2 * passed(CUTOFF_HZ, 2)
-    white += one.noise["motor_angle_rad"] ** 2 * passed(CUTOFF_HZ, 4)
+    white += one.noise["motor_angle_rad"] ** 2 * passed(CUTOFF_HZ, 4) * gain**2
     if one.barred is not None:
         between = between[~one.barred]
     usual = 1.4826 * float(np.median(np.abs(between)))
