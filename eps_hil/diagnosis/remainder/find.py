@@ -273,14 +273,12 @@ def _shortlist(best: Sequence[Screened]) -> list[Screened]:
 
 
 def _law(fitted: Sight, kept: Sight, law: Law, ranges: Ranges, own: Own) -> _Trial | None:
-    found = refine(fitted.problem, fitted.model, law, ranges, own.columns)
-    if not np.isfinite(found.law.size) or found.law.size == 0.0 or _is_a_clock(found.law, fitted):
+    law = refine(fitted.problem, fitted.model, law, ranges, own.columns, fitted.residual)
+    if not np.isfinite(law.size) or law.size == 0.0 or _is_a_clock(law, fitted):
         return None
-    entry = _rounded(found.law.entry(ranges))
+    entry = _rounded(law.entry(ranges))
     trial = _table(fitted, kept, entry, own)
-    return replace(
-        trial, term=Term(entry, found.law), worth=trial.worth - found.law.price * abs(trial.worth)
-    )
+    return replace(trial, term=Term(entry, law), worth=trial.worth - law.price * abs(trial.worth))
 
 
 def _is_a_clock(law: Law, sight: Sight) -> bool:

@@ -17,7 +17,8 @@ from eps_hil.diagnosis.remainder.sight import Sight
 
 Floats = npt.NDArray[np.float64]
 
-ORDERS = np.arange(0.05, 40.01, 0.05)
+_BETWEEN = 0.05
+ORDERS = np.arange(_BETWEEN, 40.01, _BETWEEN)
 MOST_ORDERS = 3
 MOST_LOCAL = 6
 """Sines that are strong in one part of the travel only, of each place where they act; as many
@@ -330,19 +331,24 @@ def _fading(sight: Sight) -> list[Input]:
 def _spectrum(sight: Sight, left: Floats, effects: Sequence[Floats | None]) -> Floats:
     """Energy of ``left`` (n,) that a sine of each order times each effect takes, (k, orders)."""
     rows = sight.rows
-    angle = sight.inputs["motor_angle_rad"][rows]
-    angle = angle - np.mean(angle)
     rate = sight.inputs["abs_motor_speed_rad_s"][rows]
-    columns = [np.zeros(len(rows)) if one is None else one[:, 0] for one in effects]
+    by_rate = np.argsort(rate, kind="stable")  # what is slow enough for an order comes first
+    rate, rows = rate[by_rate], rows[by_rate]
+    angle = sight.inputs["motor_angle_rad"][rows]
+    columns = [np.zeros(len(rows)) if one is None else one[by_rate, 0] for one in effects]
     scaled = np.column_stack(columns) / sight.scale[rows, None]
     seen = scaled * (left[rows] / sight.scale[rows])[:, None]
+    norms = np.cumsum(scaled**2, axis=0)
+    step = np.exp(-1j * _BETWEEN * (angle - np.mean(angle)))
+    wave = np.ones(len(rows), complex)
     power = np.zeros((len(columns), len(ORDERS)))
-    for k, order in enumerate(ORDERS):
-        slow = rate * order < 2 * np.pi * _FILTER_HZ
-        if np.count_nonzero(slow) > _FEWEST:
-            norm = np.sum(scaled[slow] ** 2, axis=0)
-            found = np.abs(np.exp(-1j * order * angle[slow]) @ seen[slow]) ** 2
-            power[:, k] = found / np.maximum(norm, 1e-300) * (norm > 0.0)
+    for k, slow in enumerate(np.searchsorted(rate, 2 * np.pi * _FILTER_HZ / ORDERS).tolist()):
+        if slow <= _FEWEST:
+            break
+        wave[:slow] *= step[:slow]  # the exponential of one order more
+        parts = wave[:slow].view(np.float64).reshape(-1, 2).T @ seen[:slow]
+        norm = norms[slow - 1]
+        power[:, k] = np.sum(parts**2, axis=0) / np.maximum(norm, 1e-300) * (norm > 0.0)
     return power
 
 

@@ -5,7 +5,7 @@ with step control, positive ones in their logarithm.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -25,29 +25,26 @@ _FARTHEST = 1.2
 _POSITIVE = ("width", "memory", "order")
 
 
-@dataclass(frozen=True)
-class Refined:
-    """A law with its numbers, what it leaves of the fitted recordings, and its cost there."""
-
-    law: Law
-    residual: Floats
-    cost: float
-
-
 def with_laws(model: Model, laws: Sequence[Law], ranges: Ranges) -> Model:
     """The model with laws added to its effects."""
     return replace(model, effects=(*model.effects, *(one.entry(ranges) for one in laws)))
 
 
 def refine(
-    problem: Problem, model: Model, law: Law, ranges: Ranges, beside: Floats | None = None
-) -> Refined:
+    problem: Problem,
+    model: Model,
+    law: Law,
+    ranges: Ranges,
+    beside: Floats | None = None,
+    zero: Floats | None = None,
+) -> Law:
     """The law with the numbers at which ``model`` with it leaves least of ``problem``.
 
     ``beside`` (n, p): sensitivities of the residual to numbers that move with it; what they can do
     does not count (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973).
+    ``zero``: the residual without the law, where it is known.
     """
-    zero = problem.residual(model)
+    zero = problem.residual(model) if zero is None else zero
     use = problem.sliding
     weight = np.sqrt(np.where(use, huber(zero, knee(zero)), 0.0))
     names = [
@@ -104,8 +101,7 @@ def refine(
                 break
         if before - cost < _ENOUGH * before:
             break
-    residual = problem.residual(with_laws(model, [law], ranges))
-    return Refined(law, residual, float(np.sum(seen(residual) ** 2)))
+    return law
 
 
 def orthonormal(columns: Floats) -> Floats:
