@@ -237,8 +237,8 @@ class SampleClock:
         """Whether it counted on as time went since its last frame, and waited for none of late."""
         elapsed = (t_ns - at.stamp + self.period_ns // 2) // self.period_ns
         off = (skip - elapsed + 1) % self.counter_modulo - 1
-        waited = at.waited_at > 0 and 0 <= t_ns - at.waited_at <= _DOUBT_NS
-        return abs(off) <= 1 and at.in_time >= _RELATED and not waited
+        slipped = at.slipped_at > 0 and 0 <= t_ns - at.slipped_at <= _DOUBT_NS
+        return abs(off) <= 1 and at.in_time >= _RELATED and not slipped
 
     def _early(self, at: Lane, t_ns: int, counter: int, skip: int) -> Instant:
         """A frame before its time: the stamps' clock was set, or the counter cannot be."""
@@ -289,8 +289,9 @@ class SampleClock:
         self, at: Lane, t_ns: int, counter: int, skip: int, cycles: int, late: int
     ) -> Instant:
         """Late without catching up: the sender's schedule slipped, or this lane's frames wait."""
-        at.waited_at = t_ns
+        at.slipped_at = t_ns
         if self._others_in_time(at, t_ns):
+            at.waited_at = t_ns
             if at.behind_since is None or not t_ns - at.behind_since > at.patience:
                 if at.behind_since is None:
                     at.behind_since = t_ns
@@ -351,7 +352,7 @@ class SampleClock:
                 lane.phase += moved
             lane.joined = False
             if lane.late_last > LATE * self._unit_ns:
-                lane.waited_at = lane.stamp
+                lane.slipped_at = lane.stamp
             lane.late_total = lane.late_run = lane.late_last = 0
             lane.behind_since, lane.patience = None, _DOUBT_NS
             if silence > self.silence_ns:  # the sender may have begun anew, each counter by itself

@@ -160,3 +160,18 @@ def test_a_counter_that_jumped_ahead_in_a_silence_puts_no_other_in_doubt() -> No
     ]
     found = decoded(events)
     assert all(together(found, n) for n in range(805, 1200))
+
+
+@pytest.mark.parametrize("held_ms", [8, 18, 30, 90, 300])
+def test_a_sender_that_was_held_up_and_catches_up_loses_nothing(held_ms: int) -> None:
+    """All its frames of that time come in a burst, in order; none is doubted, none is missing."""
+    events, free = [], 0
+    for n in range(1200):
+        for lane, place in (("a", 100_000), ("b", 220_000)):
+            held = (400 + held_ms) * MS if 400 <= n < 400 + held_ms else 0
+            free = max(n * MS + place, held, free + 60_000)
+            events.append((free, n, n + (77 if lane == "b" else 0), lane))
+    found = run(events)
+    assert sum(at.lost for at in found.values()) == 0
+    assert all(at.trusted for at in found.values())
+    assert all(together(found, n) for n in range(410 + 2 * held_ms, 1200))
