@@ -27,7 +27,9 @@ What can go wrong, and what happens:
   message was interrupted, so it is this lane's frames that wait. They keep the instants that their
   counter says, and are not *trusted* from four periods on. A relation that stays changed for 0.8 s
   is taken for a message that was interrupted;
-* a counter that cannot be: not trusted, until eight frames in a row follow each other.
+* a counter that cannot be: not trusted, until eight frames in a row follow each other;
+* a counter that jumped back or stood still: frames of counters that were there a moment ago have
+  no instant, but where they came at the rate, what follows them is in time.
 
 An instant is at most the stamp plus 1 us per frame of a burst, and is strictly increasing per
 message unless the stamps themselves go back by more than a period. It depends on nothing but the
@@ -234,7 +236,7 @@ class SampleClock:
         return Instant(self._place(at, t_ns, counter, cycle), lost, trusted=not waits)
 
     def _kept_pace(self, at: Lane, t_ns: int, skip: int) -> bool:
-        """Whether it counted on as time went since its last frame, and waited for none of late."""
+        """Whether it counted on as time went since its last frame, and did not slip of late."""
         elapsed = (t_ns - at.stamp + self.period_ns // 2) // self.period_ns
         off = (skip - elapsed + 1) % self.counter_modulo - 1
         slipped = at.slipped_at > 0 and 0 <= t_ns - at.slipped_at <= _DOUBT_NS
@@ -243,8 +245,6 @@ class SampleClock:
     def _early(self, at: Lane, t_ns: int, counter: int, skip: int) -> Instant:
         """A frame before its time: the stamps' clock was set, or the counter cannot be."""
         silence = t_ns - _heard(at)
-        if counter == 0 and skip > 1 and silence > self.silence_ns:
-            return self._anew(at, t_ns, silence)
         since, by = self._later  # it may be the line of frames that waited: others did, too
         burst = 0 <= t_ns - since <= by and self._due(at.cycle + skip) - t_ns <= by
         alone = self._caught_up(at, t_ns) and self._others_in_time(at, t_ns)
@@ -301,19 +301,8 @@ class SampleClock:
                 return Instant(t, cycles - 1, trusted=late < _WAITED * self._unit_ns)
             at.joined, at.phase, at.behind_since = False, None, None
             return self._join(at, t_ns, counter, skip) or Instant(t_ns, trusted=False)
-        silence = t_ns - at.stamp
-        if silence > self.silence_ns and counter == 0 and skip > 1:
-            return self._anew(at, t_ns, silence)
         waited = max(late - at.late_low, 0)
-        return self._restart(at, t_ns, counter, skip, silence, waited)
-
-    def _anew(self, at: Lane, t_ns: int, silence: int) -> Instant:
-        """After a silence the sender counts from 0: what related its messages before is over."""
-        at.joined, at.phase = False, None
-        found = self._restart(at, t_ns, 0, 1, silence)
-        for lane in self._lanes.values():
-            lane.phase = None
-        return found
+        return self._restart(at, t_ns, counter, skip, t_ns - at.stamp, waited)
 
     def _others_in_time(self, at: Lane, t_ns: int) -> bool:
         """Whether another lane's newest frame was in time, and is new."""
@@ -329,7 +318,12 @@ class SampleClock:
     def _restart(
         self, at: Lane, t_ns: int, counter: int, skip: int, silence: int, waited: int = 0
     ) -> Instant:
-        """A new line through this frame, less what it waited; the drift is kept."""
+        """A new line through this frame, less what it waited; the drift is kept.
+
+        A sender that counts from 0 after a silence began anew: what its messages were is over.
+        """
+        if counter == 0 and skip > 1 and silence > self.silence_ns:
+            at.joined, at.phase, skip, waited = False, None, 1, 0
         last = self.last
         again = last is not None
         if at.joined:

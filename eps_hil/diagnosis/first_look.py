@@ -56,7 +56,7 @@ class FirstLook:
     remarks: tuple[str, ...] = ()
     """What a reader has to know of speed and angle, which have been put right in it."""
     notes: tuple[str, ...] = ()
-    """The same of what is as it was read."""
+    """What a reader has to know of both that was left as recorded."""
 
     @property
     def put_right(self) -> bool:
