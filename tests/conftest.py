@@ -1,5 +1,6 @@
 """What many tests share: the reference rig, and recordings of a rig of other code."""
 
+import gc
 import importlib.util
 import os
 import re
@@ -32,16 +33,17 @@ REAL_TIME = (
 NO_CLOCK = frozenset(
     f"{folder}/test_{name}.py"
     for folder, names in {
-        "bus": "bit_packing bits codec database e2e eps_rig_dbc fast_clock lanes lanes_anew "
+        "bus": "bit_packing bits codec database e2e eps_rig_dbc fast_clock frame lanes lanes_anew "
         "mapping protection sample_clock seen stamp_offset supply_power",
         "cli": "bad_input budget compare convert diagnose estimate export extras first_answer "
-        "frequency_response gap identify inputs prove_concealed schema tune",
-        "dashboard": "collect decimate events feed mismatch recording stretch",
+        "frequency_response gap identify inputs main prove_concealed schema tune",
+        "dashboard": "collect decimate diagnosis events feed mismatch recording stretch",
         "monitor": "alarm meters view_model",
         "programme": "conductor identify_logs plan recordings",
         "real": "emps ford_gt350",
         "rig": "command ecu effects manoeuvre offline",
-        "service": "calibrated_model calibration command_replay core estimate_faults "
+        "selftest": "judges",
+        "service": "calibrated_model calibration command_replay config core estimate_faults "
         "friction_levels guard_properties health override override_core present rates "
         "second_estimator setup verdict",
     }.items()
@@ -69,6 +71,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if watches_a_clock(item.path):
             item.add_marker(pytest.mark.real_time)
+
+
+def pytest_collection_finish() -> None:
+    """What was collected stays to the end: the garbage collector need not look at it again."""
+    gc.collect()
+    gc.freeze()
 
 
 def _module(name: str, folder: str) -> ModuleType:

@@ -78,6 +78,7 @@ def test_where_the_users_cache_can_be_written(read_only_install: Path, tmp_path:
 
 
 @pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.slow
 def test_at_a_terminal_it_says_once_why_it_takes_so_long(
     read_only_install: Path, tmp_path: Path, kept: bool
 ) -> None:
@@ -121,6 +122,7 @@ def test_another_install_of_the_same_source_compiles_nothing(
     assert changed["folder"] != said["folder"]
 
 
+@pytest.mark.slow
 def test_numbas_own_folder_comes_first(read_only_install: Path, tmp_path: Path) -> None:
     said = said_by(read_only_install, NUMBA_CACHE_DIR=str(tmp_path / "n"), HOME=str(tmp_path))
     assert Path(str(said["folder"])).is_relative_to(tmp_path / "n")
@@ -148,10 +150,12 @@ def test_no_folder_that_others_could_have_written_to(
     assert not list(private.iterdir())
 
 
+@pytest.mark.slow
 def test_it_compiles_where_nothing_can_be_written(read_only_install: Path) -> None:
     assert said_by(read_only_install)["folder"] == "None"
 
 
+@pytest.mark.slow
 def test_numba_that_finds_no_folder_compiles_anew(read_only_install: Path, tmp_path: Path) -> None:
     """As where sources and cache are read-only and numba does not ask for our locator."""
     package = read_only_install / "eps_hil"

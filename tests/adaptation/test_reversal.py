@@ -129,7 +129,7 @@ def test_a_road_that_drives_the_rack_teaches_nothing(
     assert last.flag == ""
 
 
-@pytest.mark.parametrize("factors", [(0.5, 0.5), (0.6, 1.4)])
+@pytest.mark.parametrize("factors", [pytest.param((0.5, 0.5), marks=pytest.mark.slow), (0.6, 1.4)])
 def test_with_a_load_cell_both_levels_are_seen(
     reference_model: Model, scaled_levels: Any, sweep_truth: Any, factors: tuple[float, float]
 ) -> None:

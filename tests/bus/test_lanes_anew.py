@@ -58,6 +58,7 @@ def test_a_relation_from_before_a_silence_is_not_held_against_the_other() -> Non
     assert all(together(found, n) for n in range(3750, 4700))
 
 
+@pytest.mark.slow
 def test_frames_that_come_in_a_burst_leave_their_relation_alone() -> None:
     """Of a bus that was blocked, and lost some: without that, 15 of 40 are doubted."""
     doubted = 0

@@ -199,6 +199,7 @@ def test_it_does_not_talk_over_a_live_sender(
         talker.join()
 
 
+@pytest.mark.slow
 def test_a_part_of_a_log(log: Path, ear: Ear, udp_port: int) -> None:
     window = ["--from", "0.0205", "--to", "0.0505"]
     told = replay(str(log), *bus_options(udp_port), *window)

@@ -32,6 +32,7 @@ def alive(pid: int) -> bool:
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux' /proc")
+@pytest.mark.slow
 def test_it_ends_with_its_parent_and_takes_the_case_in_work_along(tmp_path: Path) -> None:
     """The case here waits for a pipe that nobody writes to."""
     os.mkfifo(tmp_path / "train.csv")
@@ -81,6 +82,7 @@ serve()
 """
 
 
+@pytest.mark.slow
 def test_processor_time_is_what_is_limited(tmp_path: Path) -> None:
     """On a machine that others use too a case waits; one that computes without end is given up."""
     warm = subprocess.Popen(

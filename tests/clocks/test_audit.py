@@ -55,6 +55,7 @@ def test_a_step_of_the_clock_is_told_from_a_message_that_slipped(write_log: Writ
     assert slip.at_s == pytest.approx(12.0, abs=0.6)
 
 
+@pytest.mark.slow
 def test_coarse_stamps_are_said_to_be_coarse_and_show_no_steps(write_log: Write) -> None:
     found = audit(write_log(resolution_ns=1_000_000))
     for channel in found.channels:

@@ -147,6 +147,7 @@ def test_no_frame_wakes_it_it_looks_a_hundred_times_a_second(
         each.close()
 
 
+@pytest.mark.slow
 def test_it_takes_no_core_from_what_runs() -> None:
     said = subprocess.run(
         [sys.executable, "-c", "import os; from eps_hil.dashboard.listener import stand_back\n"

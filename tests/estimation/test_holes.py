@@ -44,7 +44,7 @@ def told(model: Model, phase: float, holes: str, jump_nm: float = 0.0) -> list[R
         "m" * 11 + "u" + "m" * 15 + "u" + "m" * 5 + "u",  # never seen in between: one hole
         "m" * 17 + " " * 4 + "m" * 8,  # the second on a course that was itself guessed
         "u" * 17,
-        "mmm   " * 8,
+        pytest.param("mmm   " * 8, marks=pytest.mark.slow),
     ],
 )
 def test_a_swing_that_leaves_its_course_in_holes_is_not_doubted(
@@ -57,7 +57,9 @@ def test_a_swing_that_leaves_its_course_in_holes_is_not_doubted(
         assert said[AT + len(holes) + 800] == Reason.FINE
 
 
-@pytest.mark.parametrize("holes", ["m" * 7, "u" * 5, "m" * 3 + "u" * 2])
+@pytest.mark.parametrize(
+    "holes", [pytest.param("m" * 7, marks=pytest.mark.slow), "u" * 5, "m" * 3 + "u" * 2]
+)
 def test_a_jump_in_a_hole_is_told_all_the_same(reference_model: Model, holes: str) -> None:
     for phase in PHASES:
         said = told(reference_model, float(phase), holes, 0.4)
@@ -116,7 +118,7 @@ def test_a_resting_bristle_keeps_its_torque_where_most_of_the_angle_is_lost(
     assert np.mean(lost_nm) < 0.004
 
 
-@pytest.mark.parametrize("step_s", [1e-3, 2.5e-4, 1e-4])
+@pytest.mark.parametrize("step_s", [1e-3, 2.5e-4, pytest.param(1e-4, marks=pytest.mark.slow)])
 def test_a_long_hole_of_the_speed_is_no_jump_at_any_rate(
     reference_model: Model, step_s: float
 ) -> None:

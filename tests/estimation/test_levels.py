@@ -44,7 +44,7 @@ def same(a: Trace, b: Trace) -> bool:
     return all(np.array_equal(getattr(a, f.name), getattr(b, f.name)) for f in fields(Trace))
 
 
-@pytest.mark.parametrize("speed", [20.0, -20.0])
+@pytest.mark.parametrize("speed", [20.0, pytest.param(-20.0, marks=pytest.mark.slow)])
 def test_sliding_the_force_goes_over_at_the_set_rate(reference_model: Model, speed: float) -> None:
     """From a wrong level to the right one: 2513 · slew newtons a second, and no faster."""
     right = levels_of(reference_model)

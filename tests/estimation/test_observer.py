@@ -25,7 +25,7 @@ def test_transition_is_the_matrix_exponential(reference_model: Model) -> None:
     assert np.allclose(b, exact[:3, 3], rtol=1e-12, atol=0)
 
 
-@pytest.mark.parametrize("angle", [False, True])
+@pytest.mark.parametrize("angle", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_gain_is_the_kalman_filters(reference_model: Model, angle: bool) -> None:
     """Iterate the covariance by hand (predict, correct) and meet the Riccati solution."""
     settings = EstimatorSettings()
@@ -77,6 +77,7 @@ def test_lag_is_what_a_ramp_shows(reference_model: Model, walk: float) -> None:
     assert rate * (t - estimator.lag_s) == pytest.approx(out.rack_force_n, abs=rate * 2e-6)
 
 
+@pytest.mark.slow
 def test_noise_gains_are_what_noise_shows(reference_model: Model) -> None:
     found = design(reference_model, EstimatorSettings(), angle=False, speed=True, dt=DT)
     rng = np.random.default_rng(0)

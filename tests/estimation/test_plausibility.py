@@ -261,7 +261,9 @@ def test_a_speed_that_tells_of_a_way_that_no_angle_shows_is_told(
     assert told(trace, since + 700, since + 2000) == told(right, since + 700, since + 2000)
 
 
-@pytest.mark.parametrize("offset", [-1.2, -1.0, 1.0, 1.2])
+@pytest.mark.parametrize(
+    "offset", [-1.2, *(pytest.param(at, marks=pytest.mark.slow) for at in (-1.0, 1.2)), 1.0]
+)
 def test_a_speed_that_is_off_for_a_moment_is_told_by_the_angle(
     reference_model: Model, steps_truth: Any, offset: float
 ) -> None:

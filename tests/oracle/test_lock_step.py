@@ -17,7 +17,7 @@ from eps_hil.proof.truth import Drive
 from eps_hil.service.config import ServiceConfig, load_config
 
 ROOT = Path(__file__).parents[2]
-SECONDS = 7
+SECONDS = 4
 
 
 @pytest.fixture(scope="module")

@@ -70,7 +70,7 @@ def played(
     [
         (0.0, False, batch.STRETCH),
         (8.8, False, batch.STRETCH),
-        (30.0, False, batch.STRETCH),
+        pytest.param(30.0, False, batch.STRETCH, marks=pytest.mark.slow),
         (8.8, True, batch.STRETCH),
         (0.0, False, 700),
         (8.8, False, 4001),

@@ -15,7 +15,10 @@ from eps_hil.programme.plan import PlannedCell
 from .programme_bench import MODEL, MS, PLAN, Bench
 
 
-@pytest.mark.parametrize(("speed", "load"), [(20.0, 0.0), (-40.0, 2000.0), (5.0, -1000.0)])
+@pytest.mark.parametrize(
+    ("speed", "load"),
+    [(20.0, 0.0), (-40.0, 2000.0), pytest.param(5.0, -1000.0, marks=pytest.mark.slow)],
+)
 def test_a_cell_reads_the_rigs_friction(tmp_path: Path, speed: float, load: float) -> None:
     cell = PlannedCell(1, speed, load, 1)
     _, collector, phases = Bench(tmp_path).run(cell)
@@ -28,6 +31,7 @@ def test_a_cell_reads_the_rigs_friction(tmp_path: Path, speed: float, load: floa
     assert result.measured.load_n == pytest.approx(load, abs=5.0)
 
 
+@pytest.mark.slow
 def test_cells_follow_each_other_from_wherever_the_rack_is(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     for number, speed in enumerate((40.0, 40.0, -5.0), 1):

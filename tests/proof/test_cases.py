@@ -159,6 +159,7 @@ def test_pairs_mask_a_weak_effect_with_a_stranger_five_times_as_strong() -> None
         assert weak not in find(strong).twins
 
 
+@pytest.mark.slow
 def test_a_case_can_be_made_again() -> None:
     plan = Plan("poor", 4, (), decoy="noise_x3", simple=True, programme="poor")
     one, again = make(plan), make(plan)

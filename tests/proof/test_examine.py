@@ -1,6 +1,7 @@
 """Cases are diagnosed apart from each other and from whoever knows the answers."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,25 +27,31 @@ def test_what_goes_wrong_is_noted_and_the_next_case_is_not_touched_by_it(tmp_pat
     assert open_cases(tmp_path / "cases", tmp_path / "results") == []
 
 
-def test_a_fork_works_in_its_own_folder_and_sees_no_other(tmp_path: Path) -> None:
-    with Diagnoser() as diagnoser:
-        for name in ("one", "two"):
-            desk = tmp_path / name
-            desk.mkdir()
-            assert diagnoser._run(desk, ["diagnose", "--help"]) == ""
-            assert "--without-effect" in (desk / "stdout.txt").read_text()
-            assert {path.name for path in desk.iterdir()} == {"stdout.txt", "stderr.txt"}
+@pytest.fixture(scope="module")
+def diagnoser() -> Iterator[Diagnoser]:
+    with Diagnoser() as one:
+        yield one
 
 
-def test_time_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fork_works_in_its_own_folder_and_sees_no_other(
+    tmp_path: Path, diagnoser: Diagnoser
+) -> None:
+    for name in ("one", "two"):
+        desk = tmp_path / name
+        desk.mkdir()
+        assert diagnoser._run(desk, ["diagnose", "--help"]) == ""
+        assert "--without-effect" in (desk / "stdout.txt").read_text()
+        assert {path.name for path in desk.iterdir()} == {"stdout.txt", "stderr.txt"}
+
+
+def test_time_is_limited(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, diagnoser: Diagnoser
+) -> None:
     monkeypatch.setattr("eps_hil.proof.examine._TIMEOUT_S", 0.0)
     case = _case(tmp_path / "case", "time_s,x")
     (tmp_path / "results").mkdir()
-    with Diagnoser() as diagnoser:
-        assert (
-            diagnoser.diagnose(case, tmp_path / "results").problem
-            == "no answer within 0 s of processor time"
-        )
+    problem = diagnoser.diagnose(case, tmp_path / "results").problem
+    assert problem == "no answer within 0 s of processor time"
 
 
 def test_a_result_is_not_made_twice(tmp_path: Path) -> None:

@@ -77,6 +77,7 @@ def test_masing_reversal_is_the_virgin_curve_twice_as_large(distance: float) -> 
 
 
 @given(st.floats(0.05, 3.0), st.floats(0.04, 0.2), st.floats(0.04, 0.2))
+@pytest.mark.slow
 def test_unequal_levels_have_one_length_both_ways(
     distance: float, forth: float, back: float
 ) -> None:

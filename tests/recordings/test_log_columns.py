@@ -169,6 +169,7 @@ def written(path: Path, frames: list[Frame]) -> Path:
     which=st.lists(st.sampled_from(FAULTS), max_size=6),
     name=st.sampled_from(["bus.log", "bus.blf", "bus.mf4"]),
 )  # fmt: skip
+@pytest.mark.slow
 def test_faulty_traffic(
     seed: int, which: list[Fault], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

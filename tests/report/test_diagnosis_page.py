@@ -214,7 +214,7 @@ _CURVE = [[-0.01, 0.002, 0.001], [0.01, 0.02, 0.001]]
     ("verdict", "curve"),
     [
         ("unknown_effect", _CURVE),
-        ("partly_explained", []),
+        pytest.param("partly_explained", [], marks=pytest.mark.slow),
         pytest.param("unknown_effect", [], marks=pytest.mark.slow),
         pytest.param("partly_explained", _CURVE, marks=pytest.mark.slow),
     ],

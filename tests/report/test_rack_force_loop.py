@@ -94,7 +94,13 @@ def test_invalid_estimates_are_not_shown(log: Path) -> None:
     assert loops_by_mode(read_steering(log, DBC), invalid) == []
 
 
-@pytest.mark.parametrize("suffix", figures.SUFFIXES)
+@pytest.mark.parametrize(
+    "suffix",
+    [
+        pytest.param(suffix, marks=() if suffix == ".svg" else pytest.mark.slow)
+        for suffix in figures.SUFFIXES
+    ],
+)
 def test_figure_is_written(log: Path, tmp_path: Path, suffix: str) -> None:
     trace: SteeringTrace = read_steering(log, DBC)
     path = draw(trace, loops_by_mode(trace, _estimates()), tmp_path / f"f{suffix}", title="made up")

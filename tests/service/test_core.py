@@ -360,7 +360,7 @@ def test_a_clock_set_back_is_never_a_frozen_valid(
     assert sent[-1]["EstimateStatus"] == Status.VALID
 
 
-@pytest.mark.parametrize("ppm", [-300, 300])
+@pytest.mark.parametrize("ppm", [pytest.param(-300, marks=pytest.mark.slow), 300])
 def test_a_drifting_rig_gets_no_answer_twice_as_new(parts: Parts, rig: TinyRig, ppm: int) -> None:
     core = parts.core
     core.record = []

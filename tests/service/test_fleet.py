@@ -7,6 +7,8 @@ import threading
 import time
 from pathlib import Path
 
+import pytest
+
 from eps_hil.service.fleet import Fleet, Rig
 
 SPEAKS = """
@@ -58,6 +60,7 @@ def test_one_that_dies_is_started_anew_and_the_other_goes_on() -> None:
     assert bench.count("[good] begins") == 1
 
 
+@pytest.mark.slow
 def test_one_that_gives_no_sign_of_life_is_killed_and_started_anew() -> None:
     bench = Bench(rig("good", STEADY), rig("stuck", HANGS), watchdog_s=1.0)
     bench.until("[stuck] begins", 2)
@@ -66,6 +69,7 @@ def test_one_that_gives_no_sign_of_life_is_killed_and_started_anew() -> None:
     assert bench.fleet.starts["good"] == 1
 
 
+@pytest.mark.slow
 def test_what_was_logged_before_it_died_is_not_written_over(tmp_path: Path) -> None:
     log = tmp_path / "e-bad.csv"
     script = SPEAKS + "open(sys.argv[1], 'w').write(str(os.getpid())); sys.exit(1)"

@@ -39,7 +39,11 @@ from .loop_bench import (
 
 @pytest.mark.parametrize(
     "bus",
-    ["virtual", "udp_multicast", pytest.param("socketcan", marks=pytest.mark.socketcan)],
+    [
+        pytest.param("virtual", marks=pytest.mark.slow),
+        "udp_multicast",
+        pytest.param("socketcan", marks=pytest.mark.socketcan),
+    ],
 )
 def test_publishes_what_a_replay_gives_bit_for_bit(
     bus: str, quick: ServiceConfig, receiver: Receiver, request: pytest.FixtureRequest
@@ -199,6 +203,7 @@ def test_log_holds_every_estimate(quick: ServiceConfig, tmp_path: Path) -> None:
     assert times[-1] - times[0] == pytest.approx(0.499, abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_age_is_that_when_the_answer_is_sent_and_what_waited_is_not_valid(
     quick: ServiceConfig, receiver: Receiver, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,6 +75,7 @@ class LateBus(Bench):
         return super().opener(parts)
 
 
+@pytest.mark.slow
 def test_a_bus_that_is_not_there_yet_is_waited_for_and_listened_to_first(
     config: ServiceConfig, receiver: Receiver
 ) -> None:

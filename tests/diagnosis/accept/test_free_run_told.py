@@ -47,8 +47,14 @@ def holdout(record: Callable[..., Any]) -> Holdout:
     return Holdout(prepare(name, series), series)
 
 
-def test_noise_adds_up_in_a_free_run(holdout: Holdout, reference_model: Model) -> None:
-    noise = free_run_noise([holdout], reference_model)
+@pytest.fixture(scope="module")
+def noise(holdout: Holdout, reference_model: Model) -> dict[str, float]:
+    return free_run_noise([holdout], reference_model)
+
+
+def test_noise_adds_up_in_a_free_run(
+    holdout: Holdout, reference_model: Model, noise: dict[str, float]
+) -> None:
     assert noise["angle_rmse_rad"] > 0.0
     loud = {name: 3.0 * size for name, size in holdout.prepared.noise.items()}
     louder = replace(holdout, prepared=holdout.prepared.changed(noise=loud))
@@ -78,9 +84,8 @@ def test_the_finding_that_a_worse_free_run_comes_with_is_said(
 
 
 def test_a_worse_free_run_within_the_noise_is_told_as_that(
-    holdout: Holdout, reference_model: Model
+    holdout: Holdout, reference_model: Model, noise: dict[str, float]
 ) -> None:
-    noise = free_run_noise([holdout], reference_model)
     near = noise["angle_rmse_rad"]
     figures = {"baseline": told(0.3, near), "augmented": told(0.1, 2.5 * near)}
     (said,) = disagreement(figures, [holdout], reference_model, reference_model)

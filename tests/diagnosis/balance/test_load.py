@@ -158,7 +158,7 @@ def moved(truth: Model) -> Prepared:
     return one.changed(size=size_of([one], truth))
 
 
-@pytest.mark.parametrize("told", [20.0, 1.0])
+@pytest.mark.parametrize("told", [20.0, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_a_drag_that_is_off_is_no_damper(told: float) -> None:
     """A drag inside friction lags as the bristle does; a damper that stood for it would not."""
     ready, given = [moved(joint(4.0))], replace(joint(told), effects=())
@@ -173,7 +173,7 @@ def test_a_drag_that_is_off_is_no_damper(told: float) -> None:
     assert own_drag(given, given) == []
 
 
-@pytest.mark.parametrize("damper", [0.0, 10.0])
+@pytest.mark.parametrize("damper", [pytest.param(0.0, marks=pytest.mark.slow), 10.0])
 def test_a_damper_of_the_load_s_own_stays_one(damper: float) -> None:
     load = load_of([moved(joint(4.0, damper))], replace(joint(4.0), effects=()))
     assert load.drag_nm_s_per_rad == 0.0

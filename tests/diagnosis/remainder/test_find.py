@@ -217,9 +217,8 @@ _WARMS = Law("friction", "factor", (_WARM,), -0.4)
 _AGES = Law("friction", "factor", (Input("time_s", "saturating", numbers={"width": 4.0}),), -0.4)
 
 
-@pytest.mark.parametrize(
-    "true", [_WARMS, pytest.param(_AGES, marks=pytest.mark.slow)], ids=["warms", "ages"]
-)
+@pytest.mark.parametrize("true", [_WARMS, _AGES], ids=["warms", "ages"])
+@pytest.mark.slow
 def test_a_law_of_time_is_the_last_resort(true: Law, eddy_free: tuple[Problem, Problem]) -> None:
     """Time since the recording began stands for nothing that a state of the rig says as well."""
     lacking = replace(eddy_free[0].model, effects=(replace(true, size=0.4).entry({}),))
