@@ -166,6 +166,7 @@ def diagnose(
     if report:
         with progress("drawing the page"):
             diagnosis_page.write(result, report, str(model))
+        typer.echo(f"page: {report}")
 
 
 def _check_effect(path: Path) -> None:

@@ -28,7 +28,7 @@ def example(
     """List the example files, or write one with every file that it refers to.
 
     A configuration for `rig` and `run` brings its CAN database, mapping and model, so that it
-    runs in an empty folder. Files go to DIR/configs and DIR/dbc.
+    runs in an empty folder, and says what to run. Files go to DIR/configs and DIR/dbc.
     """
     from eps_hil.examples import shelf
 

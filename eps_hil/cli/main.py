@@ -18,6 +18,8 @@ from eps_hil.errors import EpsHilError
 app = typer.Typer(
     name="eps-hil",
     help="Hardware-in-the-loop service for electric power steering over CAN.",
+    epilog="To begin, in an empty folder: `eps-hil example demo_udp` writes what a simulated rig "
+    "needs, and says what to run.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,

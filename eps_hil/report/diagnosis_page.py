@@ -267,13 +267,15 @@ def _short(diagnosis: Diagnosis) -> dict[str, str]:
 
 
 def _flags(content: Mapping[str, Any]) -> list[str]:
-    """What is wrong with the data, a line for each recording and signal."""
-    return [
-        f"{look['recording']}, {channel['signal']}: {', '.join(channel['flags'])}".replace("_", " ")
+    """What is wrong with the data, a line for each recording and signal; parts of one, once."""
+    lines = (
+        f"{look['recording']}, {diagnosis_evidence.label(channel['signal']).replace('_', ' ')}: "
+        + ", ".join(channel["flags"]).replace("_", " ")
         for look in content.get("data_quality", [])
         for channel in look["channels"]
         if channel["flags"]
-    ]
+    )
+    return list(dict.fromkeys(lines))
 
 
 def _span(region: Mapping[str, Any]) -> str:

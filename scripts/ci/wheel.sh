@@ -4,7 +4,8 @@
 #
 #     scripts/ci/wheel.sh [FOLDER]      FOLDER: where to work and leave everything (default: a new one)
 #
-# A simulated rig, the service and the recorder on UDP multicast, then diagnose, convert, budget,
+# What --help and `eps-hil example` say to run, as they say it: a simulated rig, the service and the
+# recorder on UDP multicast, then diagnose and its page. Beside it convert, compare, budget,
 # reproduce --quick and one concealed case. Machine code that this user has compiled before is used
 # again (eps_hil/compiled.py knows it by its source). Exit status 0 only if all of it worked.
 set -euo pipefail
@@ -59,30 +60,44 @@ log install "${pip[@]}" install "${wheel[0]}[report]"
 cd "$work/empty"
 eps=("$work/venv/bin/eps-hil")
 log version "${eps[@]}" --version
-log module "$work/venv/bin/python" -m eps_hil example demo_udp
 [[ $("$work/venv/bin/python" -c 'import eps_hil; print(eps_hil.__file__)') == "$work"/venv/* ]] ||
     fail "another eps_hil than the wheel's was imported"
 
+# What a newcomer does who has nothing but --help: it names `example`, which says what to run.
+log help "$work/venv/bin/python" -m eps_hil --help
+grep -q 'eps-hil example demo_udp' "$work/help.txt" || fail "--help does not say where to begin"
+log example "${eps[@]}" example demo_udp
+mapfile -t told < <(sed -n 's/^run: \(eps-hil [^ ]*.*\)$/\1/p' "$work/example.txt" | sed 's/     .*//')
+[[ ${told[*]} == "eps-hil rig "*" eps-hil run "*" eps-hil record "*" eps-hil diagnose "* ]] ||
+    fail "the example says to run ${told[*]}"
+as_told() { # which, then words more: starts what was said
+    local words
+    read -ra words <<<"${told[$1]}"
+    shift
+    PATH="$work/venv/bin:$PATH" exec "${words[@]}" "$@"
+}
+
 say "rig, service and recorder on a bus"
 sed -i 's/239.74.163.2$/239.74.163.77/; s/43113/43177/' configs/demo_udp.yaml # nobody else's
-"${eps[@]}" run --config configs/demo_udp.yaml --log-estimates live.csv >"$work/run.txt" 2>&1 &
+as_told 0 >"$work/rig.txt" 2>&1 &
 pids=($!)
-"${eps[@]}" record bus.log --config configs/demo_udp.yaml >"$work/record.txt" 2>&1 &
+as_told 1 --log-estimates live.csv >"$work/run.txt" 2>&1 &
 pids+=($!)
-for file in run record; do
-    for ((i = 0; i < 1200; i++)); do
-        grep -q '^READY\|^recording' "$work/$file.txt" 2>/dev/null && continue 2
+for file in rig run; do
+    for ((i = 0; i < 3000; i++)); do
+        grep -q '^READY' "$work/$file.txt" 2>/dev/null && continue 2
         sleep 0.1
     done
     cat "$work/$file.txt" >&2
-    fail "$file is not ready after two minutes"
+    fail "$file is not ready after five minutes"
 done
-log rig "${eps[@]}" rig --config configs/demo_udp.yaml --duration 12
+(as_told 2 --duration 14 >"$work/record.txt" 2>&1) || { cat "$work/record.txt" >&2 && fail "the recorder"; }
 kill -TERM "${pids[@]}"
-wait "${pids[0]}" || { cat "$work/run.txt" >&2 && fail "the service"; }
-wait "${pids[1]}" || { cat "$work/record.txt" >&2 && fail "the recorder"; }
-pids=()
-grep -E '^(steps|recorded)' "$work/run.txt" "$work/record.txt" -h
+for name in rig run; do
+    wait "${pids[0]}" || { cat "$work/$name.txt" >&2 && fail "$name"; }
+    pids=("${pids[@]:1}")
+done
+grep -E '^(done|steps|recorded)' "$work/rig.txt" "$work/run.txt" "$work/record.txt" -h
 
 say "budget, one concealed case; beside them reproduce --quick"
 "${eps[@]}" reproduce --quick --out reproduction >"$work/reproduce.txt" 2>&1 &
@@ -91,10 +106,14 @@ log budget "${eps[@]}" budget --model configs/reference_rig.yaml --order 1 --dra
 log prove "${eps[@]}" prove concealed --quick --cases 1 --jobs 1
 say "diagnose, convert"
 can=(--dbc dbc/eps_rig.dbc --signals configs/eps_rig_signals.yaml)
-log diagnose "${eps[@]}" diagnose --model configs/reference_rig.yaml --recording bus.log \
-    "${can[@]}" --report page.html --json diagnosis.json
+(as_told 3 --json diagnosis.json >"$work/diagnose.txt" 2>&1) ||
+    { tail -n 25 "$work/diagnose.txt" >&2 && fail "diagnose"; }
 head -n 6 "$work/diagnose.txt"
+grep -q '^page: page.html' "$work/diagnose.txt" || fail "diagnose does not say where its page is"
 grep -q 'dropped_frames' diagnosis.json && fail "the diagnosis tells of frames that nobody lost"
+# the rig has five masses, the model file one: that, and no other effect, may be named
+sed -n 's|.* id="verdict">\(.*\)</p>.*|\1|p' page.html | tee "$work/headline.txt"
+grep -q 'belt compliance' "$work/headline.txt" || fail "the page's headline names something else"
 log convert "${eps[@]}" convert bus.log rig.csv "${can[@]}"
 log compare "${eps[@]}" compare rig.csv --model configs/reference_rig.yaml --figure force.png
 wait "${pids[0]}" || { tail -n 25 "$work/reproduce.txt" >&2 && fail "reproduce"; }

@@ -15,7 +15,9 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["--version"]) == 0
     assert "eps-hil" in capsys.readouterr().out
     assert command.main(["--help"]) == 0
-    assert "estimate" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "estimate" in said
+    assert "eps-hil example demo_udp" in said, "a newcomer's first step"
 
 
 @pytest.mark.parametrize(

@@ -207,6 +207,21 @@ def test_page_of_two_states_says_what_changed(explained: Diagnosis) -> None:
     assert "Beyond the model file" not in nothing
 
 
+def test_what_is_wrong_with_the_data_is_said_once_and_with_the_names_of_the_axes(
+    explained: Diagnosis,
+) -> None:
+    """A recording of which a part is kept from the fit is looked at in two parts."""
+    channels = [
+        {"signal": "motor_speed_rad_s", "flags": ["lost_frames", "gaps"]},
+        {"signal": "rack_force_n", "flags": []},
+    ]
+    look = {**explained.content["data_quality"][0], "recording": "my_bus.log", "channels": channels}
+    content = {**explained.content, "data_quality": [look, look]}
+    text = _Checked(diagnosis_page.render(replace(explained, content=content), "m.yaml")).text
+    assert text.count("my_bus.log, rotor speed in rad/s: lost frames, gaps") == 1
+    assert "my_bus.log, rack force" not in text
+
+
 _CURVE = [[-0.01, 0.002, 0.001], [0.01, 0.02, 0.001]]
 
 
