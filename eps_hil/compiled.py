@@ -12,6 +12,7 @@ every process: slower, and just as right.
 import contextlib
 import functools
 import hashlib
+import importlib.util
 import inspect
 import os
 import shutil
@@ -29,6 +30,7 @@ _KEPT_FOLDERS = 4
 _LONGEST_WAIT_S, _LOOK_S = 300.0, 0.02
 _BACKGROUND_NICE = 5
 """For code that another process compiles: then it is compiled here too."""
+_SECOND_NS = 1_000_000_000
 _PACKAGE = Path(__file__).resolve().parent
 _COMPILED = b"eps_hil.compiled import", b"# frozen into compiled code"
 """What marks a source as one that machine code depends on; the second one, constants."""
@@ -73,8 +75,24 @@ def _source_hash() -> str:
     for source in sorted(_PACKAGE.rglob("*.py")):
         text = source.read_bytes()
         if any(mark in text for mark in _COMPILED):
-            digest.update(str(source.relative_to(_PACKAGE)).encode() + text)
+            digest.update(str(source.relative_to(_PACKAGE)).encode() + text + _doubtful(source))
     return digest.hexdigest()[:16]
+
+
+def _doubtful(source: Path) -> bytes:
+    """Bytecode that may be of an earlier text: it is put away, and machine code of it kept apart.
+
+    Python knows a text by its length and the second of its last change. Of two changes within one
+    second the bytecode may be the first one's, which the name of the folder would vouch for.
+    """
+    with contextlib.suppress(OSError, NotImplementedError):
+        kept = Path(importlib.util.cache_from_source(str(source)))
+        changed, written = source.stat().st_mtime_ns, kept.stat().st_mtime_ns
+        if written <= changed and written // _SECOND_NS == changed // _SECOND_NS:
+            found = kept.read_bytes()
+            kept.unlink()
+            return found
+    return b""
 
 
 def _folder() -> Path | None:

@@ -5,6 +5,7 @@ import importlib
 import json
 import os
 import pkgutil
+import py_compile
 import shutil
 import signal
 import subprocess
@@ -54,6 +55,32 @@ def read_only_install(tmp_path: Path) -> Path:
     (package / "__pycache__").write_text("a file where numba wants a folder")
     (tmp_path / f"eps_hil-{os.getuid()}").write_text("a file where the private folder would be")
     return package.parent
+
+
+@pytest.mark.parametrize("first", ["eps_hil.compiled", "eps_hil.kernel"])
+def test_two_changes_within_a_second_leave_no_stale_machine_code(
+    read_only_install: Path, tmp_path: Path, first: str
+) -> None:
+    """Python takes the first one's bytecode for the second's: as long, and of the same second."""
+    package, moment_ns = read_only_install / "eps_hil", 1_700_000_000_100_000_000
+    (package / "__pycache__").unlink()
+    source = package / "kernel.py"
+    source.write_text(KERNEL.replace("x + 1.0", "x + 9.0"))
+    os.utime(source, ns=(moment_ns, moment_ns))
+    kept = Path(str(py_compile.compile(str(source), doraise=True)))
+    os.utime(kept, ns=(moment_ns + 200_000_000,) * 2)
+    source.write_text(KERNEL)
+    os.utime(source, ns=(moment_ns + 600_000_000,) * 2)
+    if first == "eps_hil.kernel":  # it runs as it was, once, like any module in Python
+        asked = f"import {first}; print({first}.bare(2.0))"
+        place = {"HOME": str(tmp_path), "PYTHONPATH": str(read_only_install)}
+        words = [sys.executable, "-c", asked]
+        run = subprocess.run(
+            words, env=place, cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert run.returncode == 0, run.stderr
+        assert float(run.stdout) == 11.0, "the bytecode was not stale: nothing is tested"
+    said_by(read_only_install, HOME=str(tmp_path))  # asserts the sums of the text as it is
 
 
 def said_by(site: Path, **environment: str) -> dict[str, object]:
