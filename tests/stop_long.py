@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-CALL_S, SETUP_S = 3.0, 12.0
+CALL_S = float(os.environ.get("EPS_HIL_STOP_S", "0.5"))
+SETUP_S = 4 * CALL_S
 _AGAIN_S = 0.01
 _OURS = f"{os.sep}eps_hil{os.sep}"
 
