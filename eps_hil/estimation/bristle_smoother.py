@@ -93,7 +93,7 @@ def _gather(
             m.filled[:] = 0
         while grid <= t + timing.step_ns // 2 and rows < len(out_t):
             at = grid - timing.lookback
-            inputs, reason, _ = steps.gather(m, timing, at)
+            inputs, reason, _, _ = steps.gather(m, timing, at)
             out_t[rows], out_reason[rows] = at, reason | extra
             out[rows, 0], out[rows, 1], out[rows, 2] = inputs[0], inputs[1], inputs[2]
             out[rows, 3] = inputs[3]

@@ -440,11 +440,13 @@ def _learn_rest(w: Watch, i: int, change: float) -> None:
 
 
 @kernel
-def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -> tuple[int, bool]:
+def judge_step(
+    watch: Records, p: Limits, u: Inputs, seen: bool, missing: int, turns: bool
+) -> tuple[int, bool]:
     """Reason bits of signals that do not fit each other, and whether that is seen at this moment.
 
-    ``seen``: T_1m is read where no samples are lost. ``missing``: why inputs are missing, or 0.
-    What is doubted for something past is estimated on.
+    ``seen``: T_1m is read where no samples are lost. ``missing``: why inputs are missing, or 0;
+    ``turns``: speed and angle are not. What is doubted for something past is estimated on.
     """
     if not p.on:
         return 0, False
@@ -454,7 +456,11 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
         w.slip, w.path, w.gain = 0.0, 0.0, 0.0
         w.mean_slip, w.mean_path, w.mean_gain = 0.0, 0.0, 0.0
         w.slow, w.turned, w.slow_gain = 0.0, 0.0, 0.0
-        w.pending_turn, w.pending_way, w.unbroken = 0.0, 0.0, 0
+        if turns and p.angle_seen and w.unbroken > 0:
+            follow_creep(w, p, u)
+            w.angle = u.motor_angle_rad
+        else:
+            w.pending_turn, w.pending_way, w.unbroken = 0.0, 0.0, 0
         blind(w, p, u.motor_speed_rad_s, missing & (_RANGE | _RATE) != 0)
         return latched(w, p), w.told > 0
     if not seen and w.unseen > p.bridged and w.steps > 0:  # drawn straight: nobody saw it
@@ -462,7 +468,8 @@ def judge_step(watch: Records, p: Limits, u: Inputs, seen: bool, missing: int) -
     before = w.speed[(w.steps - 1) & WRAP]
     if w.steps == 0 or w.hole > 0:
         before = u.motor_speed_rad_s
-        w.angle = u.motor_angle_rad - before * p.step_s
+        if w.unbroken == 0:
+            w.angle = u.motor_angle_rad - before * p.step_s
     if w.hole > 0:
         bridge(w, p, u)
     in_the_dark(w, p, u.speed_periods > 1.0)

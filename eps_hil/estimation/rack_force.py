@@ -94,6 +94,8 @@ def estimator_step(c: Constants, x: Physics, e: Carried, u: Inputs, reason: int)
     s, r = e.moment[0], e.rig[0]
     if reason != 0:
         r.clock_s += c.step_s if r.clock_s > 0.0 else 0.0
+        if s.running == RUNS:
+            s.carried, s.bent = 1, s.bristle
         s.running = min(s.running, HELD)
         s.held_steps += 1
         return reason

@@ -164,15 +164,16 @@ def _periods(timing: Timing, i: int, apart: int) -> float:
 
 
 @kernel
-def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
-    """All inputs at physical instant ``at``, what is wrong with them, and whether T_1m was seen.
+def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool, bool]:
+    """All inputs at physical instant ``at``, what is wrong with them, and what was seen: T_1m, and
+    the rotor's motion.
 
     Where samples are missing the inputs go straight from neighbour to neighbour, and what a torque
     did meanwhile was not seen.
     """
     got = (0.0, 0.0, 0.0, 0.0, 0.0)
     torque, sensor, speed, angle, force = got
-    reason, share, seen = 0, timing.limits.sensor_to_rotor, True
+    reason, share, seen, turns = 0, timing.limits.sensor_to_rotor, True, True
     speed_periods = angle_periods = 1.0
     for i in range(len(SIGNALS)):
         if not timing.used[i]:
@@ -188,6 +189,8 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
         if why & _BAD:
             why |= m.watch[0].refused[i]
         reason |= why
+        if (i == SPEED or i == ANGLE) and why != 0:
+            turns = False
         if i == TORQUE:
             torque = value
         elif i == SENSOR:
@@ -212,7 +215,7 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool]:
         speed_periods,
         angle_periods,
     )
-    return inputs, reason, seen
+    return inputs, reason, seen, turns
 
 
 @kernel
@@ -227,7 +230,8 @@ def _go_back(m: Memory, c: Constants, x: Physics, u: Inputs, doubted: bool) -> N
     rolled, turned = doubted and s.running == RUNS, s.turned
     if rolled:
         roll_back(m.carried, m.kept)
-    carry(w, x, s, m.carried.rig[0], s.held_steps + 1 if rolled else 1)
+    steps = 2 if s.held_steps == 1 else 1  # it is held since the step before
+    carry(w, x, s, m.carried.rig[0], s.held_steps + 1 if rolled else steps)
     if not doubted or not w.parted or s.running != HELD:
         return
     if rolled or s.parted == 0:
@@ -299,9 +303,10 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     while m.grid[0] <= t + timing.step_ns // 2 and n < BATCH_ROWS:
         levels.hand_over(m.levels, m.carried.rig[0], m.grid[0])
         at = m.grid[0] - timing.lookback
-        inputs, reason, seen = gather(m, timing, at)
+        inputs, reason, seen, turns = gather(m, timing, at)
         reason |= extra
-        doubt, now_seen = judge_step(m.watch, timing.limits, inputs, seen, reason)
+        turns = turns and extra == 0
+        doubt, now_seen = judge_step(m.watch, timing.limits, inputs, seen, reason, turns)
         _go_back(m, c, x, inputs, now_seen)
         missing = reason != 0
         _be_wary(m, x, doubt & _INCONSISTENT != 0)

@@ -79,6 +79,25 @@ def test_what_is_held_is_bent_by_a_way_out_and_back(
     assert at(trace, 3.4) == pytest.approx(at(right, 3.4), abs=50.0)
 
 
+@pytest.mark.parametrize("lost_s", [(1.03, 1.24), (1.03, 1.6), (1.055, 1.2)])
+def test_a_hole_of_the_torques_is_bent_by_a_way_out_and_back(
+    reference_model: Model, lost_s: tuple[float, float]
+) -> None:
+    """The angle is seen all the while; taken to be where it was, the bristle was 100 N off."""
+    series = out_and_back(0.015)
+    right = estimate(series, reference_model)
+    assert at(right, 3.0) - at(right, 1.0) > 100.0
+    for name in NAMES[:2]:
+        t_ns, value = series[name].t_ns, series[name].value
+        seen = (t_ns < lost_s[0] * 1e9) | (t_ns > lost_s[1] * 1e9)
+        series[name] = Series(t_ns[seen], value[seen])
+    trace = estimate(series, reference_model)
+    hole = (trace.t_ns > lost_s[0] * 1e9 + 30e6) & (trace.t_ns < lost_s[1] * 1e9 - 30e6)
+    assert not np.any(trace.valid[hole])
+    assert np.all(trace.valid[trace.t_ns > 3.0e9])
+    assert at(trace, 3.4) == pytest.approx(at(right, 3.4), abs=50.0)
+
+
 def test_an_offset_that_hides_the_rotors_own_way_is_no_rest(reference_model: Model) -> None:
     """The angle is where it was, the rotor is not: seen by the jump that the way cannot explain."""
     series = out_and_back(0.0)

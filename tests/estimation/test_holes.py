@@ -34,7 +34,7 @@ def told(model: Model, phase: float, holes: str, jump_nm: float = 0.0) -> list[R
         now = holes[k - AT] if 0 <= k - AT < len(holes) else " "
         u = Inputs(torque[k], 0.0, speed[k], angle[k], 0.0, 1e-6, 1e-3, 1e-7)
         missing = int(Reason.BAD_SAMPLE) if now == "m" else 0
-        said.append(Reason(judge_step(watch, limits, u, now != "u", missing)[0]))
+        said.append(Reason(judge_step(watch, limits, u, now != "u", missing, True)[0]))
     return said
 
 
@@ -136,5 +136,5 @@ def test_a_long_hole_of_the_speed_is_no_jump_at_any_rate(
         for k in range(steps):
             periods = float(lost) if at < k < at + lost else 1.0
             u = Inputs(0.0, 0.0, speed[k], angle[k], 0.0, 1e-6, 1e-6, 1e-8, periods)
-            said = Reason(judge_step(watch, limits, u, True, 0)[0])
+            said = Reason(judge_step(watch, limits, u, True, 0, True)[0])
             assert not said & Reason.INCONSISTENT

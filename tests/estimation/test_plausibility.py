@@ -538,7 +538,7 @@ def told_at(model: Model, torque: Any, speed: Any, angle: Any) -> int:
     limits, watch = limits_of(model, EstimatorSettings(), True), new_watch()
     for k in range(len(speed)):
         u = Inputs(torque[k], 0.0, speed[k], angle[k], 0.0, 1e-6, 1e-3, 1e-7)
-        if judge_step(watch, limits, u, True, 0)[1]:
+        if judge_step(watch, limits, u, True, 0, True)[1]:
             return k
     return -1
 
