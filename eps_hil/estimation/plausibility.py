@@ -29,6 +29,7 @@ from eps_hil.estimation.speed_and_angle import (
     jumped_in_hole,
     mean_noise,
     mean_share,
+    relation_steps,
     spiked_alone,
 )
 from eps_hil.estimation.state import Records, record_of
@@ -175,6 +176,22 @@ class Watch:
     slow: float
     turned: float
     slow_gain: float
+    # Gain and lag that this rig was seen to have in them: sums of their least squares, what they
+    # are, their covariance (0: unknown), and the mean square of what they leave, in parts of what
+    # is expected of it; for how many steps more nothing is learnt, and for how many they doubt.
+    turned_square: float
+    turned_change: float
+    change_square: float
+    turned_slow: float
+    change_slow: float
+    gain_off: float
+    lag_s: float
+    gain_variance: float
+    lag_variance: float
+    gain_and_lag: float
+    relation_left: float
+    unlike: int
+    unlike_alone: int
     # The angle's way less the speed's, summed: a speed that leaves its own course bends it.
     apart: Annotated[Floats, RING]
     # The angle without its jumps, smoothed, and followed past its noise, at each of the last steps;
@@ -227,6 +244,9 @@ class Limits(NamedTuple):
     slow_leak: float
     slow_noise: float
     slow_rest: float
+    learn_every: int
+    relation_memory: float
+    related_steps: int
     creep_share: float
     zero_steps: int
     mean_share: float
@@ -263,7 +283,11 @@ def watch_anew(watch: Records) -> None:
     spread, residual, repeats, learnt = w.spread, w.residual, _each(w.repeats), _each(w.learnt)
     turns, equals, rested = _each(w.turns), _each(w.equals), _each(w.rested)
     both, paired = w.both, w.paired
+    sums = w.turned_square, w.turned_change, w.change_square, w.turned_slow, w.change_slow
+    known = w.gain_off, w.lag_s, w.gain_variance, w.lag_variance, w.gain_and_lag, w.relation_left
     copy(watch, 0, _NEW, 0)
+    w.turned_square, w.turned_change, w.change_square, w.turned_slow, w.change_slow = sums
+    w.gain_off, w.lag_s, w.gain_variance, w.lag_variance, w.gain_and_lag, w.relation_left = known
     w.spread, w.residual, w.started = spread, residual, 0
     w.both, w.paired = both, paired
     for i in range(COUNT):
@@ -284,6 +308,7 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
     slow, leak, share = SLOW_LEAK_PER_MS**step_ms, LEAK_PER_MS**step_ms, mean_share(step_s)
     by_angle, by_speed = mean_noise(leak, share, step_s)
     before = min(3 * window, WRAP - 1 - window)
+    learn_every, relation_memory, related_steps = relation_steps(step_s)
     return Limits(
         on=chosen.enabled,
         step_s=step_s,
@@ -315,6 +340,9 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
         slow_leak=slow,
         slow_noise=step_s**2 / (1.0 - slow**2),
         slow_rest=settings.dead_zone_rad_s * step_s / (1.0 - slow),
+        learn_every=learn_every,
+        relation_memory=relation_memory,
+        related_steps=related_steps,
         creep_share=smoothing(settings.creep_low_pass_hz, step_s),
         zero_steps=max(round(_ZERO_S / step_s), 1),
         mean_share=share,
@@ -440,6 +468,29 @@ def _learn_rest(w: Watch, i: int, change: float) -> None:
 
 
 @kernel
+def _miss(w: Watch, p: Limits, u: Inputs, turns: bool) -> None:
+    """A step with missing inputs; where the rotor still ``turns`` in sight, its way is followed."""
+    w.slip, w.path, w.gain = 0.0, 0.0, 0.0
+    w.mean_slip, w.mean_path, w.mean_gain = 0.0, 0.0, 0.0
+    w.slow, w.turned, w.slow_gain = 0.0, 0.0, 0.0
+    if turns and p.angle_seen and w.unbroken > 0:
+        follow_creep(w, p, u)
+        w.angle = u.motor_angle_rad
+    else:
+        w.pending_turn, w.pending_way, w.unbroken = 0.0, 0.0, 0
+
+
+@kernel
+def _speed_before(w: Watch, p: Limits, u: Inputs) -> float:
+    """The speed (rad/s) of the step before; where nothing was seen then, as it is now."""
+    if w.steps > 0 and w.hole == 0:
+        return float(w.speed[(w.steps - 1) & WRAP])
+    if w.unbroken == 0:
+        w.angle = u.motor_angle_rad - u.motor_speed_rad_s * p.step_s
+    return u.motor_speed_rad_s
+
+
+@kernel
 def judge_step(
     watch: Records, p: Limits, u: Inputs, seen: bool, missing: int, turns: bool
 ) -> tuple[int, bool]:
@@ -453,23 +504,12 @@ def judge_step(
     w = watch[0]
     parting, w.parted, w.parting = w.parting, 0, 0
     if missing != 0:
-        w.slip, w.path, w.gain = 0.0, 0.0, 0.0
-        w.mean_slip, w.mean_path, w.mean_gain = 0.0, 0.0, 0.0
-        w.slow, w.turned, w.slow_gain = 0.0, 0.0, 0.0
-        if turns and p.angle_seen and w.unbroken > 0:
-            follow_creep(w, p, u)
-            w.angle = u.motor_angle_rad
-        else:
-            w.pending_turn, w.pending_way, w.unbroken = 0.0, 0.0, 0
+        _miss(w, p, u, turns)
         blind(w, p, u.motor_speed_rad_s, missing & (_RANGE | _RATE) != 0)
         return latched(w, p), w.told > 0
     if not seen and w.unseen > p.bridged and w.steps > 0:  # drawn straight: nobody saw it
         lose_course(w)
-    before = w.speed[(w.steps - 1) & WRAP]
-    if w.steps == 0 or w.hole > 0:
-        before = u.motor_speed_rad_s
-        if w.unbroken == 0:
-            w.angle = u.motor_angle_rad - before * p.step_s
+    before = _speed_before(w, p, u)
     if w.hole > 0:
         bridge(w, p, u)
     in_the_dark(w, p, u.speed_periods > 1.0)

@@ -1,0 +1,124 @@
+"""Gain and lag between speed and angle: learnt, excused, and doubted where they change."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from eps_hil.estimation.batch import estimate
+from eps_hil.estimation.plausibility import judge_step, limits_of, new_watch, watch_anew
+from eps_hil.estimation.settings import EstimatorSettings, PlausibilitySettings
+from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.state import Records
+from eps_hil.estimation.stream import Trace
+from eps_hil.estimation.validity import Reason
+from eps_hil.physics.model import Model
+from eps_hil.series import Series
+
+NAMES = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "motor_angle_rad")
+OFF = EstimatorSettings(plausibility=PlausibilitySettings(enabled=False))
+NOISE_RAD, NOISE_RAD_S = 1e-3, 0.2
+
+
+def series_of(truth: Any) -> dict[str, Series]:
+    t_ns = np.round(truth.columns["time_s"] * 1e9).astype(np.int64)
+    return {name: Series(t_ns, truth.columns[name].copy()) for name in NAMES}
+
+
+def stops(truth: Any) -> list[int]:
+    """Samples at which the rotor comes to rest for a while out of a motion."""
+    speed = np.convolve(truth.columns[NAMES[2]], np.ones(5) / 5, "same")
+    slow, found = np.abs(speed) < 0.4, []
+    for i in range(4000, len(speed) - 800):
+        moved = np.abs(speed[i - 150 : i - 20]).max() > 3.0
+        if moved and slow[i : i + 60].all() and not slow[i - 1]:
+            found.append(i)
+    return found
+
+
+def wrong_and_valid_ms(trace: Trace, right: Trace) -> int:
+    """For how many milliseconds both were valid and more than 100 N apart."""
+    wrong = np.abs(trace.rack_force_n - right.rack_force_n) > 100.0
+    return int(np.count_nonzero(wrong & trace.valid & right.valid))
+
+
+@pytest.mark.parametrize("offset", [1.2, -1.2])
+def test_a_small_offset_of_the_speed_in_motion_is_told(
+    reference_model: Model, steps_truth: Any, offset: float
+) -> None:
+    """It leaves the bristle elsewhere as the rotor stops; a third of the way was once excused."""
+    right, believed = estimate(series_of(steps_truth), reference_model), 0
+    at = stops(steps_truth)
+    assert len(at) >= 4
+    for stop in at:
+        series = series_of(steps_truth)
+        since, until = stop - 290, stop + 10
+        series[NAMES[2]].value[since:until] += offset
+        trace = estimate(series, reference_model)
+        part = (trace.t_ns > since * 10**6) & (trace.t_ns < (until + 30) * 10**6)
+        assert np.any(trace.reason[part] & int(Reason.INCONSISTENT))
+        assert wrong_and_valid_ms(trace, right) <= 20
+        believed += wrong_and_valid_ms(estimate(series, reference_model, OFF), right)
+    assert believed > 100, "nothing to tell"
+
+
+def watched(
+    watch: Records,
+    model: Model,
+    gain: float,
+    late_steps: int,
+    seconds: float = 8.0,
+    offset: npt.NDArray[np.float64] | None = None,
+) -> npt.NDArray[np.bool_]:
+    """(n,) where a rotor is told that swings by ±20 rad/s; its speed reads ``gain`` times too much,
+    ``late_steps`` ms late."""
+    rng, limits = np.random.default_rng(1), limits_of(model, EstimatorSettings(), True)
+    n = round(seconds * 1e3)
+    t = np.arange(n + late_steps) * 1e-3
+    true = 20.0 * np.sin(2 * np.pi * 0.8 * t) + 4.0 * np.sin(2 * np.pi * 5.0 * t)
+    way = np.cumsum(0.5e-3 * (true + np.concatenate([[0.0], true[:-1]])))
+    angle = way[late_steps:] + NOISE_RAD * rng.standard_normal(n)
+    speed = gain * true[:n] + NOISE_RAD_S * rng.standard_normal(n)
+    speed += 0.0 if offset is None else offset
+    found = np.zeros(n, bool)
+    for k in range(n):
+        u = Inputs(0.0, 0.0, speed[k], angle[k], 0.0, 1e-6, NOISE_RAD_S**2, NOISE_RAD**2, 1.0, 1.0)
+        found[k] = judge_step(watch, limits, u, True, 0, True)[0] & int(Reason.INCONSISTENT) != 0
+    return found
+
+
+@pytest.mark.parametrize(("gain", "late_steps"), [(1.0, 0), (0.9, 3), (1.08, 2)])
+def test_gain_and_lag_of_the_rig_are_no_fault(
+    reference_model: Model, gain: float, late_steps: int
+) -> None:
+    """Residual: 1 − gain of the angle's way, and the lag times the speed's change."""
+    watch = new_watch()
+    assert not np.any(watched(watch, reference_model, gain, late_steps))
+    w = watch[0]
+    assert w.gain_off == pytest.approx(1.0 - gain, abs=0.003)
+    assert w.lag_s == pytest.approx(late_steps * 1e-3, abs=0.0002)
+    known = float(w.gain_off), float(w.lag_s), float(w.gain_variance)
+    watch_anew(watch)
+    assert (float(w.gain_off), float(w.lag_s), float(w.gain_variance)) == known
+
+
+def test_what_they_do_not_explain_is_told_and_not_learnt(reference_model: Model) -> None:
+    """An offset of 1 rad/s of a speed that reads 10 % too little: told while it lasts."""
+    watch = new_watch()
+    offset = np.where((np.arange(8000) >= 6000) & (np.arange(8000) < 7000), 1.0, 0.0)
+    found = watched(watch, reference_model, 0.9, 3, offset=offset)
+    assert not np.any(found[:6000])
+    assert np.mean(found[6200:7000]) > 0.5
+    assert not np.any(found[7600:])
+    assert watch[0].gain_off == pytest.approx(0.1, abs=0.005)
+
+
+def test_a_relation_that_changes_for_good_is_believed_in_the_end(reference_model: Model) -> None:
+    watch = new_watch()
+    assert not np.any(watched(watch, reference_model, 1.0, 0))
+    watch[0].angle = 0.0
+    found = watched(watch, reference_model, 0.92, 0, seconds=16.0)
+    assert np.any(found[500:5000])
+    assert not np.any(found[12_000:])
+    assert watch[0].gain_off == pytest.approx(0.08, abs=0.005)
