@@ -142,6 +142,7 @@ def bridge(
     jumped = jumped and rested and c.angle_seen
     s.parted = 0
     change = 0.0 if jumped else change
+    s.leapt += abs(change)
     if c.angle_seen and rested and not jumped:
         hidden = 0.0
     kept = abs(change) + hidden < end if rested else c.angle_seen and steady

@@ -61,8 +61,9 @@ class Moment:
     # it is (rad).
     wary: int
     wary_way: float
-    # Way by the speed since the first step (rad).
+    # Way by the speed since the first step, and sum of the angle's changes over held steps (rad).
     turned: float
+    leapt: float
     # The angle less its way without jumps, and by how much that has changed while held (rad).
     zero: float
     other_zero: float

@@ -189,8 +189,7 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool, bool]
         if why & _BAD:
             why |= m.watch[0].refused[i]
         reason |= why
-        if (i == SPEED or i == ANGLE) and why != 0:
-            turns = False
+        turns = turns and (why == 0 or i not in (SPEED, ANGLE))
         if i == TORQUE:
             torque = value
         elif i == SENSOR:
@@ -222,16 +221,22 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool, bool]
 def _go_back(m: Memory, c: Constants, x: Physics, u: Inputs, doubted: bool) -> None:
     """The state from before what is ``doubted`` now, carried along the angle's way since.
 
+    Where that way is not known, since the state is from before a hole, what is unknown of the
+    friction now stays so, and out and back again over holes is a way of which only the net is left.
     Where speed and angle part, it is moved by the angle; not where the angle jumped and the rotor
     rested by its speed: then the angle is wrong. A jump that is read half way may show as one only
     a step later.
     """
     w, s = m.watch[0], m.carried.moment[0]
     rolled, turned = doubted and s.running == RUNS, s.turned
+    unknown_nm, leapt = s.unknown_nm, s.leapt
     if rolled:
         roll_back(m.carried, m.kept)
     steps = 2 if s.held_steps == 1 else 1  # it is held since the step before
     carry(w, x, s, m.carried.rig[0], s.held_steps + 1 if rolled else steps)
+    if rolled and not s.carried:
+        lost = leapt - s.leapt - abs(u.motor_angle_rad - s.last_angle)
+        s.unknown_nm = max(s.unknown_nm, unknown_nm) + x.law.sigma0_nm_per_rad * max(lost, 0.0)
     if not doubted or not w.parted or s.running != HELD:
         return
     if rolled or s.parted == 0:

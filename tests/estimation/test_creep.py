@@ -98,6 +98,25 @@ def test_a_hole_of_the_torques_is_bent_by_a_way_out_and_back(
     assert at(trace, 3.4) == pytest.approx(at(right, 3.4), abs=50.0)
 
 
+def test_what_turned_back_in_a_hole_is_not_forgotten_with_a_doubt_after_it(
+    reference_model: Model,
+) -> None:
+    """The state from before the doubt is from before the hole: there and now the angle is one."""
+    series = out_and_back(0.015, out_s=0.02, back_s=0.025)
+    right = estimate(series, reference_model)
+    for name in NAMES:
+        t_ns, value = series[name].t_ns, series[name].value
+        if name == NAMES[2]:
+            value[1250:1290] -= 14.3
+        seen = (t_ns < 1.08e9) | (t_ns > 1.12e9)
+        series[name] = Series(t_ns[seen], value[seen])
+    trace = estimate(series, reference_model)
+    same = np.searchsorted(right.t_ns, trace.t_ns)
+    wrong = np.abs(trace.rack_force_n - right.rack_force_n[same]) > 100.0
+    assert np.any(trace.reason[trace.t_ns > 1.26e9] != 0)
+    assert not np.any(wrong & trace.valid & right.valid[same])
+
+
 def test_an_offset_that_hides_the_rotors_own_way_is_no_rest(reference_model: Model) -> None:
     """The angle is where it was, the rotor is not: seen by the jump that the way cannot explain."""
     series = out_and_back(0.0)
