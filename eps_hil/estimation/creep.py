@@ -8,7 +8,6 @@ is another zero.
 """
 
 import math
-from typing import TYPE_CHECKING
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation.compensation import CREEP_SIGMA
@@ -16,17 +15,14 @@ from eps_hil.estimation.levels import adapted_level_nm
 from eps_hil.estimation.setup import Inputs, Physics
 from eps_hil.estimation.state import HELD, Moment, Records, Rig
 from eps_hil.estimation.torque_jumps import take_friction
+from eps_hil.estimation.watch import CREPT_RING, Limits, Watch
 from eps_hil.physics.friction import bristle_step
 
-if TYPE_CHECKING:
-    from eps_hil.estimation.plausibility import Limits, Watch
-
-CREPT_RING = 1024
 _WRAP = CREPT_RING - 1
 
 
 @kernel
-def follow_creep(w: "Watch", p: "Limits", u: Inputs) -> None:
+def follow_creep(w: Watch, p: Limits, u: Inputs) -> None:
     """Take the angle of a step; what is drawn between lost samples counts at the next sample."""
     w.pending_turn += u.motor_angle_rad - w.angle
     w.pending_way += u.motor_speed_rad_s * p.step_s
@@ -52,7 +48,7 @@ def follow_creep(w: "Watch", p: "Limits", u: Inputs) -> None:
 
 
 @kernel
-def carry(w: "Watch", x: Physics, s: Moment, r: Rig, steps: int) -> None:
+def carry(w: Watch, x: Physics, s: Moment, r: Rig, steps: int) -> None:
     """Bend the bristle of a held state along the way of the last ``steps`` steps."""
     if s.running != HELD or not s.carried:
         return

@@ -6,14 +6,9 @@ how much is learnt while samples come, and a jump that is no larger than that sa
 as after a hole that is too long to be bridged, what may have begun unseen is waited for.
 """
 
-from typing import TYPE_CHECKING
-
 from eps_hil.compiled import kernel
-from eps_hil.estimation.speed_and_angle import WRAP
 from eps_hil.estimation.validity import Reason
-
-if TYPE_CHECKING:
-    from eps_hil.estimation.plausibility import Limits, Watch
+from eps_hil.estimation.watch import WRAP, Limits, Watch
 
 _SETTLING = int(Reason.SETTLING)
 _SUDDEN = 0.7
@@ -31,7 +26,7 @@ _SIGMA = 2.0
 
 
 @kernel
-def unseen(w: "Watch", p: "Limits") -> int:
+def unseen(w: Watch, p: Limits) -> int:
     """Settling while a torque may be wrong since a time at which nobody looked.
 
     Whatever began to be wrong in a hole of the inputs is not seen; only its end would be, and for
@@ -50,14 +45,14 @@ def unseen(w: "Watch", p: "Limits") -> int:
 
 
 @kernel
-def lose_course(w: "Watch") -> None:
+def lose_course(w: Watch) -> None:
     """Nobody knows how the torque should go on: it is looked at anew from here."""
     w.missed_now, w.started = 1, 0
     w.steps, w.missed, w.hole, w.guesses, w.hole_first = 0, 1, 0, 0, -1
 
 
 @kernel
-def blind(w: "Watch", p: "Limits", speed: float, refused: bool) -> None:
+def blind(w: Watch, p: Limits, speed: float, refused: bool) -> None:
     """Inputs are missing: for longer than a bridge carries, the torque's course is lost.
 
     A hole goes on where inputs come but no torque is seen between two of them. The course is lost,
@@ -71,7 +66,7 @@ def blind(w: "Watch", p: "Limits", speed: float, refused: bool) -> None:
 
 
 @kernel
-def in_the_dark(w: "Watch", p: "Limits", drawn: bool) -> None:
+def in_the_dark(w: Watch, p: Limits, drawn: bool) -> None:
     """Count the steps of a hole of the speed, ``drawn`` straight from its one end to the other.
 
     Friction that turns over in it is given back in its own time (``add_pace``), and bends the
@@ -85,7 +80,7 @@ def in_the_dark(w: "Watch", p: "Limits", drawn: bool) -> None:
 
 
 @kernel
-def course(w: "Watch", p: "Limits", torque: float, noise: float, seen: bool) -> float:
+def course(w: Watch, p: Limits, torque: float, noise: float, seen: bool) -> float:
     """``torque`` (Nm) of this step, or how it would have gone on where it was not seen.
 
     What it did in a short hole is one jump at its end then, which the motion confirms or not; after
@@ -112,14 +107,14 @@ def course(w: "Watch", p: "Limits", torque: float, noise: float, seen: bool) -> 
 
 
 @kernel
-def _strays(w: "Watch", p: "Limits", off: float, noise: float, k: int) -> bool:
+def _strays(w: Watch, p: Limits, off: float, noise: float, k: int) -> bool:
     """Whether a torque ``off`` (Nm) the guess of step ``k`` is more than noise and guessing."""
     least = max(p.jump * noise, _SIGMA**2 * w.doubt[k & WRAP])
     return off * off > least and abs(off) * p.ratio > UNEXPLAINED_N
 
 
 @kernel
-def guessed(w: "Watch", p: "Limits", noise: float) -> float:
+def guessed(w: Watch, p: Limits, noise: float) -> float:
     """The torque (Nm) of the next step in a hole, as its course was, and how wrong that may be.
 
     The course may bend meanwhile, and its slope is that of noisy torques, or of a guess where the
@@ -138,7 +133,7 @@ def guessed(w: "Watch", p: "Limits", noise: float) -> float:
 
 
 @kernel
-def _jumps(w: "Watch", p: "Limits", noise: float) -> bool:
+def _jumps(w: Watch, p: Limits, noise: float) -> bool:
     """Whether the torque of the last window is no slope but a jump, which is not judged yet."""
     n, k, t, most = p.window, w.steps - 1, w.torque, 0.0
     if k < 2 * n:
@@ -150,7 +145,7 @@ def _jumps(w: "Watch", p: "Limits", noise: float) -> bool:
 
 
 @kernel
-def learn_swing(w: "Watch", p: "Limits") -> None:
+def learn_swing(w: Watch, p: Limits) -> None:
     """How far the torque leaves its course by itself within a window: the largest square (Nm²) of
     its second difference in the last half second or so, of torques that were seen."""
     n, m, t, doubt = p.window, w.steps - 1 - p.window, w.torque, w.doubt
@@ -161,7 +156,7 @@ def learn_swing(w: "Watch", p: "Limits") -> None:
 
 
 @kernel
-def undecided(w: "Watch", p: "Limits", edge: float) -> bool:
+def undecided(w: Watch, p: Limits, edge: float) -> bool:
     """Whether a jump of ``edge`` (Nm), a window ago, may be no more than where a guess ended."""
     m, most = w.steps - 1 - p.window, 0.0
     for j in range(p.edge):

@@ -12,7 +12,7 @@ from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment, levels
 from eps_hil.estimation.creep import carry, slide_on
 from eps_hil.estimation.gap import misled
-from eps_hil.estimation.plausibility import judge_sample, judge_step, new_watch, watch_anew
+from eps_hil.estimation.plausibility import judge_sample, judge_step
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
     HELD,
@@ -40,6 +40,7 @@ from eps_hil.estimation.stream_timing import (
 )
 from eps_hil.estimation.torque_jumps import take_friction
 from eps_hil.estimation.validity import Reason
+from eps_hil.estimation.watch import new_watch, watch_anew
 
 _LOST = np.array(
     [

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.estimation.plausibility import Limits, limits_of
+from eps_hil.estimation.plausibility import limits_of
 from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.watch import Limits
 from eps_hil.physics.model import Model
 from eps_hil.signals import ESTIMATOR_INPUTS
 

@@ -7,7 +7,6 @@ found to be unexplained*, so that the end of a wrong torque looks like its begin
 """
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -23,12 +22,9 @@ from eps_hil.estimation.holes import (
     undecided,
 )
 from eps_hil.estimation.setup import Inputs
-from eps_hil.estimation.speed_and_angle import WRAP
 from eps_hil.estimation.state import Records
 from eps_hil.estimation.validity import Reason
-
-if TYPE_CHECKING:
-    from eps_hil.estimation.plausibility import Limits, Watch
+from eps_hil.estimation.watch import WRAP, Limits, Watch
 
 _INCONSISTENT = int(Reason.INCONSISTENT)
 _FOLLOWS = 0.3
@@ -94,7 +90,7 @@ def due_noise(n: int, step_s: float, inverse_inertia: float) -> float:
 
 
 @kernel
-def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
+def watch_jump(w: Watch, p: Limits, u: Inputs) -> None:
     """Look at the torque of ``window`` steps ago: did it jump there, and did the rotor follow?"""
     n, k = p.window, w.steps - 1
     if k < 2 * n:
@@ -140,7 +136,7 @@ def watch_jump(w: "Watch", p: "Limits", u: Inputs) -> None:
 
 
 @kernel
-def _residual(w: "Watch", p: "Limits") -> tuple[float, float]:
+def _residual(w: Watch, p: Limits) -> tuple[float, float]:
     """Bend of the speed a window ago less that which the torques make, and that of the torques.
 
     In rad/s, over a longer time before it than :func:`watch_jump` looks at: what the torque does to
@@ -160,7 +156,7 @@ def _residual(w: "Watch", p: "Limits") -> tuple[float, float]:
 
 
 @kernel
-def _seen_for_long(w: "Watch", p: "Limits") -> bool:
+def _seen_for_long(w: Watch, p: Limits) -> bool:
     """Whether all that :func:`_residual` looks at was seen."""
     length = p.swing_before + p.window
     if w.steps <= length or w.dark > 0:
@@ -172,7 +168,7 @@ def _seen_for_long(w: "Watch", p: "Limits") -> bool:
 
 
 @kernel
-def _learn_residual(w: "Watch", p: "Limits") -> None:
+def _learn_residual(w: Watch, p: Limits) -> None:
     """How large :func:`_residual` is by itself (mean square); looked at every few steps."""
     if w.steps % p.swing_every or not _seen_for_long(w, p):
         return
@@ -183,7 +179,7 @@ def _learn_residual(w: "Watch", p: "Limits") -> None:
 
 
 @kernel
-def _alone(w: "Watch", p: "Limits", u: Inputs, edge: float) -> bool:
+def _alone(w: Watch, p: Limits, u: Inputs, edge: float) -> bool:
     """Whether a torque that left its course by ``edge`` (Nm) amid a swing was not followed."""
     if not _seen_for_long(w, p):
         return False
@@ -222,7 +218,7 @@ def _contradict(done: float, bent: float, due: float, limit: float) -> bool:
 
 
 @kernel
-def add_pace(w: "Watch", p: "Limits") -> None:
+def add_pace(w: Watch, p: Limits) -> None:
     """The speed of the newest step, with what the friction's changes took from it given back.
 
     Friction that turns over where the rotor does bends the speed's course as much as a torque that
@@ -242,13 +238,13 @@ def take_friction(watch: Records, friction_nm: float, known: bool, bristle: floa
 
 
 @kernel
-def _leaves(p: "Limits", u: Inputs, edge: float) -> bool:
+def _leaves(p: Limits, u: Inputs, edge: float) -> bool:
     """Whether a torque that is ``edge`` (Nm) off its course has left it, beyond size and noise."""
     return abs(edge) * p.ratio >= UNEXPLAINED_N and edge * edge >= p.jump * u.drive_noise
 
 
 @kernel
-def _edge(w: "Watch", p: "Limits", u: Inputs) -> tuple[float, float]:
+def _edge(w: Watch, p: Limits, u: Inputs) -> tuple[float, float]:
     """Slope of the torque before ``window`` steps ago (Nm a step), and how far it left it there.
 
     A spike makes no slope: while its beginning is in the window that the slope is taken from, the
@@ -269,7 +265,7 @@ def _edge(w: "Watch", p: "Limits", u: Inputs) -> tuple[float, float]:
 
 
 @kernel
-def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> None:
+def _found(w: Watch, p: Limits, base: float, slope: float, level: float) -> None:
     """Take a jump that nothing followed out of the ring; ``level`` (Nm) is what is left of it.
 
     What is left of a jump that went back, or of a spike, may be what the course did meanwhile: it
@@ -308,14 +304,14 @@ def _found(w: "Watch", p: "Limits", base: float, slope: float, level: float) -> 
 
 
 @kernel
-def forget_unexplained(w: "Watch") -> None:
+def forget_unexplained(w: Watch) -> None:
     """Believe the torque again as it is."""
     w.torque += w.unexplained_nm
     w.unexplained_nm = 0.0
 
 
 @kernel
-def latched(w: "Watch", p: "Limits") -> int:
+def latched(w: Watch, p: Limits) -> int:
     """Inconsistent while a jump that nothing followed stays, or is too near in the past.
 
     So is a signal that stood still: it may be late since. Where inputs were missing the torque may
@@ -335,7 +331,7 @@ def latched(w: "Watch", p: "Limits") -> int:
 
 
 @kernel
-def bridge(w: "Watch", p: "Limits", u: Inputs) -> None:
+def bridge(w: Watch, p: Limits, u: Inputs) -> None:
     """Fill a hole of some steps: the torque as in :func:`course`, the speed as measured.
 
     Where the speed is missing too, it is interpolated.

@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eps_hil.estimation.batch import estimate
-from eps_hil.estimation.creep import CREPT_RING, carry, follow_creep
-from eps_hil.estimation.plausibility import limits_of, new_watch
+from eps_hil.estimation.creep import carry, follow_creep
+from eps_hil.estimation.plausibility import limits_of
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Inputs, physics_of
 from eps_hil.estimation.state import HELD, new_carried
 from eps_hil.estimation.stream import Trace
+from eps_hil.estimation.watch import CREPT_RING, new_watch
 from eps_hil.physics.friction import bristle_step, static_level_nm
 from eps_hil.physics.model import Model
 from eps_hil.series import Series

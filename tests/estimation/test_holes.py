@@ -7,10 +7,11 @@ import pytest
 
 from eps_hil.estimation.alignment import RING, push_sample, read_between
 from eps_hil.estimation.batch import estimate
-from eps_hil.estimation.plausibility import judge_step, limits_of, new_watch
+from eps_hil.estimation.plausibility import judge_step, limits_of
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.validity import Reason
+from eps_hil.estimation.watch import new_watch
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from eps_hil.estimation.batch import estimate
-from eps_hil.estimation.plausibility import judge_sample, judge_step, limits_of, new_watch
+from eps_hil.estimation.plausibility import judge_sample, judge_step, limits_of
 from eps_hil.estimation.settings import EstimatorSettings, PlausibilitySettings
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.stream import Trace
 from eps_hil.estimation.torque_jumps import _found, latched
 from eps_hil.estimation.validity import Reason
+from eps_hil.estimation.watch import new_watch
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 

@@ -1,0 +1,116 @@
+"""Signals that stand still: a run of equal samples that is too long to be an accident.
+
+How often neighbours are equal is learnt of every signal, while the rotor moves and while it rests.
+"""
+
+import math
+
+from eps_hil.compiled import kernel
+from eps_hil.estimation.watch import Limits, Watch
+
+_TORQUE, _SENSOR = range(2)
+_REPEATS_MEMORY, _LEARNT = 256, 32
+_NO_ACCIDENT = math.log(1e-9)
+"""A run of equal samples that is less likely than this, by how often neighbours are equal."""
+_TURNS = 0.9
+"""The most that may be known of how often noise turns back; white noise does at two of three."""
+_WHITE_TURNS, _MOSTLY_NOISE = 2.0 / 3.0, 0.4
+_EQUAL_NOISE = 0.03
+"""The least that is taken for how often two samples of noise are equal."""
+_NONE_OF = 3.0
+"""What none of n was may be as often as 3 of n (95 %)."""
+
+
+@kernel
+def take_equal(w: Watch, p: Limits, i: int, before: float, v: float) -> None:
+    """Count a sample of signal ``i`` that is equal to the one before, or is not, and judge it."""
+    if v != before:
+        _learn_rest(w, i, v - before)
+        w.same[i] = 0
+    elif w.moving:
+        w.same[i] += 1
+    else:
+        w.still[i] += 1
+    if w.moving and w.same[i] < p.frozen_samples:
+        w.learnt[i] = min(w.learnt[i] + 1, _REPEATS_MEMORY)
+        w.repeats[i] += ((1.0 if v == before else 0.0) - w.repeats[i]) / w.learnt[i]
+    _judge_frozen(w, p, i, v != 0.0)
+
+
+@kernel
+def _judge_frozen(w: Watch, p: Limits, i: int, on: bool) -> None:
+    """Whether signal ``i`` stands still, by how likely its run of equal samples is an accident."""
+    moved, rested = 0.0, 0.0
+    if on and w.learnt[i] >= _LEARNT and w.same[i] >= p.frozen_samples:
+        moved = w.same[i] * math.log(max(w.repeats[i], 1e-3))
+    if on and w.rested[i] >= _LEARNT:
+        noise = _is_noise(w, i)  # it does not end because the rotor moves
+        if w.still[i] + (w.same[i] if noise else 0) >= p.frozen_samples:
+            equal = _equal_at_rest(w, i)
+            rested = w.still[i] * math.log(equal)
+            if noise:
+                learnt = w.repeats[i] if w.learnt[i] >= _LEARNT else 0.0
+                rested += w.same[i] * math.log(max(equal, learnt))
+    w.frozen[i] = 1 if min(moved, rested) < _NO_ACCIDENT else 0
+    if i <= _SENSOR and w.last_ns[_TORQUE] == w.last_ns[_SENSOR]:
+        _judge_both(w, p)
+
+
+@kernel
+def _is_noise(w: Watch, i: int) -> bool:
+    """Whether torque ``i`` turns back at rest as noise does."""
+    return i <= _SENSOR and min(w.turns[i], _TURNS) > _MOSTLY_NOISE
+
+
+@kernel
+def _equal_at_rest(w: Watch, i: int) -> float:
+    """The most by which two neighbours of signal ``i`` may be equal at rest, by accident."""
+    turns = min(w.turns[i], _TURNS)
+    equal = 1.0 - turns
+    if _is_noise(w, i):  # what is equal there is so for all its noise
+        least = max(_EQUAL_NOISE, _NONE_OF / w.rested[i])
+        equal = min(equal, max(w.equals[i] * _WHITE_TURNS / turns, least))
+    return equal
+
+
+@kernel
+def _equal_by_accident(w: Watch, i: int) -> float:
+    """How often neighbours of torque ``i`` are equal as the rotor moves or rests; 1: unknown."""
+    if w.last[i] == 0.0:
+        return 1.0
+    if w.moving:
+        return max(w.repeats[i], 1e-3) if w.learnt[i] >= _LEARNT else 1.0
+    return _equal_at_rest(w, i) if w.rested[i] >= _LEARNT else 1.0
+
+
+@kernel
+def _judge_both(w: Watch, p: Limits) -> None:
+    """Whether both torques stand still: noises of two sensors are seldom equal at once.
+
+    How often they are is also learnt, for a sender that now and then sends both once more.
+    """
+    run = min(w.same[_TORQUE] + w.still[_TORQUE], w.same[_SENSOR] + w.still[_SENSOR])
+    if run < p.frozen_samples:
+        w.paired = min(w.paired + 1, _REPEATS_MEMORY)
+        w.both += ((1.0 if run > 0 else 0.0) - w.both) / w.paired
+        return
+    rate = _equal_by_accident(w, _TORQUE) * _equal_by_accident(w, _SENSOR)
+    rate = max(rate, w.both)
+    if w.paired >= _LEARNT and run * math.log(rate) < _NO_ACCIDENT:
+        w.frozen[_TORQUE] = w.frozen[_SENSOR] = 1
+
+
+@kernel
+def _learn_rest(w: Watch, i: int, change: float) -> None:
+    """How often signal ``i`` turns back at rest, and how often it repeats itself there.
+
+    Noise turns back at two of three samples. A quantised signal without noise stands still with the
+    rotor, and a creeping one goes one way: of these nothing is learnt that could be missed.
+    """
+    if not w.moving and not w.frozen[i]:
+        n = min(w.still[i] + 1, _REPEATS_MEMORY)
+        w.rested[i] = min(w.rested[i] + n, _REPEATS_MEMORY)
+        turned = 1.0 if change * w.change[i] < 0.0 else 0.0
+        w.turns[i] += (turned / n - w.turns[i]) * n / w.rested[i]
+        w.equals[i] += ((n - 1.0) / n - w.equals[i]) * n / w.rested[i]
+    w.still[i], w.change[i] = 0, change
