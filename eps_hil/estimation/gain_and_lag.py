@@ -16,9 +16,14 @@ LOW_SCALE = SCALE / (1.0 - SCALE)
 """The same gain, in parts of the angle's way."""
 MOST = 1.5
 """Tolerances that the slow residual may grow to: it is to be over soon after the fault."""
-_LEARN_S, _LEARN_MOTION_S, _RELATED_FOR_S = 0.02, 4.0, 2.0
+_MOST_LEARNT = 1.1
+"""The same where gain and lag are known: tolerance and residual decay together after a motion."""
+_LEARN_S, _LEARN_MOTION_S, _RELATED_FOR_S = 0.02, 4.0, 1.7
 """How often gain and lag between speed and angle are learnt, in motion; over how much of it; for
 how long they may doubt alone: then it is they that have changed."""
+_LEAST_LOOKS, _FORGOTTEN_S = 25, 0.8
+"""Looks after which gain and lag are known; what is left of a doubt in sums over 100 ms after so
+long is nothing."""
 _LEAST_GAIN, _LEAST_LAG_S = 0.002, 0.0001
 """What is left to gain and lag (rms) however well they are known."""
 _LEARNT = 0.5
@@ -54,12 +59,12 @@ def unlike(w: Watch, p: Limits, noise: float) -> bool:
     They excuse a third of the way before they are known. ``noise``: variance of the residual
     (rad²) at rest. A relation that changes for good is learnt anew.
     """
-    if w.dark > 0 or w.gain_variance == 0.0:
+    if w.dark > 0 or w.looks < _LEAST_LOOKS:
         return False
     off, tolerance = _off_relation(w, p, noise)
     if abs(off) < tolerance:
         return False
-    most = math.copysign(min(abs(off), MOST * tolerance), off)
+    most = math.copysign(min(abs(off), _MOST_LEARNT * tolerance), off)
     w.slow += most - off
     off = most
     said, turned = w.turned - off, w.turned
@@ -83,7 +88,7 @@ def _forget_relation(w: Watch) -> None:
     """Gain and lag are as unknown as at the beginning."""
     w.turned_square = w.turned_change = w.change_square = 0.0
     w.turned_slow = w.change_slow = w.relation_left = 0.0
-    w.gain_variance, w.unlike_alone = 0.0, 0
+    w.gain_variance, w.looks, w.unlike_alone = 0.0, 0, 0
 
 
 @kernel
@@ -101,7 +106,8 @@ def learn_relation(w: Watch, p: Limits, u: Inputs) -> None:
         return
     keep, turned, change = p.relation_memory, w.turned, w.slow_gain
     variance = noise + (_LEAST_GAIN * turned) ** 2 + (_LEAST_LAG_S * change) ** 2
-    if w.gain_variance > 0.0:
+    w.looks += 1
+    if w.looks > _LEAST_LOOKS:
         off, tolerance = _off_relation(w, p, noise)
         if abs(off) > _LEARNT * tolerance:
             _doubt_relation(w, p, p.learn_every)
@@ -124,9 +130,9 @@ def learn_relation(w: Watch, p: Limits, u: Inputs) -> None:
     w.gain_variance, w.lag_variance, w.gain_and_lag = c / whole, a / whole, -b / whole
 
 
-def relation_steps(step_s: float) -> tuple[int, float, int]:
-    """Steps between two looks at gain and lag, what is kept from one to the next, and for how many
-    steps they may doubt alone."""
+def relation_steps(step_s: float) -> tuple[int, float, int, int]:
+    """Steps between two looks at gain and lag, what is kept from one to the next, for how many
+    steps they may doubt alone, and for how many a doubt is not forgotten."""
     every = max(round(_LEARN_S / step_s), 1)
     keep = math.exp(-every * step_s / _LEARN_MOTION_S)
-    return every, keep, round(_RELATED_FOR_S / step_s)
+    return every, keep, round(_RELATED_FOR_S / step_s), round(_FORGOTTEN_S / step_s)

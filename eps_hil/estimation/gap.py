@@ -31,16 +31,22 @@ def still_unknown(unknown_nm: float, slip_rad: float, level_nm: float, sigma0: f
 
 
 @kernel
+def lose_way(x: Physics, s: Moment, r: Rig, way_rad: float) -> None:
+    """The rotor went ``way_rad`` out and back again, nobody knows how far each way."""
+    sigma0, load = x.law.sigma0_nm_per_rad, s.local * s.force
+    most = max(adapted_level_nm(x, r, 1.0, load), adapted_level_nm(x, r, -1.0, load))
+    anything = sigma0 * abs(s.bristle) + most
+    s.unknown_nm = min(s.unknown_nm + sigma0 * max(way_rad, 0.0), anything)
+
+
+@kernel
 def misled(x: Physics, s: Moment, r: Rig) -> None:
     """A torque that was doubted, and estimated on with, was wrong: what that made of the bristle.
 
     T_fs follows the load, and the load was taken from that torque: the way since then bent the
     bristle towards another end than its own.
     """
-    sigma0, load = x.law.sigma0_nm_per_rad, s.local * s.force
-    most = max(adapted_level_nm(x, r, 1.0, load), adapted_level_nm(x, r, -1.0, load))
-    anything = sigma0 * abs(s.bristle) + most
-    s.unknown_nm = min(s.unknown_nm + sigma0 * s.wary_way, anything)
+    lose_way(x, s, r, s.wary_way)
     s.wary_way = 0.0
 
 

@@ -71,7 +71,7 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
     slow, leak, share = SLOW_LEAK_PER_MS**step_ms, LEAK_PER_MS**step_ms, mean_share(step_s)
     by_angle, by_speed = mean_noise(leak, share, step_s)
     before = min(3 * window, WRAP - 1 - window)
-    learn_every, relation_memory, related_steps = relation_steps(step_s)
+    learn_every, memory, related_steps, forgotten_steps = relation_steps(step_s)
     return Limits(
         on=chosen.enabled,
         step_s=step_s,
@@ -104,8 +104,9 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
         slow_noise=step_s**2 / (1.0 - slow**2),
         slow_rest=settings.dead_zone_rad_s * step_s / (1.0 - slow),
         learn_every=learn_every,
-        relation_memory=relation_memory,
+        relation_memory=memory,
         related_steps=related_steps,
+        forgotten_steps=forgotten_steps,
         creep_share=smoothing(settings.creep_low_pass_hz, step_s),
         zero_steps=max(round(_ZERO_S / step_s), 1),
         mean_share=share,

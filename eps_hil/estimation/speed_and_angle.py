@@ -56,7 +56,7 @@ def angle_off(w: Watch, p: Limits, u: Inputs, before: float) -> int:
     if not (abs(w.slip) > tolerance or on_average or alone or jumped):
         learn_relation(w, p, u)
         return 0
-    w.unlike = p.told_steps
+    w.unlike = p.forgotten_steps
     return SUDDEN if abs(apart) > p.sudden_turn else 1
 
 

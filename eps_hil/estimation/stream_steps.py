@@ -11,7 +11,7 @@ import numpy.typing as npt
 from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment, levels
 from eps_hil.estimation.creep import carry, slide_on
-from eps_hil.estimation.gap import misled
+from eps_hil.estimation.gap import lose_way, misled
 from eps_hil.estimation.plausibility import judge_sample, judge_step
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
@@ -237,7 +237,8 @@ def _go_back(m: Memory, c: Constants, x: Physics, u: Inputs, doubted: bool) -> N
     carry(w, x, s, m.carried.rig[0], s.held_steps + 1 if rolled else steps)
     if rolled and not s.carried:
         lost = leapt - s.leapt - abs(u.motor_angle_rad - s.last_angle)
-        s.unknown_nm = max(s.unknown_nm, unknown_nm) + x.law.sigma0_nm_per_rad * max(lost, 0.0)
+        s.unknown_nm = max(s.unknown_nm, unknown_nm)
+        lose_way(x, s, m.carried.rig[0], lost)
     if not doubted or not w.parted or s.running != HELD:
         return
     if rolled or s.parted == 0:

@@ -126,7 +126,8 @@ class Watch:
     slow_gain: float
     # Gain and lag that this rig was seen to have in them: sums of their least squares, what they
     # are, their covariance (0: unknown), and the mean square of what they leave, in parts of what
-    # is expected of it; for how many steps more nothing is learnt, and for how many they doubt.
+    # is expected of it; how often they were looked at; for how many steps more nothing is
+    # learnt, and for how many they doubt.
     turned_square: float
     turned_change: float
     change_square: float
@@ -138,6 +139,7 @@ class Watch:
     lag_variance: float
     gain_and_lag: float
     relation_left: float
+    looks: int
     unlike: int
     unlike_alone: int
     # The angle's way less the speed's, summed: a speed that leaves its own course bends it.
@@ -195,6 +197,7 @@ class Limits(NamedTuple):
     learn_every: int
     relation_memory: float
     related_steps: int
+    forgotten_steps: int
     creep_share: float
     zero_steps: int
     mean_share: float
@@ -233,9 +236,11 @@ def watch_anew(watch: Records) -> None:
     both, paired = w.both, w.paired
     sums = w.turned_square, w.turned_change, w.change_square, w.turned_slow, w.change_slow
     known = w.gain_off, w.lag_s, w.gain_variance, w.lag_variance, w.gain_and_lag, w.relation_left
+    looks = w.looks
     copy(watch, 0, _NEW, 0)
     w.turned_square, w.turned_change, w.change_square, w.turned_slow, w.change_slow = sums
     w.gain_off, w.lag_s, w.gain_variance, w.lag_variance, w.gain_and_lag, w.relation_left = known
+    w.looks = looks
     w.spread, w.residual, w.started = spread, residual, 0
     w.both, w.paired = both, paired
     for i in range(COUNT):

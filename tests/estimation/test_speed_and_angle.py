@@ -71,15 +71,19 @@ def watched(
     late_steps: int,
     seconds: float = 8.0,
     offset: npt.NDArray[np.float64] | None = None,
+    rest_s: float = 0.0,
+    jump_rad: float = 0.0,
 ) -> npt.NDArray[np.bool_]:
     """(n,) where a rotor is told that swings by ±20 rad/s; its speed reads ``gain`` times too much,
-    ``late_steps`` ms late."""
+    ``late_steps`` ms late. It rests for ``rest_s``, and its angle jumps meanwhile for 0.13 s."""
     rng, limits = np.random.default_rng(1), limits_of(model, EstimatorSettings(), True)
     n = round(seconds * 1e3)
     t = np.arange(n + late_steps) * 1e-3
     true = 20.0 * np.sin(2 * np.pi * 0.8 * t) + 4.0 * np.sin(2 * np.pi * 5.0 * t)
+    true[t < rest_s] = 0.0
     way = np.cumsum(0.5e-3 * (true + np.concatenate([[0.0], true[:-1]])))
     angle = way[late_steps:] + NOISE_RAD * rng.standard_normal(n)
+    angle[(t[:n] > 0.3) & (t[:n] < 0.43)] += jump_rad
     speed = gain * true[:n] + NOISE_RAD_S * rng.standard_normal(n)
     speed += 0.0 if offset is None else offset
     found = np.zeros(n, bool)
@@ -102,6 +106,15 @@ def test_gain_and_lag_of_the_rig_are_no_fault(
     known = float(w.gain_off), float(w.lag_s), float(w.gain_variance)
     watch_anew(watch)
     assert (float(w.gain_off), float(w.lag_s), float(w.gain_variance)) == known
+
+
+def test_an_angle_that_jumps_teaches_nothing(reference_model: Model) -> None:
+    """What is left of it in sums over 100 ms was taken for a gain: 0.4 s of motion were doubted."""
+    watch = new_watch()
+    found = watched(watch, reference_model, 1.0, 0, rest_s=1.2, jump_rad=1.71)
+    assert np.any(found[300:450])
+    assert not np.any(found[700:])
+    assert watch[0].gain_off == pytest.approx(0.0, abs=0.003)
 
 
 def test_what_they_do_not_explain_is_told_and_not_learnt(reference_model: Model) -> None:
