@@ -61,6 +61,9 @@ def unlike(w: Watch, p: Limits, noise: float) -> bool:
     """
     if w.dark > 0 or w.looks < _LEAST_LOOKS:
         return False
+    off = w.slow - w.gain_off * w.turned - w.lag_s * w.slow_gain
+    if off * off < p.jump * noise:  # mostly: the rest is for what may be a fault
+        return False
     off, tolerance = _off_relation(w, p, noise)
     if abs(off) < tolerance:
         return False

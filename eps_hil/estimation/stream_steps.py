@@ -190,7 +190,8 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool, bool]
         if why & _BAD:
             why |= m.watch[0].refused[i]
         reason |= why
-        turns = turns and (why == 0 or i not in (SPEED, ANGLE))
+        if why != 0 and i in (SPEED, ANGLE):
+            turns = False
         if i == TORQUE:
             torque = value
         elif i == SENSOR:
