@@ -85,6 +85,7 @@ def _doubtful(source: Path) -> bytes:
     Python knows a text by its length and the second of its last change. Of two changes within one
     second the bytecode may be the first one's, which the name of the folder would vouch for.
     """
+    # none there, not ours to remove, or a Python that keeps none: then nothing can be stale here
     with contextlib.suppress(OSError, NotImplementedError):
         kept = Path(importlib.util.cache_from_source(str(source)))
         changed, written = source.stat().st_mtime_ns, kept.stat().st_mtime_ns

@@ -72,7 +72,7 @@ def test_two_changes_within_a_second_leave_no_stale_machine_code(
     os.utime(kept, ns=(moment_ns + 200_000_000,) * 2)
     source.write_text(KERNEL)
     os.utime(source, ns=(moment_ns + 600_000_000,) * 2)
-    if first == "eps_hil.kernel":  # it runs as it was, once, like any module in Python
+    if first == "eps_hil.kernel":  # Python runs its stale bytecode once, as of any module
         asked = f"import {first}; print({first}.bare(2.0))"
         place = {"HOME": str(tmp_path), "PYTHONPATH": str(read_only_install)}
         words = [sys.executable, "-c", asked]

@@ -125,7 +125,7 @@ class Watch:
     turned: float
     slow_gain: float
     # Gain and lag that this rig was seen to have in them: sums of their least squares, what they
-    # are, their covariance (0: unknown), and the mean square of what they leave, in parts of what
+    # are, their covariance, and the mean square of what they leave, in parts of what
     # is expected of it; how often they were looked at; for how many steps more nothing is
     # learnt, and for how many they doubt.
     turned_square: float
