@@ -24,6 +24,7 @@ LEAST_S, LONGEST_S = 8.0, 900.0
 """A stretch that is worth a diagnosis; and what one order may hold on to memory and time for."""
 COMMAND = (sys.executable, "-m", "eps_hil.dashboard.stretch")
 _KEPT = 12
+_END_S = 5.0
 _ONE_CORE = {
     name: "1"
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -56,6 +57,7 @@ class Diagnoses:
         self._folder = tempfile.TemporaryDirectory(prefix="eps_hil-page-")
         self._process: asyncio.subprocess.Process | None = None
         self._task: asyncio.Task[None] | None = None
+        self._ends: set[asyncio.Task[None]] = set()
         self._running: dict[str, Any] | None = None
         self._found: list[dict[str, Any]] = []
         self._said = ""
@@ -102,6 +104,8 @@ class Diagnoses:
             self._task.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._task
+        if self._ends:
+            await asyncio.wait(self._ends, timeout=_END_S)
         self._folder.cleanup()
 
     def _against(self, store: Store, begin_s: float, end_s: float) -> str:
@@ -182,11 +186,16 @@ class Diagnoses:
         return "the diagnosis ended without a result; eps-hil diagnose on a recording says more"
 
     def _end(self) -> None:
-        """Now: nobody waits for it."""
+        """Now; only :meth:`close` waits until it is gone, with its pipes."""
         process, self._process = self._process, None
-        if process is not None and process.returncode is None:
+        if process is None:
+            return
+        if process.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
+        end = asyncio.get_running_loop().create_task(_gone(process))
+        self._ends.add(end)
+        end.add_done_callback(self._ends.discard)
 
     def _keep(self, order: Order, running: dict[str, Any]) -> None:
         content = json.loads((Path(order.folder) / RESULT).read_text(encoding="utf-8"))
@@ -197,3 +206,9 @@ class Diagnoses:
     def _say(self, text: str) -> None:
         self._said = text
         self.number += 1
+
+
+async def _gone(process: asyncio.subprocess.Process) -> None:
+    assert process.stdin is not None
+    process.stdin.close()
+    await process.communicate()

@@ -149,7 +149,32 @@ def test_the_servers_end_ends_it(diagnoses: Callable[..., Diagnoses], store: Sto
         await until(lambda: (one.as_json()["running"] or {}).get("part") == 0.5)
         pid = int((Path(one._folder.name) / "pid").read_text())
         await one.close()
-        await until(lambda: not alive(pid))
+        assert not alive(pid)
+
+    asyncio.run(session())
+
+
+def test_nothing_of_it_is_left_when_the_server_has_ended(
+    diagnoses: Callable[..., Diagnoses], store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that is ended, but not waited for, would outlive the loop with its pipes."""
+    made: list[asyncio.subprocess.Process] = []
+    create = asyncio.create_subprocess_exec
+
+    async def kept(*args: Any, **more: Any) -> asyncio.subprocess.Process:
+        made.append(await create(*args, **more))
+        return made[-1]
+
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", kept)
+
+    async def session() -> None:
+        one = diagnoses(NEVER_ENDS)
+        one.start(store, T0_S, T0_S + 20.0)
+        await until(lambda: (one.as_json()["running"] or {}).get("part") == 0.5)
+        await one.close()
+        (process,) = made
+        assert process.returncode is not None
+        assert process._transport.is_closing(), "its pipes are closed"  # type: ignore[attr-defined]
 
     asyncio.run(session())
 
