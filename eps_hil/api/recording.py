@@ -47,6 +47,7 @@ class Recording(plain.Recording):
     def plot(self, signals: Sequence[str] = ()) -> Any:
         """A matplotlib figure, one panel a signal (default: what an estimate is made of)."""
         from eps_hil.report import figures
+        from eps_hil.report.diagnosis_evidence import label
 
         chosen = list(signals) or [name for name in _FIRST if name in self.series]
         for name in chosen:
@@ -60,7 +61,7 @@ class Recording(plain.Recording):
             axis.plot(
                 (one.t_ns - self.start_ns) * 1e-9, one.value, color=figures.COLOURS[0], lw=0.8
             )
-            axis.set_ylabel(f"{name.replace('_', ' ')}", fontsize="small")
+            axis.set_ylabel(label(name), fontsize="small")
         axes[-1, 0].set_xlabel("time in s")
         return show.shown(figure)
 

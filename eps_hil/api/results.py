@@ -142,6 +142,7 @@ class Simulation:
     def plot(self) -> Any:
         """Simulated and recorded speed (or angle)."""
         from eps_hil.report import figures
+        from eps_hil.report.diagnosis_evidence import label
 
         name = next(
             (n for n in ("motor_speed_rad_s", "motor_angle_rad") if n in self.recording.series),
@@ -153,7 +154,7 @@ class Simulation:
             axis.plot((one.t_ns - start) * 1e-9, one.value, color="0.6", lw=1.5, label="recorded")
         seconds = (self.t_ns - start) * 1e-9
         axis.plot(seconds, self.columns[name], color=figures.COLOURS[1], lw=0.9, label="simulated")
-        axis.set(xlabel="time in s", ylabel=name.replace("_", " "))
+        axis.set(xlabel="time in s", ylabel=label(name))
         axis.legend(frameon=False)
         return show.shown(figure)
 

@@ -18,6 +18,7 @@ from eps_hil.diagnosis.diagnose import Diagnosis
 from eps_hil.diagnosis.mismatch.regions import operating_region
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
+from eps_hil.signals import CANONICAL
 
 Floats = npt.NDArray[np.float64]
 Masks = npt.NDArray[np.bool_]
@@ -178,4 +179,6 @@ _DIRECTIONS = {"right": ", turning positive", "left": ", turning negative"}
 def label(signal: str) -> str:
     """A signal (``name`` or ``name|right``) as an axis says it, with its unit."""
     name, _, direction = signal.partition("|")
-    return LABELS.get(name, name) + _DIRECTIONS.get(direction, "")
+    known = CANONICAL.get(name)
+    told = name if known is None else f"{known.description} in {known.unit}"
+    return LABELS.get(name, told) + _DIRECTIONS.get(direction, "")

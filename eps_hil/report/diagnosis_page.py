@@ -267,15 +267,24 @@ def _short(diagnosis: Diagnosis) -> dict[str, str]:
 
 
 def _flags(content: Mapping[str, Any]) -> list[str]:
-    """What is wrong with the data, a line for each recording and signal; parts of one, once."""
-    lines = (
-        f"{look['recording']}, {diagnosis_evidence.label(channel['signal']).replace('_', ' ')}: "
-        + ", ".join(channel["flags"]).replace("_", " ")
-        for look in content.get("data_quality", [])
-        for channel in look["channels"]
-        if channel["flags"]
-    )
-    return list(dict.fromkeys(lines))
+    """What is wrong with the data: a line for each recording and kind of fault, with its signals.
+
+    What a bus loses it loses of all its signals at once; parts of one recording are said once.
+    """
+    found: dict[tuple[str, str], dict[str, None]] = {}
+    for look in content.get("data_quality", []):
+        for channel in look["channels"]:
+            if channel["flags"]:
+                wrong = ", ".join(_fault(channel, flag) for flag in channel["flags"])
+                name = diagnosis_evidence.label(channel["signal"]).partition(" in ")[0]
+                found.setdefault((look["recording"], wrong), {})[name] = None
+    return [f"{where}: {wrong}: {', '.join(names)}" for (where, wrong), names in found.items()]
+
+
+def _fault(channel: Mapping[str, Any], flag: str) -> str:
+    """A flag in words, with the moment where it is one of a moment."""
+    words, spans = flag.replace("_", " "), channel.get(flag)
+    return f"{words} from {spans[0][0]:.1f} s on" if spans else words
 
 
 def _span(region: Mapping[str, Any]) -> str:

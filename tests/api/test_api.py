@@ -62,7 +62,9 @@ def test_a_recording_is_a_table_a_figure_and_a_file(
     assert repr(drive) == f"<Recording {drive.name}: {len(drive.series)} signals, 6.0 s>"
     figure = drive.plot()
     assert figure._repr_png_().startswith(b"\x89PNG")
-    assert len(figure.axes) == 4
+    assert [axis.get_ylabel() for axis in figure.axes] == [
+        "rotor speed in rad/s", "motor torque in Nm", "torsion-bar torque in Nm", "rack force in N"
+    ]  # fmt: skip
     again = read_recording(drive.save(tmp_path / "a.csv"))
     assert set(again.series) == set(drive.series)
     with pytest.raises(eps_hil.InputError, match="nothing: is not recorded; it holds "):

@@ -212,14 +212,20 @@ def test_what_is_wrong_with_the_data_is_said_once_and_with_the_names_of_the_axes
 ) -> None:
     """A recording of which a part is kept from the fit is looked at in two parts."""
     channels = [
-        {"signal": "motor_speed_rad_s", "flags": ["lost_frames", "gaps"]},
+        {"signal": name, "flags": ["gaps", "lost_frames"], "gaps": [[16.127, 16.229]]}
+        for name in ("motor_speed_rad_s", "steering_wheel_angle_rad")
+    ]
+    channels += [
+        {"signal": "motor_torque_nm", "flags": ["coarse"]},
         {"signal": "rack_force_n", "flags": []},
     ]
     look = {**explained.content["data_quality"][0], "recording": "my_bus.log", "channels": channels}
     content = {**explained.content, "data_quality": [look, look]}
     text = _Checked(diagnosis_page.render(replace(explained, content=content), "m.yaml")).text
-    assert text.count("my_bus.log, rotor speed in rad/s: lost frames, gaps") == 1
-    assert "my_bus.log, rack force" not in text
+    together = "my_bus.log: gaps from 16.1 s on, lost frames: rotor speed, steering-wheel angle"
+    assert text.count(together) == 1
+    assert text.count("my_bus.log: coarse: motor torque") == 1
+    assert text.count("my_bus.log: ") == 2
 
 
 _CURVE = [[-0.01, 0.002, 0.001], [0.01, 0.02, 0.001]]
