@@ -92,16 +92,39 @@ _is_installed() { # extra, digest; `all` holds all that dashboard has, and dev a
     return 1
 }
 
+# While the rest of the caller runs, on a terminal: how long it has taken, and what pip is at.
+_ticker=""
+_tick() { # seconds when it began, pip's log
+    [[ -t 1 ]] || return 0
+    (
+        while kill -0 $$ 2>/dev/null; do
+            printf '\r\033[K    %s s  %.60s' $((SECONDS - $1)) "$(tail -n 1 "$2" 2>/dev/null)"
+            sleep 1
+        done
+    ) &
+    _ticker=$!
+}
+_untick() {
+    [[ -n $_ticker ]] || return 0
+    kill "$_ticker" 2>/dev/null || true
+    wait "$_ticker" 2>/dev/null || true
+    _ticker=""
+    printf '\r\033[K'
+}
+
 _install() { # extra, digest
     local log="$VENV/.eps_hil-install.log" since=$SECONDS quick=()
     say "installing eps_hil[$1] and what it needs into .venv (needs the network, once; about a minute)"
     # Python compiles what it imports when it imports it; pip would compile all, tests of scipy included
     [[ -n ${PYTHONDONTWRITEBYTECODE:-} ]] || quick=(--no-compile)
+    _tick "$since" "$log"
     if ! PIP_USER=0 "$VENV/bin/python" -m pip install --disable-pip-version-check "${quick[@]}" \
         --progress-bar off --editable "${ROOT}[$1]" >"$log" 2>&1; then
+        _untick
         tail -n 15 "$log" >&2
         fail "pip could not install eps_hil[$1] (whole log: $log); is the network there?"
     fi
+    _untick
     printf '%s\n' "$2" >"$VENV/.eps_hil-$1"
     say "installed in $((SECONDS - since)) s"
 }

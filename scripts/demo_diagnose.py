@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +23,7 @@ import numpy as np
 from eps_hil.examples import CONFIGS, DBC
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import load_model
+from eps_hil.series import Series
 
 ROOT = Path(__file__).resolve().parents[1]
 MODEL = CONFIGS / "reference_rig.yaml"
@@ -66,22 +67,24 @@ class Process:
     def await_text(self, pattern: str, seconds: float) -> None:
         """Until it says so; ends the demo if it ends or says nothing of the kind."""
         begun = time.monotonic()
-        told = False
         while not re.search(pattern, self.text, re.M):
             waited = time.monotonic() - begun
-            if waited > 10.0 and not told:
-                told = True
-                say(f"{self.name} compiles for the first time, which is kept")
+            first = ", the first time it compiles, which is kept" if waited > 4.0 else ""
+            live_line(f"{self.name} starts: {waited:.0f} s{first}")
             if self.process.poll() is not None or waited > seconds:
                 fail(f"{self.name}: no '{pattern}' in {self.file}:\n{self.text[-1500:]}")
             time.sleep(0.1)
 
-    def finish(self, seconds: float) -> None:
-        """Wait until it ends by itself."""
-        try:
-            status = self.process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            fail(f"{self.name} did not end within {seconds:.0f} s")
+    def finish(self, seconds: float, doing: str = "") -> None:
+        """Wait until it ends by itself; ``doing`` says meanwhile how long it takes."""
+        begun = time.monotonic()
+        while (status := self.process.poll()) is None:
+            waited = time.monotonic() - begun
+            if waited > seconds:
+                fail(f"{self.name} did not end within {seconds:.0f} s")
+            if doing:
+                live_line(f"{doing}: {waited:.0f} s")
+            time.sleep(0.1)
         if status:
             fail(f"{self.name} ended with status {status}:\n{self.text[-1500:]}")
 
@@ -97,11 +100,23 @@ class Process:
 
 def say(text: str) -> None:
     """A line of the demo's own."""
+    live_line("")
     print(f"==> {text}", flush=True)
+
+
+_shown = [""]
+
+
+def live_line(text: str) -> None:
+    """On a terminal, one line that the next one takes the place of: nobody waits without a word."""
+    if text != _shown[0] and sys.stdout.isatty():
+        print("\r\x1b[2K" + (f"    {text}" if text else ""), end="", flush=True)
+        _shown[0] = text
 
 
 def fail(text: str) -> Any:
     """End with status 1."""
+    live_line("")
     raise SystemExit(f"error: {text}")
 
 
@@ -164,7 +179,7 @@ def record(out: Path, rig: Path, log: Path, seconds: float) -> None:
         with running("the rig", out / "rig.txt", "rig", "--config", str(rig), "--duration",
                      f"{seconds:g}") as simulated:  # fmt: skip
             simulated.await_text("^timing", COMPILING_S)
-            simulated.finish(seconds + 60)
+            simulated.finish(seconds + 60, f"the rig drives for {seconds:.0f} s")
 
 
 def diagnose(out: Path, log: Path) -> dict[str, Any]:
@@ -175,12 +190,14 @@ def diagnose(out: Path, log: Path) -> dict[str, Any]:
         str(out / "diagnosis.json"), "--write-model", str(out / "found.yaml"),
     ]  # fmt: skip
     say(" ".join(command))
+    watched = sys.stderr.isatty()  # then its progress bar and what it complains of are seen there
     done = subprocess.run(
-        [sys.executable, "-m", "eps_hil", *command[1:]], capture_output=True, text=True, check=False
-    )
-    (out / "diagnose.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
+        [sys.executable, "-m", "eps_hil", *command[1:]], stdout=subprocess.PIPE,
+        stderr=None if watched else subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    (out / "diagnose.txt").write_text(done.stdout + (done.stderr or ""), encoding="utf-8")
     if done.returncode:
-        fail(f"diagnose ended with status {done.returncode}: {done.stderr[-800:]}")
+        fail(f"diagnose ended with status {done.returncode}: {(done.stderr or '')[-800:]}")
     print("\n".join(f"    {line}" for line in done.stdout.strip().splitlines()))
     content: dict[str, Any] = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
     return content
@@ -203,17 +220,24 @@ def reveal(entry: dict[str, Any], content: dict[str, Any]) -> bool:
     return same
 
 
-def _force(text: str) -> tuple[float, float] | None:
-    """The last live line of a service: estimate and load cell, in N."""
-    found = re.findall(r"rack force\s+([+-]\d+) N\s+load cell\s+([+-]\d+) N", text[-400:])
-    return (float(found[-1][0]), float(found[-1][1])) if found else None
+def _errors(text: str) -> tuple[int, list[int]]:
+    """The last load cell of a service's live lines, and each line's estimate against its own.
+
+    Two services speak at different moments: their estimates stand side by side in no table.
+    """
+    lines = re.findall(r"rack force\s+([+-]\d+) N\s+load cell\s+([+-]\d+) N", text)
+    return (int(lines[-1][1]) if lines else 0), [int(one) - int(cell) for one, cell in lines]
 
 
 def live(out: Path, rig: Path, configs: dict[str, Path], seconds: float) -> dict[str, float]:
     """Both models on the same bus at once; rms error against the load cell by name, in N."""
     with (
         running("the service", out / "service_given.txt", *_service(out, "given", configs)) as one,
-        running("the second", out / "service_found.txt", *_service(out, "found", configs)) as two,
+        running(
+            "the service with the written model",
+            out / "service_found.txt",
+            *_service(out, "found", configs),
+        ) as two,
     ):
         for each in (one, two):
             each.await_text("^READY", COMPILING_S)
@@ -223,9 +247,10 @@ def live(out: Path, rig: Path, configs: dict[str, Path], seconds: float) -> dict
             driving = ("rig", "--config", str(rig), "--duration", f"{seconds:g}")
             with running("the rig", out / "rig2.txt", *driving) as simulated:
                 simulated.await_text("^timing", COMPILING_S)
-                _watch(simulated, {"given": one, "found": two})
+                _watch(simulated, one, two)
                 simulated.finish(60)
-    return {name: _rms_error_n(out / "live.log", out / f"{name}.csv") for name in configs}
+    live_line("both against the load cell in the recording")
+    return _rms_errors_n(out / "live.log", {name: out / f"{name}.csv" for name in configs})
 
 
 def _service(out: Path, name: str, configs: dict[str, Path]) -> list[str]:
@@ -233,26 +258,36 @@ def _service(out: Path, name: str, configs: dict[str, Path]) -> list[str]:
     return ["run", "--config", str(configs[name]), "--status-line", "--log-estimates", log]
 
 
-def _watch(rig: Process, services: dict[str, Process]) -> None:
+def _watch(rig: Process, given: Process, found: Process) -> None:
     begun, shown = time.monotonic(), -2.0
+    done = 0, 0
     while rig.process.poll() is None:
         now = time.monotonic() - begun
-        told = {name: _force(one.text) for name, one in services.items()}
-        given, found = told["given"], told["found"]
-        if given and found and now - shown >= 1.0:
-            shown = now
+        (_, old), (cell, new) = _errors(given.text), _errors(found.text)
+        if now - shown >= 1.0 and len(old) > done[0] and len(new) > done[1]:
+            live_line("")
             print(
-                f"    {now:4.0f} s   load cell {found[1]:+6.0f} N   model as given {given[0]:+6.0f}"
-                f" N   written model {found[0]:+6.0f} N",
+                f"    {now:4.0f} s   load cell {cell:+6.0f} N   rms error since the line before:"
+                f" model as given {_rms(old[done[0] :]):4.0f} N,"
+                f" written model {_rms(new[done[1] :]):4.0f} N",
                 flush=True,
             )
+            shown, done = now, (len(old), len(new))
         time.sleep(0.2)
 
 
-def _rms_error_n(log: Path, estimates: Path) -> float:
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _rms_errors_n(log: Path, estimates: dict[str, Path]) -> dict[str, float]:
     import eps_hil
 
     cell = eps_hil.load(log, dbc=DATABASE, signals=SIGNALS).series["rack_force_n"]
+    return {name: _rms_error_n(cell, path) for name, path in estimates.items()}
+
+
+def _rms_error_n(cell: Series, estimates: Path) -> float:
     with estimates.open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["valid"] in ("1", "True", "true")]
     t = np.array([int(row["t_ns"]) for row in rows])
@@ -262,7 +297,7 @@ def _rms_error_n(log: Path, estimates: Path) -> float:
         fail(f"no valid estimate in {estimates}")
     origin = cell.t_ns[0]
     true = np.interp(t[inside] - origin, cell.t_ns - origin, cell.value)
-    return float(np.sqrt(np.mean((force[inside] - true) ** 2)))
+    return _rms(force[inside] - true)
 
 
 def main() -> int:

@@ -1,5 +1,7 @@
 """``scripts/demo-diagnose``: hides, records over a bus, names, and shows the better rack force."""
 
+import importlib.util
+import math
 import re
 import subprocess
 import sys
@@ -27,6 +29,28 @@ def test_what_it_cannot_hide_it_says() -> None:
     known = found.stderr.rsplit("choose ", 1)[1].strip().split(", ")
     assert set(known) <= set(catalogue())
     assert len(known) >= 8
+
+
+def test_an_estimate_is_compared_with_the_load_cell_of_its_own_moment() -> None:
+    """Services say their lines at different moments: at 700 N and 2 Hz that is hundreds of N."""
+    spec = importlib.util.spec_from_file_location("demo_diagnose", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    demo = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(demo)
+
+    def service(*moments: float, error: float) -> str:
+        lines = ["READY", "rack force       +0 N  load cell        - N     0 Hz  no input"]
+        for t in moments:
+            cell = 700.0 * math.sin(4.0 * math.pi * t)
+            lines.append(f"rack force {cell + error:+8.0f} N  load cell {cell:+8.0f} N   1000 Hz")
+        return "\n".join(lines)
+
+    cell, given = demo._errors(service(0.0, 0.125, error=-30.0))
+    _, found = demo._errors(service(0.08, 0.2, 0.3, error=2.0))
+    assert (cell, given) == (700, [-30, -30])
+    assert len(found) == 3
+    assert demo._rms(found) == pytest.approx(2.0, abs=1.0)
 
 
 @pytest.mark.slow

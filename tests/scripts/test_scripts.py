@@ -111,6 +111,29 @@ def test_a_python_of_ones_own_must_have_the_package(tmp_path: Path) -> None:
     assert "EPS_HIL_PYTHON=/bin/false cannot import eps_hil" in found.stderr
 
 
+def test_whoever_waits_for_pip_sees_what_it_is_at(tmp_path: Path) -> None:
+    """On a terminal; a file of what was said gets no such line."""
+    (tmp_path / "log").write_text("Collecting numpy\nCollecting scipy\n")
+    words = 'set -euo pipefail; source "$1"; _tick $SECONDS log; read -r; _untick; echo there'
+    command = ["bash", "-c", words, "bash", str(ROOT / "scripts" / "_environment.sh")]
+    ours, theirs = os.openpty()
+    with subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.PIPE, stdout=theirs) as waiting:
+        seen = ""
+        while "scipy" not in seen:
+            seen += os.read(ours, 4096).decode()
+        waiting.communicate(b"\n")
+    while "there" not in seen:
+        seen += os.read(ours, 4096).decode()
+    os.close(ours)
+    os.close(theirs)
+    assert waiting.returncode == 0
+    assert re.search(r"\r\x1b\[K    \d+ s  Collecting scipy.*\r\x1b\[Kthere", seen), seen
+    to_file = subprocess.run(
+        command, cwd=tmp_path, input="\n", capture_output=True, text=True, check=True
+    )
+    assert (to_file.stdout, to_file.stderr) == ("there\n", "")
+
+
 @pytest.mark.slow
 def test_record_kill_measures_and_prints_a_row() -> None:
     words = [sys.executable, str(ROOT / "scripts" / "record_kill"), "--runs", "1"]
