@@ -24,6 +24,8 @@ import typer
 from eps_hil.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from eps_hil.recordings.recording import Recording
     from eps_hil.series import Series
 
@@ -205,9 +207,25 @@ def stages(what: str) -> Iterator[Callable[[str, float], None] | None]:
     if not sys.stderr.isatty():
         yield None
         return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with _bar() as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda stage, part: bar.update(task, description=stage, completed=part)
+
+
+@contextlib.contextmanager
+def waiting(what: str) -> Iterator[None]:
+    """As :func:`progress`, for work that cannot say how much of it is done: how long it takes."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    with _bar() as bar:
+        bar.add_task(what, total=None)
+        yield
+
+
+def _bar() -> "Progress":
+    from rich.console import Console
+    from rich.progress import Progress, TimeElapsedColumn
+
+    columns = (*Progress.get_default_columns(), TimeElapsedColumn())
+    return Progress(*columns, console=Console(stderr=True), transient=True)

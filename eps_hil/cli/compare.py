@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eps_hil.cli._inputs import ModelPath, Reading, read_recording, reads_recordings
+from eps_hil.cli._inputs import ModelPath, Reading, read_recording, reads_recordings, waiting
 
 if TYPE_CHECKING:
     from eps_hil.report.comparison import Candidate
@@ -69,7 +69,8 @@ def compare(
     published = comparison.read_published(live) if live else None
     read = read_recording(recording, reading)
     given = eps_hil.Recording(read.name, read.series, read.notes)
-    found = eps_hil.compare(given, rig, chosen, published=published, second=second)
+    with waiting("estimating with and without"):
+        found = eps_hil.compare(given, rig, chosen, published=published, second=second)
     candidates = list(found.candidates)
     _say(candidates)
     if json:
@@ -85,7 +86,8 @@ def compare(
     if figure:
         begin_ns = comparison.start_ns(read.series)
         cell = read.series["rack_force_n"]
-        where = draw(candidates, cell, rig, figure, begin_ns=begin_ns, zooms=zooms)
+        with waiting("drawing"):
+            where = draw(candidates, cell, rig, figure, begin_ns=begin_ns, zooms=zooms)
         typer.echo(f"figure: {where}")
 
 

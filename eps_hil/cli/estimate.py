@@ -14,6 +14,7 @@ from eps_hil.cli._inputs import (
     RecordingPaths,
     read_each,
     reads_recordings,
+    waiting,
 )
 
 if TYPE_CHECKING:
@@ -96,7 +97,8 @@ def estimate(
         if not results and chosen.kind == "observer":
             _first_answer.prepare(recording.series, len(recordings), effects=bool(rig.effects))
         read = eps_hil.Recording(str(path), recording.series, recording.notes, recording.arrivals)
-        found = eps_hil.estimate(read, rig, chosen, changes=changes)
+        with waiting(f"estimating {path.name}"):
+            found = eps_hil.estimate(read, rig, chosen, changes=changes)
         _say(path.name, found)
         results.append(found.content)
         if out:

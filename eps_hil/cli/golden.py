@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.cli._files import check_places, write_json
+from eps_hil.cli._inputs import waiting
 from eps_hil.errors import EpsHilError, InputError
 
 if TYPE_CHECKING:
@@ -55,7 +56,8 @@ def make(
         raise InputError(out, "--out", "exists already", "add --overwrite to replace it")
     check_places(out)
     setup = oracle.load_pair(log, config)
-    estimates, own = oracle.run_core(log, setup, config)
+    with waiting(f"playing {log.name} through the service"):
+        estimates, own = oracle.run_core(log, setup, config)
     valid = int(estimates.valid.sum())
     if not valid:
         problem = f"gives no valid estimate ({estimates.t_ns.size} in all)"
@@ -140,7 +142,8 @@ def _against(
     changed = [
         role for role in {**kept.files, **hashes} if hashes.get(role) != kept.files.get(role)
     ]
-    now, _ = oracle.run_core(log, setup, config)
+    with waiting(f"playing {log.name} through the service"):
+        now, _ = oracle.run_core(log, setup, config)
     return oracle.compare(golden.estimates, now, tolerances), now, tolerances, changed
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from eps_hil.cli._files import write_json
-from eps_hil.cli._inputs import progress
+from eps_hil.cli._inputs import progress, waiting
 
 
 def register(app: typer.Typer) -> None:
@@ -129,7 +129,8 @@ def loop(
 
     chosen = load_config(config)
     models = {str(path): path for path in (chosen.model, *better)}
-    errors = compare(log, chosen, config, models)
+    with waiting(f"playing {log.name} through the service"):
+        errors = compare(log, chosen, config, models)
     typer.echo(f"{log.name}: error of the published rack force, N rms against the load cell")
     typer.echo(f"  {'moving':>8}{'overall':>9}  model")
     for name, one in errors.items():

@@ -1,7 +1,7 @@
 """``eps-hil simulate``: a recording's inputs through the model (CONTRACT 6)."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,10 +11,8 @@ from eps_hil.cli._inputs import (
     Reading,
     read_recording,
     reads_recordings,
+    waiting,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 def register(app: typer.Typer) -> None:
@@ -48,7 +46,8 @@ def simulate(
     check_different(out, inputs)
     recording = read_recording(inputs, reading)
     read = eps_hil.Recording(str(inputs), recording.series, recording.notes)
-    made = eps_hil.simulate(read, rig, physical=physical)
+    with waiting("simulating"):
+        made = eps_hil.simulate(read, rig, physical=physical)
     for note in made.notes:
         typer.echo(f"{inputs.name}: {note}", err=True)
     made.save(out)

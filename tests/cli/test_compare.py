@@ -2,6 +2,7 @@
 
 import csv
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -65,12 +66,20 @@ def live(recording: Path, tmp_path: Path) -> Path:
 
 
 def test_compensation_and_extensions_show_their_worth(
-    recording: Path, live: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recording: Path,
+    live: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     words = ["compare", str(recording), "--model", str(MODEL), "--live", str(live)]
     words += ["--json", str(tmp_path / "c.json"), "--figure", str(tmp_path / "f.png")]
     assert main([*words, "--zoom", "0.5:1"]) == 0
-    said = capsys.readouterr().out
+    said, waited = capsys.readouterr()
+    assert "estimating with and without" in waited
+    assert "drawing" in waited
     assert "no friction compensation" in said
     assert str(tmp_path / "f.png") in said.replace("\n", "")
     content = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))

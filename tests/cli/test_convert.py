@@ -53,3 +53,18 @@ def test_progress_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     with _inputs.progress("reading") as on_progress:
         assert on_progress is not None
         on_progress(0.5)
+
+
+def test_what_cannot_say_how_far_it_is_says_how_long_it_has_taken(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with _inputs.waiting("estimating"):
+        pass
+    assert capsys.readouterr().err == ""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with _inputs.waiting("estimating"):
+        pass
+    said = capsys.readouterr().err
+    assert "estimating" in said
+    assert "0:00:00" in said
