@@ -30,6 +30,13 @@ def register(app: typer.Typer) -> None:
     app.command("diagnose")(reads_recordings(diagnose))
 
 
+def _ids(incomplete: str) -> list[str]:
+    """For the shell: effects that may be left out."""
+    from eps_hil.physics.effects.catalogue import catalogue
+
+    return [name for name in sorted(catalogue()) if name.startswith(incomplete)]
+
+
 def diagnose(
     model: ModelPath,
     recording: Annotated[
@@ -87,7 +94,10 @@ def diagnose(
     without_effect: Annotated[
         list[str] | None,
         typer.Option(
-            "--without-effect", metavar="ID", help="Do not consider this effect; may repeat."
+            "--without-effect",
+            metavar="ID",
+            help="Do not consider this effect; may repeat.",
+            autocompletion=_ids,
         ),
     ] = None,
     trust_channels: Annotated[

@@ -14,9 +14,18 @@ def register(app: typer.Typer) -> None:
     app.command("example")(example)
 
 
+def _names(incomplete: str) -> list[str]:
+    """For the shell: what may follow."""
+    from eps_hil.examples import shelf
+
+    names = [*(one.name for one in shelf.examples()), shelf.ALL]
+    return [name for name in names if name.startswith(incomplete)]
+
+
 def example(
     name: Annotated[
-        str | None, typer.Argument(help="Which; none: list them. 'all': every one.")
+        str | None,
+        typer.Argument(help="Which; none: list them. 'all': every one.", autocompletion=_names),
     ] = None,
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder to write below (made if absent).")
