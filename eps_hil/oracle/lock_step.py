@@ -37,15 +37,18 @@ class Published:
 def publish(log: Path, config: ServiceConfig, config_file: Path, model: Path) -> Published:
     """Replay ``log`` through a service with ``model``; the frames that it would have published.
 
-    They are stamped with the arrival of the sync frame that each answers.
+    They are stamped with the arrival of the sync frame that each answers. What a service published
+    while the log was recorded is left out: another transmitter of its ids makes no estimate valid.
     """
     parts = prepare(replace(config, model=model), config_file)
     if not parts.send_ids:
         raise InputError(config_file, "publish.enabled", "is false: nothing would be published")
     parts.estimator.warm_up()
+    ours = frozenset(parts.send_ids)
     frames = [
         replace(sent, t_ns=frame.t_ns)
         for frame in read_log(log)
+        if frame.can_id not in ours
         for sent in parts.core.on_frames([frame])
     ]
     return Published(frames, _decoded(frames, config, parts.database))

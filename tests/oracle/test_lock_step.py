@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 
 from eps_hil.bus.database import load_database
+from eps_hil.bus.replay import read_log
 from eps_hil.cli.main import main
 from eps_hil.errors import InputError
 from eps_hil.oracle.lock_step import compare, publish
@@ -55,6 +57,24 @@ def test_one_frame_is_published_for_every_sync_frame(folder: Path, config: Servi
     assert np.mean(sent.trace.valid) > 0.95
     late = np.array([frame.t_ns for frame in sent.frames])[-100:] - sent.trace.t_ns[-100:]
     assert 0.003 < np.median(late) * 1e-9 < 0.03  # the instant that a frame speaks of is past
+
+
+def test_a_log_that_was_recorded_beside_a_service_gives_the_same(
+    folder: Path, config: ServiceConfig
+) -> None:
+    words = (config, folder / "service.yaml", folder / "model.yaml")
+    log, both = folder / "holdout.log", folder / "beside.log"
+    sent = publish(log, *words)
+    with can.CanutilsLogWriter(both) as file:
+        frames = [(frame.t_ns, k, frame) for k, frame in enumerate([*read_log(log), *sent.frames])]
+        for t_ns, _, frame in sorted(frames):
+            file.on_message_received(
+                can.Message(
+                    t_ns * 1e-9, frame.can_id, frame.extended, data=frame.data, is_fd=frame.fd
+                )
+            )
+    again = publish(both, *words)
+    assert [frame.data for frame in again.frames] == [frame.data for frame in sent.frames]
 
 
 @pytest.mark.slow
