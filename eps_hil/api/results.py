@@ -280,14 +280,16 @@ class Diagnosis:
     def plot(self) -> Any:
         """The hold-outs' figures before and after: NRMSE of torque, fit of speed, rack force."""
         from eps_hil.report import figures
+        from eps_hil.report.diagnosis_page import MEASURES
 
         holdout = self.content["fit"]["holdout"]
-        names = [n for n in holdout["augmented"] if isinstance(holdout["augmented"][n], float)]
+        names = [n for n in MEASURES if isinstance(holdout["augmented"].get(n), float)]
         figure, axes = figures.subplots(1, max(len(names), 1), width_cm=24.0, height_cm=8.0)
         for axis, name in zip(axes[0], names, strict=False):
             values = [holdout["baseline"].get(name) or 0.0, holdout["augmented"][name]]
             axis.bar(["baseline", "augmented"], values, color=figures.COLOURS[1::-1])
-            axis.set_title(name.replace("_", " "), fontsize="small")
+            title, unit, _ = MEASURES[name]
+            axis.set_title(f"{title}, {unit}".removesuffix(", "), fontsize="small")
         return show.shown(figure)
 
     def report(self, path: str | Path, model_name: str = "model") -> Path:

@@ -181,7 +181,12 @@ def test_identify_and_diagnose_give_typed_results(other_rig: ModuleType, tmp_pat
     assert "stribeck" in found._repr_html_()
     assert repr(found).startswith("<Diagnosis: ")
     assert "stribeck" in repr(found)
-    assert found.plot()._repr_png_().startswith(b"\x89PNG")
+    figure = found.plot()
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    assert [axis.get_title() for axis in figure.axes] == [
+        "NRMSE of the torque residual", "fit of the simulated speed, %",
+        "error of the rack-force estimate, moving, N",
+    ]  # fmt: skip
     assert "stribeck" in [entry["effect"] for entry in found.model.effects]
     assert found.report(tmp_path / "page.html").stat().st_size > 10_000
     told = eps_hil.identify(drives, MODEL)
