@@ -337,6 +337,10 @@ class SampleClock:
         phase = at.counter - at.cycle if at.joined else at.phase
         known = phase is not None and at.in_time >= _RELATED
         moved = counter - (phase or 0)
+        if again and skip > 1 and not self._held(skip, max(silence, 0)):
+            known = False  # no counter that goes on: it tells nothing of the others'
+            for lane in self._lanes.values():
+                lane.in_time = 0
         for lane in self._lanes.values():
             if lane is at or not known:
                 lane.phase = None

@@ -176,3 +176,24 @@ def test_a_sender_that_was_held_up_and_catches_up_loses_nothing(held_ms: int) ->
     assert sum(at.lost for at in found.values()) == 0
     assert all(at.trusted for at in found.values())
     assert all(together(found, n) for n in range(410 + 2 * held_ms, 1200))
+
+
+@pytest.mark.parametrize("seed", [1, 9, 12, 50, 52, 80])
+def test_counters_that_jumped_while_the_clock_was_set_keep_no_relation(seed: int) -> None:
+    """Both messages' counters jump at random, and the clock goes back: where they fell then on the
+    line is no relation, and as they count on none is in doubt because of it."""
+    clock, random, after = SampleClock(MS, 256), Random(seed), []
+    ends = random.randrange(350, 1000)
+    set_at = random.randrange(300, ends)
+    for n in range(ends + 250):
+        back = 500 * MS if n >= set_at else 0
+        for lane, place in (("a", 100_000), ("b", 220_000)):
+            counter = random.randrange(256) if 300 <= n < ends else n
+            at = clock.instant(EPOCH + n * MS + place - back, counter % 256, lane)
+            if n >= ends + 40:
+                assert at is not None
+                after.append(at)
+    assert all(at.trusted for at in after)
+    assert all(
+        abs(a.t_ns - b.t_ns) < 0.3 * MS for a, b in zip(after[::2], after[1::2], strict=True)
+    )
