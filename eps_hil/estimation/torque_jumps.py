@@ -112,12 +112,7 @@ def watch_jump(w: Watch, p: Limits, u: Inputs) -> None:
     w.spread = max(w.spread, _LEAST_SPREAD)
     if not _leaves(p, u, edge):
         return
-    due, speed, before, most = 0.0, 0.0, 0.0, 0.0
-    for j in range(1, n + 1):
-        off = torque[(k - n + j) & WRAP] - base - j * slope
-        speed += 0.5 * (before + off) * p.step_s * p.inverse_inertia
-        due += weights[n + j] * speed
-        most, before = max(most, abs(off)), off
+    due, level, most = _due(w, p, weights, base, slope)
     w.innovation = done - due
     if abs(edge) < 0.3 * most or edge * due <= 0.0:
         return
@@ -125,22 +120,41 @@ def watch_jump(w: Watch, p: Limits, u: Inputs) -> None:
     if due * due >= limit:
         unclear = w.dark > 0 and _contradict(done, w.bend[k & WRAP], due, limit)
         clear = w.innovation * w.innovation >= limit and not _followed(done, due, limit)
-    if not clear and not unclear and not _alone(w, p, u, edge):
+    if not clear and not unclear and not _alone(w, p, u, base, slope, edge):
         return
     if w.stalled > 0 and w.unexplained_nm == 0.0:  # what stood still catches up, or is wrong anew
         w.stalled, w.missed, w.misled = p.stalled_steps, 1, 1
     elif unclear or undecided(w, p, edge):
         lose_course(w)
     else:
-        _found(w, p, base, slope, before)
+        _found(w, p, base, slope, level)
 
 
 @kernel
-def _residual(w: Watch, p: Limits) -> tuple[float, float]:
-    """Bend of the speed a window ago less that which the torques make, and that of the torques.
+def _due(
+    w: Watch, p: Limits, weights: Floats, base: float, slope: float
+) -> tuple[float, float, float]:
+    """What a torque that left its course a window ago is to do to the speed's bend (rad/s).
 
-    In rad/s, over a longer time before it than :func:`watch_jump` looks at: what the torque does to
-    the speed is taken out first, so that a rotor that swings makes none, but a load that does.
+    ``weights`` end with those of the window. And by how much (Nm) it is off the course, which is
+    ``base`` and ``slope``, now and at most.
+    """
+    n, due, speed, before, most = p.window, 0.0, 0.0, 0.0, 0.0
+    first, last = w.steps - 1 - n, len(weights) - 1 - n
+    for j in range(1, n + 1):
+        off = w.torque[(first + j) & WRAP] - base - j * slope
+        speed += 0.5 * (before + off) * p.step_s * p.inverse_inertia
+        due += weights[last + j] * speed
+        most, before = max(most, abs(off)), off
+    return due, before, most
+
+
+@kernel
+def _residual(w: Watch, p: Limits) -> float:
+    """Bend of the speed a window ago (rad/s) less that which the torques make.
+
+    Over a longer time before it than :func:`watch_jump` looks at: what the torque does to the
+    speed is taken out first, so that a rotor that swings makes none, but a load that does.
     """
     length = p.swing_before + p.window
     first = w.steps - 1 - length
@@ -152,7 +166,7 @@ def _residual(w: Watch, p: Limits) -> tuple[float, float]:
         due += p.swing_hinge[j] * way
         done += p.swing_hinge[j] * (w.pace[(first + j) & WRAP] - w.pace[first & WRAP])
     due *= p.step_s * p.inverse_inertia
-    return done - due, due
+    return done - due
 
 
 @kernel
@@ -172,18 +186,21 @@ def _learn_residual(w: Watch, p: Limits) -> None:
     """How large :func:`_residual` is by itself (mean square); looked at every few steps."""
     if w.steps % p.swing_every or not _seen_for_long(w, p):
         return
-    off, _ = _residual(w, p)
+    off = _residual(w, p)
     share = p.swing_every * p.spread_memory
     w.residual += share * (min(off * off, _CLIP * w.residual) - w.residual)
     w.residual = max(w.residual, _LEAST_SPREAD)
 
 
 @kernel
-def _alone(w: Watch, p: Limits, u: Inputs, edge: float) -> bool:
-    """Whether a torque that left its course by ``edge`` (Nm) amid a swing was not followed."""
+def _alone(w: Watch, p: Limits, u: Inputs, base: float, slope: float, edge: float) -> bool:
+    """Whether a torque that left its course by ``edge`` (Nm) amid a swing was not followed.
+
+    Only the jump is asked for: the rest of the torque's bend is the swing's, which the rotor makes.
+    """
     if not _seen_for_long(w, p):
         return False
-    off, due = _residual(w, p)
+    off, (due, _, _) = _residual(w, p), _due(w, p, p.swing_hinge, base, slope)
     noise = p.swing_noise * u.speed_noise + p.due_noise * u.drive_noise
     limit = max(p.jump * noise, _MOTION * w.residual)
     if edge * due <= 0.0 or due * due < limit or off * off < limit:

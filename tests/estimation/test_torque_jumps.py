@@ -8,7 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eps_hil.estimation.batch import estimate
-from eps_hil.estimation.torque_jumps import swing_hinge
+from eps_hil.estimation.plausibility import limits_of
+from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.torque_jumps import _alone, swing_hinge
+from eps_hil.estimation.watch import new_watch
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -23,6 +27,31 @@ def test_the_bend_is_that_beside_any_parabola(
     t = np.arange(-3 * window, window + 1) / window
     speed = np.polyval(parabola, t) + bend * np.maximum(t, 0.0)
     assert swing_hinge(3 * window, window) @ speed == pytest.approx(bend, abs=1e-6)
+
+
+@pytest.mark.parametrize("jump_nm", [-0.15, 0.15])
+def test_a_bend_of_the_torque_that_was_followed_excuses_no_jump(
+    reference_model: Model, jump_nm: float
+) -> None:
+    """The torque bends as a swing has it, and the rotor with it; then it jumps, and the rotor not.
+
+    Of all that the torque bends nearly half was seen, which was taken for a jump that was followed.
+    """
+    p, watch = limits_of(reference_model, EstimatorSettings(), True), new_watch()
+    w, before, n = watch[0], 30, 10
+    t = np.arange(-before, n + 1, dtype=float)
+    swing = jump_nm * 0.12 * np.maximum(t + 15.0, 0.0)
+    way = p.step_s * p.inverse_inertia * np.r_[0.0, np.cumsum(0.5 * (swing[1:] + swing[:-1]))]
+    jump = np.where(t > 0.0, jump_nm, 0.0)
+    w.steps = len(t)
+    w.torque[: len(t)], w.pace[: len(t)] = swing + jump, way
+    quiet = Inputs(0.0, 0.0, 0.0, drive_noise=2.5e-5, speed_noise=0.09)
+    slope = swing[before] - swing[before - 1]
+    followed = way + p.step_s * p.inverse_inertia * np.cumsum(jump)
+    assert p.swing_hinge @ way / (p.swing_hinge @ followed) > 0.45, "nothing to tell"
+    assert _alone(w, p, quiet, swing[before], slope, jump_nm)
+    w.pace[: len(t)] = followed
+    assert not _alone(w, p, quiet, swing[before], slope, jump_nm)
 
 
 def _wrong_ms(model: Model, columns: dict[str, Any], since: int, offset_nm: float) -> int:
