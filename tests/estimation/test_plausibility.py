@@ -294,7 +294,7 @@ def test_a_speed_that_was_wrong_in_motion_leaves_less_behind(
     assert most < 350.0
 
 
-@pytest.mark.parametrize("of", ["a jump back", "a spike"])
+@pytest.mark.parametrize("of", ["a jump back", "a spike", "a torque that stood still"])
 def test_what_is_left_of_a_jump_that_is_over_is_not_doubted_for_long(
     reference_model: Model, of: str
 ) -> None:
@@ -305,6 +305,9 @@ def test_what_is_left_of_a_jump_that_is_over_is_not_doubted_for_long(
     if of == "a spike":
         w.edge_at, w.swing = 999 - p.window - 3, 0.03
         _found(w, p, 0.0, 0.0, -0.05)
+    elif of == "a torque that stood still":
+        w.stalled, w.unexplained_nm = p.stalled_steps - 100, -0.04
+        _found(w, p, 0.0, 0.0, 0.15)
     else:
         _found(w, p, 0.0, 0.0, -0.15)
         _found(w, p, 0.0, 0.0, 0.21)
