@@ -162,7 +162,7 @@ def bridge(
         return
     if kept and rested and c.angle_seen:
         crept = u.motor_angle_rad - held
-        noise = NOISE_SIGMA * NOISE_SIGMA * s.angle_noise
+        noise = NOISE_SIGMA * NOISE_SIGMA * 2.0 * s.angle_noise  # of both angles
         if crept * crept < noise or noise == 0.0:  # the bristle filter follows creep by itself
             s.angle, s.held = angle, held
             return

@@ -58,7 +58,11 @@ def start(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
     """Begin, or begin again after a gap, from the inputs of one instant."""
     law = x.law
     torque = drive_torque_nm(c, x, instant_of(c, x, s, r, u), u)
-    s.phi, s.omega = u.motor_angle_rad, u.motor_speed_rad_s
+    turning = abs(s.acceleration) > c.limiter_acceleration
+    rests = max(abs(s.speed), abs(u.motor_speed_rad_s)) < c.limiter_speed and not turning
+    s.phi = u.motor_angle_rad
+    if s.running == NEVER_RAN or not rests or abs(u.motor_speed_rad_s) < abs(s.omega):
+        s.omega = u.motor_speed_rad_s
     load = s.force if s.running == HELD else c.ratio * torque
     way = s.bristle if s.running == HELD else u.motor_speed_rad_s
     pos = adapted_level_nm(x, r, 1.0, s.local * load)

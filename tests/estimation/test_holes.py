@@ -139,3 +139,27 @@ def test_a_long_hole_of_the_speed_is_no_jump_at_any_rate(
             u = Inputs(0.0, 0.0, speed[k], angle[k], 0.0, 1e-6, 1e-6, 1e-8, periods)
             said = Reason(judge_step(watch, limits, u, True, 0, True)[0])
             assert not said & Reason.INCONSISTENT
+
+
+@pytest.mark.parametrize("at", [12_840, 12_965, 13_717, 14_118])
+def test_a_resting_bristle_keeps_its_torque_where_frames_are_corrupt(
+    reference_model: Model, steps_truth: Any, at: int
+) -> None:
+    """Of each message 18 % for 0.6 s: an estimate that begins a hundred times again.
+
+    With one noisy speed for the speed that is observed it did not rest for a moment each time, and
+    counted the angle's noise as a way: a bristle relaxed that nothing moved.
+    """
+    t_ns = np.round(steps_truth.columns["time_s"] * 1e9).astype(np.int64)
+    part, begins = slice(at - 3000, at + 1200), 3000
+    sound, corrupt, random = {}, {}, np.random.default_rng(at)
+    bad = {message: random.random(600) < 0.18 for message in ("torque", "motion")}
+    for name in NAMES:
+        value = steps_truth.columns[name][part].copy()
+        sound[name] = Series(t_ns[part], value.copy())
+        value[begins : begins + 600][bad["torque" if "torque" in name else "motion"]] = np.nan
+        corrupt[name] = Series(t_ns[part], value)
+    right, found = estimate(sound, reference_model), estimate(corrupt, reference_model)
+    assert np.array_equal(right.t_ns, found.t_ns)
+    assert found.valid[-300:].all()
+    assert np.abs(found.rack_force_n - right.rack_force_n)[-300:].max() < 60.0
