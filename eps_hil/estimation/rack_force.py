@@ -55,7 +55,11 @@ class Output(NamedTuple):
 
 @kernel
 def start(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
-    """Begin, or begin again after a gap, from the inputs of one instant."""
+    """Begin, or begin again after a gap, from the inputs of one instant.
+
+    A rotor that rests goes on resting: one noisy speed for the observed one would count the noise
+    of its angle as a way.
+    """
     law = x.law
     torque = drive_torque_nm(c, x, instant_of(c, x, s, r, u), u)
     turning = abs(s.acceleration) > c.limiter_acceleration
