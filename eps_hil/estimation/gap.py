@@ -66,12 +66,22 @@ def another_time(c: Constants, s: Moment, u: Inputs, torque: float) -> bool:
     if s.held_steps < NOBODY_KNOWS:
         return False
     most_rad = NOISE_SIGMA * math.sqrt(2.0 * max(s.angle_noise, c.first_angle_noise))
-    rests = abs(s.speed) < c.limiter_speed and abs(u.motor_speed_rad_s) < c.limiter_speed
+    slow = abs(s.speed) < c.limiter_speed and abs(u.motor_speed_rad_s) < c.limiter_speed
     turned = abs(u.motor_angle_rad - s.last_angle)
     same = (
-        rests and c.angle_seen and turned < most_rad and abs(torque - s.drive) < _most_torque(c, s)
+        slow and c.angle_seen and turned < most_rad and abs(torque - s.drive) < _most_torque(c, s)
     )
     return s.running != HELD or not same
+
+
+@kernel
+def rests(c: Constants, s: Moment, speed: float) -> bool:
+    """Whether the rotor rests on both sides of a gap, after which its ``speed`` is that (rad/s).
+
+    One that turns round does not, by eq. 4a.
+    """
+    turning = abs(s.acceleration) > c.limiter_acceleration
+    return max(abs(s.speed), abs(speed)) < c.limiter_speed and not turning
 
 
 @kernel
@@ -134,8 +144,7 @@ def bridge(
     change = u.motor_angle_rad - s.last_angle if c.angle_seen else 0.0
     gap_s = s.held_steps * c.step_s
     hidden = 0.125 * c.limiter_acceleration * gap_s * gap_s
-    turning = abs(s.acceleration) > c.limiter_acceleration
-    rested = max(abs(s.speed), abs(speed)) < c.limiter_speed and not turning
+    rested = rests(c, s, speed)
     off = c.limiter_speed + c.limiter_acceleration * gap_s
     went = 0.5 * (s.speed + speed) * gap_s
     far = NOISE_SIGMA * math.sqrt(2.0 * max(s.angle_noise, c.first_angle_noise))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from eps_hil.compiled import kernel
 from eps_hil.estimation import acting
 from eps_hil.estimation.compensation import drive_torque_nm, friction_step, instant_of
-from eps_hil.estimation.gap import another_time, bridge
+from eps_hil.estimation.gap import another_time, bridge, rests
 from eps_hil.estimation.levels import FrictionLevels, adapted_level_nm, levels_in_use
 from eps_hil.estimation.observer import observer_step
 from eps_hil.estimation.settings import EstimatorSettings
@@ -62,10 +62,9 @@ def start(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
     """
     law = x.law
     torque = drive_torque_nm(c, x, instant_of(c, x, s, r, u), u)
-    turning = abs(s.acceleration) > c.limiter_acceleration
-    rests = max(abs(s.speed), abs(u.motor_speed_rad_s)) < c.limiter_speed and not turning
     s.phi = u.motor_angle_rad
-    if s.running == NEVER_RAN or not rests or abs(u.motor_speed_rad_s) < abs(s.omega):
+    resting = s.running == HELD and rests(c, s, u.motor_speed_rad_s)
+    if not resting or abs(u.motor_speed_rad_s) < abs(s.omega):
         s.omega = u.motor_speed_rad_s
     load = s.force if s.running == HELD else c.ratio * torque
     way = s.bristle if s.running == HELD else u.motor_speed_rad_s

@@ -145,7 +145,7 @@ def test_a_long_hole_of_the_speed_is_no_jump_at_any_rate(
 def test_a_resting_bristle_keeps_its_torque_where_frames_are_corrupt(
     reference_model: Model, steps_truth: Any, at: int
 ) -> None:
-    """Of each message 18 % for 0.6 s: an estimate that begins a hundred times again.
+    """Of each message 18 % for 0.6 s: an estimate that begins again and again.
 
     With one noisy speed for the speed that is observed it did not rest for a moment each time, and
     counted the angle's noise as a way: a bristle relaxed that nothing moved.
