@@ -284,7 +284,7 @@ def _flags(content: Mapping[str, Any]) -> list[str]:
 def _fault(channel: Mapping[str, Any], flag: str) -> str:
     """A flag in words, with the moment where it is one of a moment."""
     words, spans = flag.replace("_", " "), channel.get(flag)
-    return f"{words} from {spans[0][0]:.1f} s on" if spans else words
+    return f"{words} from {spans[0][0]:.1f} s on" if isinstance(spans, list) else words
 
 
 def _span(region: Mapping[str, Any]) -> str:

@@ -13,7 +13,7 @@ import pytest
 from eps_hil.diagnosis.accept.proof_of_fit import free_runs
 from eps_hil.diagnosis.attribute.channel_fault import ChannelFault
 from eps_hil.diagnosis.data.prepare import Prepared
-from eps_hil.diagnosis.data.quality import Quality
+from eps_hil.diagnosis.data.quality import Channel, Quality
 from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
 from eps_hil.physics.model import Model, load_model
 from eps_hil.report import diagnosis_page
@@ -212,7 +212,7 @@ def test_what_is_wrong_with_the_data_is_said_once_and_with_the_names_of_the_axes
 ) -> None:
     """A recording of which a part is kept from the fit is looked at in two parts."""
     channels = [
-        {"signal": name, "flags": ["gaps", "lost_frames"], "gaps": [[16.127, 16.229]]}
+        Channel(name, 1e3, 0.0, 3, 6000, ((16.127, 16.229),), (), (), 0.0, 0.0, 0).content()
         for name in ("motor_speed_rad_s", "steering_wheel_angle_rad")
     ]
     channels += [
