@@ -186,13 +186,16 @@ _made: list[str] = []
 def _decorator(**options: Any) -> Callable[[F], F]:
     def decorated(function: F) -> F:
         _made.append(function.__qualname__)
+        digest = _held(function)
+        if digest is not None:  # numba tells machine code of one name apart in one process only
+            function.__qualname__ = f"{function.__qualname__}_{digest[:12]}"
         with _cached_there(function):
             try:
                 compiled: F = numba.njit(cache=FOLDER is not None, nogil=True, **options)(function)
             except RuntimeError:  # numba finds no folder that it may write to after all
                 return numba.njit(nogil=True, **options)(function)
         if FOLDER is not None:
-            _compile_once(compiled, FOLDER / "locks")
+            _compile_once(compiled, FOLDER / "locks", digest)
         else:
             _say_each_time(compiled)
         return compiled
@@ -326,11 +329,12 @@ def _locked(place: Path) -> Any:
     return lock
 
 
-def _compile_once(function: Any, folder: Path) -> None:
+def _compile_once(function: Any, folder: Path, digest: str | None) -> None:
     """Let processes that start together, on an empty cache, share the work."""
     compile_for = getattr(function, "compile", None)
     if compile_for is None:  # compilation is switched off
         return
+    _know_by_content(function, digest)
     name = f"{function.__module__}.{function.__qualname__}"
     kept = _Kept(function._cache, folder / name.replace("<locals>", "in"))
 
@@ -341,6 +345,48 @@ def _compile_once(function: Any, folder: Path) -> None:
             kept.let_go()
 
     function._cache, function.compile = kept, compiled
+
+
+def _know_by_content(function: Any, digest: str | None) -> None:
+    """Let a closure's code on disk be found by what the closure holds.
+
+    numba pickles what it holds: compiled functions with an id that every process draws anew, and
+    with what they were compiled for so far. No process would find what another has compiled.
+    """
+    if digest is None or not hasattr(function._cache, "_index_key"):
+        return
+    code = hashlib.sha256(function.py_func.__code__.co_code).hexdigest()
+
+    def key(signature: Any, codegen: Any) -> Any:
+        return signature, codegen.magic_tuple(), (code, digest)
+
+    function._cache._index_key = key
+
+
+def _held(function: Callable[..., Any]) -> str | None:
+    """A digest of what a closure holds; None: it is none, or holds what no name vouches for."""
+    if function.__closure__ is None:
+        return None
+    try:
+        held = [_content(cell.cell_contents) for cell in function.__closure__]
+    except ValueError:
+        return None
+    return hashlib.sha256(repr(held).encode()).hexdigest()
+
+
+def _content(held: Any) -> Any:
+    """Plain numbers and words, and functions of this package with what they hold themselves."""
+    if held is None or isinstance(held, bool | int | float | str):
+        return held
+    function = getattr(held, "py_func", held)
+    if not inspect.isfunction(function):
+        raise ValueError("neither a number nor a function")
+    if not Path(inspect.getfile(function)).resolve().is_relative_to(_PACKAGE):
+        raise ValueError("of another package, whose sources the folder's name does not know")
+    within = [_content(cell.cell_contents) for cell in function.__closure__ or ()]
+    code = function.__code__
+    itself = code.co_firstlineno, code.co_code, code.co_consts
+    return function.__module__, function.__qualname__, itself, within
 
 
 def _say_each_time(function: Any) -> None:

@@ -150,6 +150,43 @@ def test_another_install_of_the_same_source_compiles_nothing(
     assert changed["folder"] != said["folder"]
 
 
+CLOSURES = """
+from eps_hil.compiled import njit
+
+@njit
+def first(x):
+    return x + 1.0
+
+def through(before, k):
+    def one(x):
+        return 2.0 * before(x) + k
+    return njit(one)
+
+a, b = (through(through(first, 1), k) for k in (10.0, 100.0))
+"""
+
+
+def test_what_a_closure_holds_names_its_code_for_the_next_process(
+    read_only_install: Path, tmp_path: Path
+) -> None:
+    """Two of one name and signature, each its own, whoever compiled it; nobody does it again."""
+    (read_only_install / "eps_hil" / "closures.py").write_text(CLOSURES)
+    kept = []
+    for names in ("a", "b", "ab", "ba"):
+        calls = ", ".join(f"{name}(0.5)" for name in names)
+        call = f"from eps_hil.closures import a, b; print({calls})"
+        done = subprocess.run(
+            [sys.executable, "-B", "-c", call],
+            cwd=tmp_path, capture_output=True, text=True, check=True,
+            env={**os.environ, "PYTHONPATH": str(read_only_install),
+                 "NUMBA_CACHE_DIR": str(tmp_path / "kept")},
+        )  # fmt: skip
+        right = {"a": 18.0, "b": 108.0}
+        assert [float(one) for one in done.stdout.split()] == [right[name] for name in names]
+        kept.append(len(list((tmp_path / "kept").rglob("*.nbc"))))
+    assert kept == [3, 4, 4, 4]
+
+
 @pytest.mark.slow
 def test_numbas_own_folder_comes_first(read_only_install: Path, tmp_path: Path) -> None:
     said = said_by(read_only_install, NUMBA_CACHE_DIR=str(tmp_path / "n"), HOME=str(tmp_path))
