@@ -384,9 +384,12 @@ def _content(held: Any) -> Any:
     if not Path(inspect.getfile(function)).resolve().is_relative_to(_PACKAGE):
         raise ValueError("of another package, whose sources the folder's name does not know")
     within = [_content(cell.cell_contents) for cell in function.__closure__ or ()]
+    given = [_content(each) for each in function.__defaults__ or ()]
     code = function.__code__
-    itself = code.co_firstlineno, code.co_code, code.co_consts
-    return function.__module__, function.__qualname__, itself, within
+    if any(inspect.iscode(each) for each in code.co_consts):  # shown by its place in memory
+        raise ValueError("holds another function's text")
+    itself = code.co_firstlineno, code.co_code, code.co_names, code.co_consts
+    return function.__module__, function.__qualname__, itself, within, given
 
 
 def _say_each_time(function: Any) -> None:
