@@ -35,6 +35,8 @@ LOST = 1.5
 """A step of so many usual ones is no jitter."""
 CLIPPED_SAMPLES = 8
 """So many equal samples at the end of the range, entered at speed, are clipped."""
+_LEVELS, _HELD = 3, 0.5
+"""A signal of fewer levels, or at one of them for this share of the time, is held there."""
 STUCK_S = 0.2
 """Equal samples for this long…"""
 STUCK_RUNS = 20.0
@@ -299,13 +301,14 @@ def _clipped(
     value: Floats, at: Floats, runs: Runs, quantum: float
 ) -> tuple[tuple[float, float], ...]:
     """Runs at either end of the range that the signal ran into rather than came to rest at."""
-    if not len(value) or np.ptp(value) == 0:
+    levels, count = np.unique(value, return_counts=True)
+    if len(levels) < _LEVELS:
         return ()
-    high, low = float(np.max(value)), float(np.min(value))
+    ends = [float(levels[k]) for k in (0, -1) if count[k] < _HELD * len(value)]
     typical = max(float(np.median(np.abs(np.diff(value)))), quantum)
     found = []
     long = runs[runs[:, 1] - runs[:, 0] >= CLIPPED_SAMPLES]
-    for first, last in long[np.isin(value[long[:, 0]], (high, low))].tolist():
+    for first, last in long[np.isin(value[long[:, 0]], ends)].tolist():
         before = abs(value[first] - value[max(first - _NEAR, 0)])
         after = abs(value[min(last + _NEAR, len(value)) - 1] - value[first])
         if max(before, after) > _ENTERED * typical:

@@ -57,6 +57,19 @@ def test_a_clipped_channel_is_flagged_where_it_clips() -> None:
         assert abs(0.4 * np.sin(2 * np.pi * 0.4 * T[middle])) > 0.34
 
 
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.full(len(T), 13.89),
+        13.89 + 0.01 * (np.arange(len(T)) % 400 < 100),  # between two steps of its message
+        np.where(T < 0.1, 0.0, 13.89),  # the first frames come before the set-point
+        np.minimum(13.89, 2.0 * T),  # driven there, and held
+    ],
+)
+def test_a_channel_that_is_held_is_not_clipped(values: npt.NDArray[np.float64]) -> None:
+    assert seen(values).clipped == ()
+
+
 def test_a_stuck_channel_is_flagged() -> None:
     values = torque()
     values[5100:6300] = values[5100]
