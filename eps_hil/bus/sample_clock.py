@@ -217,6 +217,8 @@ class SampleClock:
         if last is None or not 0 <= since <= self.silence_ns:
             return self._restart(at, t_ns, counter, 1 if first else skip, silence)
         cycle = last.cycle + (since + self.period_ns // 2) // self.period_ns
+        if counter == 0 and silence > self.silence_ns:  # it began anew, whatever it was before
+            at.phase = None
         if at.phase is not None:
             half = self.counter_modulo // 2
             ahead = (counter - at.phase - cycle + half) % self.counter_modulo - half

@@ -21,7 +21,7 @@ _MOST_LEARNT = 1.1
 _LEARN_S, _LEARN_MOTION_S, _RELATED_FOR_S = 0.02, 4.0, 1.7
 """How often gain and lag between speed and angle are learnt, in motion; over how much of it; for
 how long they may doubt alone: then it is they that have changed."""
-_LEAST_LOOKS, _FORGOTTEN_S = 25, 0.8
+LEAST_LOOKS, _FORGOTTEN_S = 25, 0.8
 """Looks after which gain and lag are known; what is left of a doubt in sums over 100 ms after so
 long is nothing."""
 _LEAST_GAIN, _LEAST_LAG_S = 0.002, 0.0001
@@ -59,7 +59,7 @@ def unlike(w: Watch, p: Limits, noise: float) -> bool:
     They excuse a third of the way before they are known. ``noise``: variance of the residual
     (rad²) at rest. A relation that changes for good is learnt anew.
     """
-    if w.dark > 0 or w.looks < _LEAST_LOOKS:
+    if w.dark > 0 or w.looks < LEAST_LOOKS:
         return False
     off = w.slow - w.gain_off * w.turned - w.lag_s * w.slow_gain
     if off * off < p.jump * noise:  # mostly: the rest is for what may be a fault
@@ -87,6 +87,17 @@ def _doubt_relation(w: Watch, p: Limits, steps: int) -> None:
 
 
 @kernel
+def doubt_lessons(w: Watch, p: Limits) -> None:
+    """Something else tells that speed and angle part: what was learnt lately may be of the fault.
+
+    A relation that is younger than the longest doubt of it is forgotten: a service that is started
+    within a fault takes its offset for gain and lag, and would doubt what is right afterwards.
+    """
+    if w.looks * p.learn_every < p.related_steps:
+        _forget_relation(w)
+
+
+@kernel
 def _forget_relation(w: Watch) -> None:
     """Gain and lag are as unknown as at the beginning."""
     w.turned_square = w.turned_change = w.change_square = 0.0
@@ -110,7 +121,7 @@ def learn_relation(w: Watch, p: Limits, u: Inputs) -> None:
     keep, turned, change = p.relation_memory, w.turned, w.slow_gain
     variance = noise + (_LEAST_GAIN * turned) ** 2 + (_LEAST_LAG_S * change) ** 2
     w.looks += 1
-    if w.looks > _LEAST_LOOKS:
+    if w.looks > LEAST_LOOKS:
         off, tolerance = _off_relation(w, p, noise)
         if abs(off) > _LEARNT * tolerance:
             _doubt_relation(w, p, p.learn_every)

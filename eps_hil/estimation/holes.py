@@ -32,7 +32,8 @@ def unseen(w: Watch, p: Limits) -> int:
     Whatever began to be wrong in a hole of the inputs is not seen; only its end would be, and for
     so long it is waited for. After a start it is only not known which of both a jump is: who
     begins amid traffic waits by himself (service/core.py), a recording begins before its faults.
-    So it is while the motion has to confirm what the torque did in a hole (:func:`course`).
+    So it is while the motion has to confirm what the torque did in a hole (:func:`course`), or the
+    angle what the speed did.
     """
     waits, w.awaited = w.awaited, max(w.awaited - 1, 0)
     if w.missed_now:
@@ -96,8 +97,8 @@ def course(w: Watch, p: Limits, torque: float, noise: float, seen: bool) -> floa
         return guess
     if w.guesses > 0 and k > 0:
         off = torque - w.torque[(k - 1) & WRAP] - w.slope_nm
-        if w.guesses > n:
-            w.awaited = n + 1 if _strays(w, p, off, noise, k - 1) else 0
+        if w.guesses > n and _strays(w, p, off, noise, k - 1):
+            w.awaited = n + 1
         if w.strayed > _SPIKE * abs(off) and _strays(w, p, w.strayed, noise, k - 1):
             w.told = max(w.told, ROLLED_BACK)
     w.strayed = 0.0

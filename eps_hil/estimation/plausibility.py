@@ -12,7 +12,7 @@ import numpy as np
 from eps_hil.compiled import kernel
 from eps_hil.estimation.creep import follow_creep
 from eps_hil.estimation.frozen import take_equal
-from eps_hil.estimation.gain_and_lag import SMOOTHED_S, relation_steps
+from eps_hil.estimation.gain_and_lag import SMOOTHED_S, doubt_lessons, relation_steps
 from eps_hil.estimation.holes import blind, course, in_the_dark, lose_course, unseen
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Inputs, smoothing
@@ -21,6 +21,7 @@ from eps_hil.estimation.speed_and_angle import (
     SLOW_LEAK_PER_MS,
     SUDDEN,
     angle_off,
+    await_angle,
     jumped_alone,
     jumped_in_hole,
     mean_noise,
@@ -202,8 +203,11 @@ def judge_step(
     if p.angle_seen:
         follow_creep(w, p, u)
     off = angle_off(w, p, u, before) if p.angle_seen else 0
+    if p.angle_seen:
+        await_angle(w, p, u)
     if p.angle_seen and (jumped_alone(w, p, u) or jumped_in_hole(w, p, u)):
         w.stalled, w.missed, off = p.stalled_steps, 1, 1
+        doubt_lessons(w, p)
     elif p.angle_seen and spiked_alone(w, p, u):
         off = 1
     if off:

@@ -10,10 +10,12 @@ import numpy as np
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation.gain_and_lag import (
+    LEAST_LOOKS,
     LOW_SCALE,
     MOST,
     SCALE,
     SMOOTHED_S,
+    doubt_lessons,
     learn_relation,
     unlike,
 )
@@ -30,6 +32,10 @@ SUDDEN = 2
 _SPEED_JUMP, _SPEED_SPIKE = 1.5, 5.0
 """A jump of the speed (rad/s) from one step to the next that is looked at, and one that ends a
 spike."""
+_ASKED_SIGMA = 3.0
+"""Deviations beyond which the way over a long hole has to be confirmed."""
+_BENT_LATE = 0.6
+"""Share of a hole after which a speed that bends is rare, and its end off the course by little."""
 
 
 @kernel
@@ -42,7 +48,10 @@ def angle_off(w: Watch, p: Limits, u: Inputs, before: float) -> int:
     speed = u.motor_speed_rad_s
     way, turned = 0.5 * (speed + before) * p.step_s, u.motor_angle_rad - w.angle
     apart = turned - way
-    w.apart[(w.steps - 1) & WRAP] = w.apart[(w.steps - 2) & WRAP] + apart
+    summed = apart - p.step_s * _drawn_ahead(w, u) * (speed - before)
+    if w.looks >= LEAST_LOOKS:
+        summed -= w.gain_off * turned + w.lag_s * (speed - before)
+    w.apart[(w.steps - 1) & WRAP] = w.apart[(w.steps - 2) & WRAP] + summed
     w.slip = p.leak * w.slip + apart
     w.path = p.leak * w.path + way
     w.gain = p.leak * w.gain + (speed - before)
@@ -53,11 +62,26 @@ def angle_off(w: Watch, p: Limits, u: Inputs, before: float) -> int:
     tolerance = p.angle_tolerance + SCALE * abs(w.path) + SMOOTHED_S * abs(w.gain)
     on_average = _off_on_average(w, p, u)
     alone = _slides_alone(w, p, u, apart, turned, speed - before)
-    if not (abs(w.slip) > tolerance or on_average or alone or jumped):
+    if abs(w.slip) > tolerance or on_average or jumped:
+        doubt_lessons(w, p)
+    elif not alone:
         learn_relation(w, p, u)
         return 0
     w.unlike = p.forgotten_steps
     return SUDDEN if abs(apart) > p.sudden_turn else 1
+
+
+@kernel
+def _drawn_ahead(w: Watch, u: Inputs) -> float:
+    """By how many steps the middle of a hole is ahead of this step, 0 outside of one.
+
+    In it the angle is drawn straight, which has the speed of its middle, and so is the speed.
+    """
+    if w.drawn > 1:
+        return 0.5 * u.speed_periods + 1.5 - w.drawn if u.angle_periods > 1.0 else 0.0
+    if w.drawn == 0 and w.hole_last == w.steps - 1 and w.hole_first >= 0:
+        return 1.0 - 0.5 * (w.hole_last - w.hole_first)
+    return 0.0
 
 
 def mean_noise(leak: float, mean: float, step_s: float) -> tuple[float, float]:
@@ -113,6 +137,7 @@ def _slides_alone(
     w.slow = min(max(w.slow, -MOST * tolerance), MOST * tolerance)
     said = w.turned - w.slow  # the speed's own way
     if abs(w.slow) > tolerance and abs(said) > abs(w.turned):
+        doubt_lessons(w, p)
         return True
     return unlike(w, p, noise)
 
@@ -149,15 +174,22 @@ def jumped_in_hole(w: Watch, p: Limits, u: Inputs) -> bool:
     There it is drawn straight from end to end, which is no integral of a speed, so only what is
     beside the hole counts: the slope of the sum after it less that before, against the jump that
     the speed's own slopes leave. It is looked for as soon as two steps are seen, and again with
-    each of the next, which see smaller jumps.
+    each of the next, which see smaller jumps. A jump that is seen less than a window after the
+    hole, where no course of the speed is known yet, counts as one in it.
     """
     first, last = w.hole_first, w.hole_last
     after, before = w.steps - 1 - last, min(first, p.window)
+    v = w.speed
+    if first >= 0 and 0 < after < p.window:
+        jump = v[(last + after) & WRAP] - v[(last + after - 1) & WRAP]
+        if jump * jump > max(2.5 * p.jump * u.speed_noise, _SPEED_JUMP**2):
+            w.hole_last = last + after
+            return False
     if first < 0 or after < 2 or after > p.window or before < 3:
         return False
     if w.steps - first + before > RING:  # not remembered any more
         return False
-    v, over = w.speed, min(after, before)
+    over = min(after, before)
     earlier = (v[first & WRAP] - v[(first - over) & WRAP]) / over
     later = (v[(last + over) & WRAP] - v[last & WRAP]) / over
     went = v[last & WRAP] - v[first & WRAP]
@@ -172,6 +204,33 @@ def jumped_in_hole(w: Watch, p: Limits, u: Inputs) -> bool:
     by_gain = SCALE * abs(went - jump) * p.step_s
     enough = bend * bend > p.jump * rough and abs(bend) > by_gain
     return bool(enough and (bend - due) ** 2 < 0.25 * due * due)
+
+
+@kernel
+def await_angle(w: Watch, p: Limits, u: Inputs) -> None:
+    """A hole of over a window begins over which the angle does not go as the speed may have done.
+
+    A speed that bends once within the hole, and ends it ``off`` its course, leaves a way that is
+    short by up to ``off`` times half the hole, by a third of that if it bends all the while. One
+    that only reads another value since leaves all of it. Until the angle can tell after the hole
+    (:func:`jumped_in_hole`), what was drawn over it may be wrong.
+    """
+    length, k, over = u.speed_periods, w.steps - 1, p.window
+    if w.drawn != 2 or length < over or u.angle_periods != length or k < over + 2:
+        return
+    if w.looks < LEAST_LOOKS:
+        return
+    v = w.speed
+    course = (v[(k - 2) & WRAP] - v[(k - 2 - over) & WRAP]) / over
+    off = (v[k & WRAP] - v[(k - 1) & WRAP] - course) * length
+    short = -2.0 * (w.apart[k & WRAP] - w.apart[(k - 1) & WRAP]) / p.step_s
+    most = _BENT_LATE * off
+    beyond = max(short - max(most, 0.0), min(most, 0.0) - short)
+    share = length / over
+    noise = (2.0 + 2.0 * _BENT_LATE**2 * (1.0 + share + share * share)) * u.speed_noise
+    noise += 8.0 * u.angle_noise / (length * p.step_s) ** 2
+    if beyond > 0.0 and beyond * beyond > max(_ASKED_SIGMA**2 * noise, _SPEED_JUMP**2):
+        w.awaited = max(w.awaited, math.ceil(length) + over)
 
 
 @kernel

@@ -288,11 +288,12 @@ def _found(w: Watch, p: Limits, base: float, slope: float, level: float) -> None
     What is left of a jump that went back, or of a spike, may be what the course did meanwhile: it
     is not doubted for long. Nor is a jump after one of which much was left: it may be its end. Nor
     one beside a hole: how large it was is a guess, as the course through the hole is. Nor one of a
-    torque that stood still or was late of late: it may be what that leaves.
+    torque that stood still or was late of late: it may be what that leaves. Nor one right after
+    another: it may be the end of a third one between them, which was not told from the other.
     """
     n, k = p.window, w.steps - 1
     first, since = k - n, k - n - w.edge_at
-    vague = w.stalled > 0
+    vague = w.stalled > 0 or w.quiet <= p.told_steps
     for j in range(2 * n + 1):
         vague = vague or w.doubt[(k - j) & WRAP] > 0.0
     if 0 < since <= n + p.edge:  # perhaps the end of a spike: what is left is of before it

@@ -197,3 +197,14 @@ def test_counters_that_jumped_while_the_clock_was_set_keep_no_relation(seed: int
     assert all(
         abs(a.t_ns - b.t_ns) < 0.3 * MS for a, b in zip(after[::2], after[1::2], strict=True)
     )
+
+
+@pytest.mark.parametrize("counter", [29, 20])
+def test_a_message_that_begins_at_zero_after_a_silence_waits_for_nothing(counter: int) -> None:
+    """The other began before it, with another counter: what their relation was is over."""
+    events = [(n * MS + 100_000, n, n, "a") for n in range(500)]
+    events += [(n * MS + 220_000, n, n, "b") for n in range(235)]
+    events += [(n * MS + 610_000, n, n + counter - 545, "a") for n in range(545, 1600)]
+    events += [(n * MS + 730_000, n, n - 634, "b") for n in range(634, 1600)]
+    found = run(events)
+    assert all(together(found, n) for n in range(640, 1600))

@@ -136,3 +136,71 @@ def test_a_relation_that_changes_for_good_is_believed_in_the_end(reference_model
     assert np.any(found[500:5000])
     assert not np.any(found[12_000:])
     assert watch[0].gain_off == pytest.approx(0.08, abs=0.005)
+
+
+def test_a_service_that_starts_with_a_frozen_speed_does_not_keep_that(
+    reference_model: Model,
+) -> None:
+    """It was taken for gain and lag of the rig, and what was right afterwards was doubted."""
+    rng, limits = np.random.default_rng(2), limits_of(reference_model, EstimatorSettings(), True)
+    watch, t = new_watch(), np.arange(5000) * 1e-3
+    true = np.where(t < 0.4, -43.0 - 12.5 * t, -48.0 * np.cos(2 * np.pi * 0.2 * (t - 0.4)))
+    angle = np.cumsum(0.5e-3 * (true + np.concatenate([[-43.0], true[:-1]])))
+    angle += NOISE_RAD * rng.standard_normal(5000)
+    speed = np.where(t < 0.4, -43.0, true + NOISE_RAD_S * rng.standard_normal(5000))
+    found = np.zeros(5000, bool)
+    for k in range(5000):
+        u = Inputs(0.0, 0.0, speed[k], angle[k], 0.0, 1e-6, NOISE_RAD_S**2, NOISE_RAD**2, 1.0, 1.0)
+        found[k] = judge_step(watch, limits, u, True, 0, True)[0] & int(Reason.INCONSISTENT) != 0
+    assert np.any(found[400:420])
+    assert not np.any(found[2000:])
+
+
+@pytest.mark.parametrize("after_ms", [1, 2, 4, 7])
+def test_a_speed_that_jumps_soon_after_a_hole_is_told(
+    reference_model: Model, sweep_truth: Any, after_ms: int
+) -> None:
+    """Neither side of the hole shows it, nor is there a course of the speed before the jump."""
+    missed, believed = _missed(reference_model, sweep_truth, range(31_000, 33_000, 100), after_ms)
+    assert missed == 0
+    assert believed > 10, "nothing to tell"
+
+
+@pytest.mark.parametrize("before_ms", [3, 6])
+def test_a_speed_that_jumps_just_before_a_hole_is_told(
+    reference_model: Model, sweep_truth: Any, before_ms: int
+) -> None:
+    """Drawn straight from end to end, angle and speed went apart within the hole by themselves."""
+    some = range(31_000, 33_000, 100)
+    missed, believed = _missed(reference_model, sweep_truth, some, -15 - before_ms)
+    assert missed == 0
+    assert believed > 10, "nothing to tell"
+
+
+def test_a_speed_that_jumps_in_a_long_hole_is_not_believed_until_the_angle_tells(
+    reference_model: Model, sweep_truth: Any
+) -> None:
+    """It is drawn over the hole, and wrong there before anything can be seen: 27 ms, mostly."""
+    missed, believed = _missed(reference_model, sweep_truth, range(31_000, 33_000, 50), 0)
+    assert missed <= 2
+    assert believed > 10, "nothing to tell"
+
+
+def _missed(model: Model, truth: Any, some: range, after_ms: int) -> tuple[int, int]:
+    """How often a speed that is 7.4 rad/s off is wrong and valid for over 20 ms, and how often it
+    would be if nothing looked at it; it is off from ``after_ms`` after the end of a hole of 15 ms.
+    """
+    believed = missed = 0
+    for at in some:
+        part = slice(at - 1500, at + 300)
+        right = {n: Series(s.t_ns[part], s.value[part]) for n, s in series_of(truth).items()}
+        speed = right[NAMES[2]].value.copy()
+        speed[1500:] += 7.4 if at // some.step % 2 else -7.4
+        kept = np.ones(1800, bool)
+        kept[1485 - after_ms : 1500 - after_ms] = False
+        lied = {**right, NAMES[2]: Series(right[NAMES[2]].t_ns, speed)}
+        lied = {name: Series(s.t_ns[kept], s.value[kept]) for name, s in lied.items()}
+        whole = estimate(right, model)
+        missed += wrong_and_valid_ms(estimate(lied, model), whole) > 20
+        believed += wrong_and_valid_ms(estimate(lied, model, OFF), whole) > 20
+    return missed, believed

@@ -107,6 +107,22 @@ def test_an_offset_within_an_offset_is_not_doubted_for_long(
         assert _back_ms(reference_model, sweep_truth.columns, since, two) < 1700
 
 
+def test_an_offset_right_after_another_is_not_doubted_for_long(
+    reference_model: Model, sweep_truth: Any
+) -> None:
+    """Where the friction turns over, its beginning is not told from the end of the first."""
+    for since in (29_266, 32_220, 32_642, 32_853, 33_697, 34_330):
+        part = slice(since - 2500, since + 2600)
+        t_ns = np.round(sweep_truth.columns["time_s"][part] * 1e9).astype(np.int64)
+        for sign in (-1.0, 1.0):
+            series = {n: Series(t_ns, sweep_truth.columns[n][part].copy()) for n in NAMES}
+            torque = series[NAMES[0]].value
+            torque[2000:2471] += 0.161 * sign
+            torque[2480:2500] += 0.166 * sign
+            bad = np.flatnonzero(~estimate(series, reference_model).valid[2500:])
+            assert max(bad, default=0) < 1700
+
+
 def test_a_jump_beside_a_hole_is_not_doubted_for_long(
     reference_model: Model, steps_truth: Any
 ) -> None:
