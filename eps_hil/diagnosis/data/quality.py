@@ -35,8 +35,8 @@ LOST = 1.5
 """A step of so many usual ones is no jitter."""
 CLIPPED_SAMPLES = 8
 """So many equal samples at the end of the range, entered at speed, are clipped."""
-_LEVELS, _HELD = 3, 0.5
-"""A signal of fewer levels, or at one of them for this share of the time, is held there."""
+_HELD = 0.5
+"""A signal that is at one end of its range for this share of the time is held there."""
 STUCK_S = 0.2
 """Equal samples for this long…"""
 STUCK_RUNS = 20.0
@@ -301,10 +301,13 @@ def _clipped(
     value: Floats, at: Floats, runs: Runs, quantum: float
 ) -> tuple[tuple[float, float], ...]:
     """Runs at either end of the range that the signal ran into rather than came to rest at."""
-    levels, count = np.unique(value, return_counts=True)
-    if len(levels) < _LEVELS:
+    if not len(value):
         return ()
-    ends = [float(levels[k]) for k in (0, -1) if count[k] < _HELD * len(value)]
+    high, low = float(np.max(value)), float(np.min(value))
+    share = {end: np.count_nonzero(value == end) / len(value) for end in (high, low)}
+    if sum(share.values()) >= 1.0:  # no other value than these
+        return ()
+    ends = [end for end in share if share[end] < _HELD]
     typical = max(float(np.median(np.abs(np.diff(value)))), quantum)
     found = []
     long = runs[runs[:, 1] - runs[:, 0] >= CLIPPED_SAMPLES]
