@@ -180,7 +180,7 @@ def test_a_speed_that_jumps_just_before_a_hole_is_told(
 def test_a_speed_that_jumps_in_a_long_hole_is_not_believed_until_the_angle_tells(
     reference_model: Model, sweep_truth: Any
 ) -> None:
-    """It is drawn over the hole, and wrong there before anything can be seen: 27 ms, mostly."""
+    """It is drawn over the hole, and wrong there before anything can be seen."""
     missed, believed = _missed(reference_model, sweep_truth, range(31_000, 33_000, 50), 0)
     assert missed <= 2
     assert believed > 10, "nothing to tell"
