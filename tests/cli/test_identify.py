@@ -16,8 +16,6 @@ from eps_hil.proof.world import Instruments, World
 
 MODEL = str(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
 
-pytestmark = pytest.mark.slow
-
 
 def written(path: Path, columns: Mapping[str, Any]) -> Path:
     table = np.column_stack(list(columns.values()))

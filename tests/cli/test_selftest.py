@@ -23,7 +23,6 @@ from eps_hil.service.setup import prepare
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.slow
 def test_the_whole_of_it_measures_this_machine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
