@@ -6,13 +6,14 @@ lists); messages whose database names counter and CRC signals are served by
 counts on from the counter that it finds in the payload, so the last one is put there.
 """
 
+import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, with_config
 
-from eps_hil.errors import EpsHilError
+from eps_hil.errors import EpsHilError, InputError
 
 _COUNTER = {"p01": (1, 0x0F), "p02": (1, 0x0F), "p05": (2, 0xFF), "p11": (1, 0x0F)}
 """Byte of the header that holds the counter, and the counter's bits in it."""
@@ -42,10 +43,17 @@ class E2eProfile:
             raise ValueError("profile p02 stands at the beginning of the frame")
 
 
+def check(file: object) -> None:
+    """Refuse, before any work, the configuration ``file`` with a profile that nothing computes."""
+    if importlib.util.find_spec("e2e") is None:
+        problem = "an AUTOSAR profile needs the 'e2e' extra"
+        raise InputError(file, "override.e2e", problem, 'pip install "eps_hil[e2e]"')
+
+
 class E2eProtector:
     """Protects one message of ``length`` bytes.
 
-    :class:`EpsHilError` if the package is not installed, or the header does not fit.
+    :class:`EpsHilError` if the header does not fit; :func:`check` asks for the package.
     """
 
     def __init__(self, rule: E2eProfile, length: int) -> None:
@@ -79,13 +87,6 @@ class E2eProtector:
 
 
 def _function(rule: E2eProfile, what: str) -> Callable[..., Any]:
-    import importlib
-
-    try:
-        module = importlib.import_module(f"e2e.{rule.profile}")
-    except ImportError:
-        raise EpsHilError(
-            "override.e2e needs the package autosar-e2e: pip install 'eps_hil[e2e]'"
-        ) from None
+    module = importlib.import_module(f"e2e.{rule.profile}")
     found: Callable[..., Any] = getattr(module, f"e2e_{rule.profile}_{what}")
     return found

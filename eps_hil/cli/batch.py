@@ -88,16 +88,14 @@ def _run(
     dask: str | None,
     reading: Reading,
 ) -> None:
-    from eps_hil.fleet import population_page
+    from eps_hil.fleet import population_page, workers
     from eps_hil.fleet.batch import run_batch
     from eps_hil.fleet.job import Job
     from eps_hil.fleet.tasks import tasks_of
     from eps_hil.physics.model import load_model
-    from eps_hil.recordings.files import check_extra, make_folder
-    from eps_hil.report import page
+    from eps_hil.recordings.files import make_folder
 
-    page.check("batch", "matplotlib")
-    check_extra(Path("results.parquet"))
+    workers.check(dask)
     load_model(model)  # refused here, and not once for each recording
     if settings is not None:
         from eps_hil import yaml_file

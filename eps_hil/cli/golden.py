@@ -46,9 +46,11 @@ def make(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
 ) -> None:
     """Run a log through the service's core and keep every estimate, with where it came from."""
+    from eps_hil.cli._inputs import check_extras
     from eps_hil.oracle import golden as oracle
     from eps_hil.oracle.golden_file import Golden, write_golden
 
+    check_extras([log])
     tolerances = oracle.parse_tolerances(tolerance, oracle.DEFAULT_TOLERANCES)
     if out.name.lower().removesuffix(".gz")[-4:] != ".csv":
         raise InputError(out, "--out", "is neither .csv nor .csv.gz", "name it so")
@@ -93,8 +95,10 @@ def check(
 
     Status 2: a file is wrong or missing, or the log is not the one that the golden was made from.
     """
+    from eps_hil.cli._inputs import check_extras
     from eps_hil.oracle.golden_file import read_golden
 
+    check_extras([log])
     for option, value in (("--log", log), ("--figure", figure)):
         if value is not None and len(goldens) > 1:
             raise InputError(option, "", "goes with one golden", f"not with {len(goldens)}")

@@ -68,7 +68,7 @@ def investigate(
 
     budget_s = seconds(budget)
     check_places(json, report, write_model)
-    page.check("--report")
+    page.check("investigate")
     setup, limits = load_bus_setup(config), load_limits(config)
     model = load_model(setup.model)
     share = load_rig_setup(config, "idle").rig.motor_share

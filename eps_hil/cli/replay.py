@@ -77,7 +77,9 @@ def replay(
     from eps_hil.bus.replay_choice import Choice, refuse_asked
     from eps_hil.bus.replay_controls import ReplayControls
     from eps_hil.cli._bus_options import choose_bus, open_bus
+    from eps_hil.cli._inputs import check_extras
 
+    check_extras([log])
     pace = player.parse_speed(speed)
     wanted, unwanted = player.parse_ids(ids) or None, player.parse_ids(without, "--without")
     if to_s is not None and to_s <= from_s:

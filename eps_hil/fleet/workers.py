@@ -5,6 +5,7 @@ of a library) is tried once more, alone, and is then a failed row.
 """
 
 import contextlib
+import importlib.util
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -21,6 +22,21 @@ Todo = Sequence[tuple[Task, str]]
 """Tasks with their keys."""
 _RETRIES = 2
 _THREADS = tuple(f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL"))
+
+
+def check(dask: str | None) -> None:
+    """Refuse, before any work, a batch that could not run there, or not write its results."""
+    brings = {"pyarrow": "parquet", "matplotlib": "report", "jinja2": "report"}
+    missing = sorted(
+        {extra for name, extra in brings.items() if importlib.util.find_spec(name) is None}
+    )
+    if dask is not None and importlib.util.find_spec("distributed") is None:
+        missing = ["fleet"]  # which brings the others
+    if missing:
+        what = " and ".join(f"'{extra}'" for extra in missing)
+        asked = "batch" if dask is None else "batch --dask"
+        problem = f"needs the {what} extra{'s' * (len(missing) > 1)}"
+        raise InputError(asked, "", problem, f'pip install "eps_hil[{",".join(missing)}]"')
 
 
 def here(job: Job, todo: Todo, processes: int | None = None) -> Iterator[Row]:
@@ -96,14 +112,10 @@ def _outlive_not(parent: int) -> None:
 def on_dask(job: Job, todo: Todo, address: str) -> Iterator[Row]:
     """On the workers of the scheduler at ``address``, which see the same files at the same paths.
 
-    :class:`InputError` where Dask is not installed, or nobody answers.
+    :class:`InputError` where nobody answers.
     """
-    try:
-        from distributed import Client, as_completed
-    except ImportError:
-        raise InputError(
-            "--dask", "", "needs the 'fleet' extra", 'pip install "eps_hil[fleet]"'
-        ) from None
+    from distributed import Client, as_completed
+
     try:
         client = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

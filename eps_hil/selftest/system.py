@@ -14,7 +14,12 @@ from pathlib import Path
 from eps_hil.selftest.check import Check, Verdict, graded
 
 _LIBRARIES = ("numpy", "scipy", "numba", "python-can", "cantools", "msgpack", "fastcrc", "pydantic")
-_EXTRAS = ("asammdf", "pyarrow", "matplotlib", "jinja2", "autosar-e2e")
+_EXTRAS = {
+    "asammdf": "mf4", "pyarrow": "parquet", "mcap": "mcap", "matplotlib": "report",
+    "jinja2": "report", "uplot-python": "report", "autosar-e2e": "e2e", "starlette": "dashboard",
+    "uvicorn": "dashboard", "websockets": "dashboard", "fmpy": "fmu", "distributed": "fleet",
+}  # fmt: skip
+"""Library -> extra of pyproject.toml that brings it."""
 _PREEMPTION = ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT", "PREEMPT_VOLUNTARY", "PREEMPT_NONE")
 
 
@@ -36,7 +41,7 @@ def python_and_libraries() -> list[Check]:
         if versions[name] is None or _numbers(str(versions[name])) < _numbers(least.get(name, "0"))
     ]
     there = [f"{name} {versions[name]}" for name in _LIBRARIES if versions[name]]
-    without = [name for name in _EXTRAS if versions[name] is None]
+    without = sorted({extra for name, extra in _EXTRAS.items() if versions[name] is None})
     lines = [
         Check(
             "python", "Python and libraries",
@@ -49,9 +54,9 @@ def python_and_libraries() -> list[Check]:
     if without:
         lines.append(
             Check(
-                "extras", "optional libraries", f"missing: {', '.join(without)}", "",
-                Verdict.TOLD, "only for MF4, Parquet, figures and E2E profiles",
-                "pip install 'eps_hil[all]'",
+                "extras", "optional extras", f"missing: {', '.join(without)}", "",
+                Verdict.TOLD, "other file formats, pages and figures, the live page, E2E, Dask",
+                f'pip install "eps_hil[{",".join(without)}]"',
             )
         )  # fmt: skip
     return lines

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from eps_hil.bus import e2e
 from eps_hil.bus.codec import FrameDecoder, FrameEncoder, crc_rule, rules_of
 from eps_hil.bus.commands import refuse_command
 from eps_hil.bus.database import find_message, load_database, nearest
-from eps_hil.bus.e2e import E2eProtector
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.mapping import SignalMapping, load_mapping
 from eps_hil.bus.message_decoder import MessageDecoder
@@ -32,7 +32,7 @@ class CommandEncoder:
         self._frames = FrameEncoder(database, config.command_message, dbc_file=dbc_file)
         self.can_id, self.extended = self._frames.can_id, self._frames.extended
         length = int(find_message(database, config.command_message).length)  # type: ignore[union-attr]
-        self._e2e = None if config.e2e is None else E2eProtector(config.e2e, length)
+        self._e2e = None if config.e2e is None else e2e.E2eProtector(config.e2e, length)
 
     def frame(self, command: Command) -> Frame:
         """The next frame; the counter goes up by one."""
@@ -114,6 +114,8 @@ def prepare_override(config: ServiceConfig, file: str | Path) -> OverrideParts:
             file, "override", "block is missing, so no torque may ever be commanded",
             "state all limits there: docs/safety.md",
         )  # fmt: skip
+    if config.override.e2e is not None:
+        e2e.check(file)
     if config.bus.options.get("hardware_stamps"):
         raise InputError(
             file, "bus.options.hardware_stamps", "another clock cannot tell how old an input is",

@@ -145,6 +145,7 @@ def test_old_and_missing_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "numpy 1.26.4" in lines["python"].remedy
     assert "scipy missing" in lines["python"].remedy
     assert lines["extras"].verdict == Verdict.TOLD
+    assert "dashboard, e2e, fleet, fmu, mcap, mf4, parquet, report" in lines["extras"].measured
 
 
 def test_versions_compare_as_numbers() -> None:
