@@ -46,7 +46,7 @@ def as_name(
     """
     if selection.part is not problem:
         return None
-    kept = Problem([one.prepared for one in judged], problem.model)
+    kept = problem.apart([one.prepared for one in judged])
     there = Sight(kept, problem.model)
     entries = [selection.found.entries[k] for k in findings]
     named = {str(one["effect"]) for one in entries}

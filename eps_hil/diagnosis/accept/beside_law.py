@@ -95,7 +95,7 @@ def _from(
     """Names and laws in turns, first a law beside the ``findings``; whether there was one, and
     what stands beside it.
     """
-    kept = Problem([one.prepared for one in judged], problem.model)
+    kept = problem.apart([one.prepared for one in judged])
     without = set(catalogue()) - {one.effect.id for one in selection.pool}
     first = len(problem.model.effects)
     model = augmented_by(problem, selection.found, findings)
@@ -133,7 +133,7 @@ def _from(
 
 def _with_more(problem: Problem, found: BesideLaw, judged: Sequence[Holdout]) -> BesideLaw:
     """With what stays unknown beside names and laws modelled, too, curves and maps among it."""
-    kept = Problem([one.prepared for one in judged], problem.model)
+    kept = problem.apart([one.prepared for one in judged])
     jacobian, before = _columns(found.told, found.findings), found.remainder
     more = find(problem, kept, before.model, jacobian)
     if more is None:

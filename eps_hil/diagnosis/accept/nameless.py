@@ -83,7 +83,7 @@ def _modelled(
     say: Say | None,
 ) -> tuple[Remainder | None, Sequence[int]]:
     """The same by the torque balance alone."""
-    kept = Problem([one.prepared for one in judged], problem.model)
+    kept = problem.apart([one.prepared for one in judged])
     part = (lambda done: say("modelling what has no name", done)) if say else None
     given = augmented_by(problem, selection.found, findings, tied)
 

@@ -89,6 +89,7 @@ def select(
 def _on_all(problem: Problem, selection: Selection) -> Selection:
     """What was found in a part, fitted to everything; what everything does not need is dropped."""
     problem.at, found = selection.part.at, selection.found
+    problem.beyond_nm = selection.part.beyond_nm
     found = fit(problem, found.entries, own=found.own)
     problem.knee = knee(found.residual)
     found = fit(problem, found.entries, own=found.own, like=found)
@@ -111,6 +112,9 @@ def _search(
     The regressors are taken once, at the refitted model without effects; each step's fit is exact.
     """
     found = fit(problem, [], own={**ALL, **problem.tied})
+    if problem.weigh(problem.with_entries([], found.own)):
+        found = fit(problem, [], own={**ALL, **problem.tied})
+        problem.weigh(problem.with_entries([], found.own))
     problem.at, problem.columns = found.own if _believable(found) else {}, {}
     problem.knee = knee(found.residual)
     null, found = fit(problem, [], own={**TIMING, **problem.tied}), fit(problem, [], own=found.own)
@@ -143,6 +147,7 @@ def _search(
         if chosen is None:
             break
         found = _without_neutral(problem, chosen)
+        problem.weigh(problem.with_entries(found.entries, found.own))
         problem.knee = knee(found.residual)
         found = fit(problem, found.entries, own=found.own, like=found)
     if has_curve(found):
@@ -158,6 +163,9 @@ def _search(
     least = threshold(problem, found.residual, FORWARD_SHARE)
     found = levels_first(problem, found, least, considered, settled)
     found = _backward(problem, found)
+    if problem.weigh(problem.with_entries(found.entries, found.own)):
+        selection.null = fit(problem, [], own=null.own)
+        found = fit(problem, found.entries, own=found.own, like=found)
     selection.found = selection.searched = timed(problem, found)
     rivals_of(problem, selection)
     return selection

@@ -60,6 +60,17 @@ class BothStates(Problem):
         del self._seen[:-_KEPT]
         return left
 
+    def state_of(self, one: Prepared, model: Model) -> Model:
+        """The known state's model for its recordings."""
+        if isinstance(model, ModelOfBoth) and model.known is not None and one.name in self.known:
+            return model.known
+        return one_state(model)
+
+    def weigh(self, model: Model) -> bool:
+        """As of any problem; what was remembered goes by what was weighed before."""
+        self._seen.clear()
+        return super().weigh(model)
+
     def in_known(self) -> npt.NDArray[np.bool_]:
         """Samples (n,) of the known state."""
         parts = [np.full(len(one.thin_time_s), one.name in self.known) for one in self.recordings]

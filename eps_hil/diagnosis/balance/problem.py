@@ -23,6 +23,8 @@ SETTLED_RAD = 0.2
 PRESLIDING_SIGMA_NM, NOISY_RAD_S = 0.03, 0.2
 """What rest and presliding leave even in a right model, at so much speed noise or less and at
 1 kHz: a reversal's instant is known no better than a sample."""
+_MUCH, _TAIL = 2.0, 3.0
+"""Times the noise from which what is left is more; usual errors of an outlier."""
 _MANY = 20_000
 """Thinned samples from which it is worth while to work on several recordings at once."""
 TERM = "term"
@@ -56,6 +58,8 @@ class Problem:
     """What is unknown beside the model (``discrepancy.py``): residuals are whitened by it."""
     held_nm: float = 0.0
     """What rest and presliding leave beyond a right model's, for one sample (``resting.py``)."""
+    beyond_nm: float = 0.0
+    """What sliding leaves that is no noise, of the reported torque (:meth:`weigh`)."""
     sliding: Masks = field(init=False)
     scale: Floats = field(init=False)
     floor: float = field(init=False)
@@ -116,6 +120,10 @@ class Problem:
         """The same for other recordings: hold-outs."""
         return replace(self, recordings=recordings)
 
+    def apart(self, recordings: Sequence[Prepared]) -> "Problem":
+        """Other recordings under the given model alone, to judge laws by."""
+        return Problem(recordings, self.model, beyond_nm=self.beyond_nm)
+
     def beside(self, remainder: Remainder | None) -> "Problem":
         """The same with another remainder."""
         return replace(self, remainder=remainder)
@@ -135,7 +143,8 @@ class Problem:
         """Weighted residual (n,): 1 is the sensor noise.
 
         The noise is that under this very model (errors in variables): a model that makes all
-        torques smaller also makes their noise smaller, and is no better for it.
+        torques smaller also makes their noise smaller, and is no better for it. What is left beyond
+        noise (an error in the equation) is as large under every model.
         """
 
         few = len(self.scale) < _MANY
@@ -157,8 +166,40 @@ class Problem:
         return told
 
     def left(self, one: Prepared, model: Model) -> Floats:
-        """What the model leaves of one recording, Nm, in proportion to the model's own noise."""
-        return one.left_over(model) * (one.floor_nm(self.model) / one.floor_nm(model))
+        """What the model leaves of one recording, Nm, in proportion to its usual size there."""
+        return one.left_over(model) * (self._usual_nm(one, self.model) / self._usual_nm(one, model))
+
+    def state_of(self, one: Prepared, model: Model) -> Model:
+        """The model of the state in which a recording was made."""
+        return model
+
+    def _usual_nm(self, one: Prepared, model: Model) -> float:
+        """Deviation of a right model's residual: noise, and what no model explains."""
+        floor = one.floor_nm(model)
+        return float(np.hypot(floor, one.acting_share(model) * self.beyond_nm))
+
+    def weigh(self, model: Model) -> bool:
+        """Take what ``model`` leaves beyond noise for an error in the equation; whether it was new.
+
+        With errors in regressors and in the equation (Fuller, Measurement Error Models, 1987, 2.2)
+        Σ r²/(σ²(θ) + d²) has its least at the right θ if d is what is left there, and without d
+        where σ is large: of r beyond the noise, most would be gained by noise. Up to twice the
+        noise there is none, for that may be what is still to be found.
+        """
+        energy, count = 0.0, 0
+        for one, mask in zip(self.recordings, self._masks, strict=True):
+            own = self.state_of(one, model)
+            share = max(one.acting_share(own), 1e-12)
+            left = np.abs(one.left_over(own)[mask]) / share
+            noise = _MUCH * float(np.hypot(one.floor_nm(own), one.unexplained_nm)) / share
+            most = _TAIL * 1.4826 * float(np.median(left)) if len(left) else 0.0
+            energy += float(np.sum(np.minimum(left, most) ** 2 - noise**2))
+            count += len(left)
+        before, self.beyond_nm = self.beyond_nm, float(np.sqrt(max(energy, 0.0) / max(count, 1)))
+        if self.beyond_nm == before:
+            return False
+        self.columns = {}
+        return True
 
     def whitened(self, values: Floats) -> Floats:
         """Residuals (n,) or sensitivities (n, k) beside the remainder; themselves without one."""
