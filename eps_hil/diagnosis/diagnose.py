@@ -500,7 +500,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
             _only_kept(problem, selection, findings, judged),
             [] if left is not None or hidden else how_held(problem, selection.found),
         ),
-        *_between(content, [*look.fitted, *(one.prepared for one in judged)], written),
+        *between_recordings([*look.fitted, *(one.prepared for one in judged)], written),
         *beside_a_gap(judged, problem.model),
         *in_no_file(content["fit"]["holdout"]),
         *unjudged(now.told.found, findings, judged, now.weighed),
@@ -523,14 +523,6 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         + (wrong is not None) * price_of_one(problem, judged),
         ratio_is_measured=look.ratio_is_measured,
     )
-
-
-def _between(
-    content: Mapping[str, Any], recordings: Sequence[Prepared], written: Model
-) -> list[str]:
-    """What differs between recordings, where something is left."""
-    there = any(one["effect"] == "unknown" for one in content["findings"])
-    return between_recordings(recordings, written) if there else []
 
 
 def _only_kept(
