@@ -441,7 +441,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     )
     findings = standing(problem, selection, findings, judged)
     if say:
-        say("looking at what is left", 0.9)
+        say("examining the residual", 0.9)
     hidden = load is not None and load.form == "arbitrary"  # what is left may be the load
     now = first = Names(
         problem,

@@ -47,20 +47,20 @@ def decide(
     if not choices or possible.unnamed or (possible.found is None and done):
         choices = possible.choices(done, fresh=True)
         why = "looks again from elsewhere: " + (
-            "something is left without a name" if possible.unnamed else "the names have to stand"
+            "part of the residual has no name" if possible.unnamed else "the names have to stand"
         )
     fitting = [one for one in choices if 60.0 * one.minutes <= left_s]
     if fitting:
         return Decision(fitting, None, why)
     if choices:
-        return Decision((), Stop.BUDGET, "what is left of the budget is shorter than an experiment")
+        return Decision((), Stop.BUDGET, "the rest of the budget is shorter than an experiment")
     return Decision((), Stop.NOTHING_MORE, "every experiment within the limits has been run")
 
 
 def _ended(possible: Possible, before: Sequence[Mapping[str, Any]]) -> Decision | None:
     """The end where names and verdict stand, None where something is open."""
     if possible.unnamed and _unnamed_for(before) >= _UNNAMED_ROUNDS:
-        why = "what is left has no name, and other motions do not give it one"
+        why = "the residual has no name, and other motions do not give it one"
         return Decision((), Stop.NOTHING_MORE, why)
     if not possible.answered:
         return None

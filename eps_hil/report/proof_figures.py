@@ -163,7 +163,7 @@ def closed_loop(cases: Sequence[Scored], path: Path) -> Path:
             direction.set_major_formatter(ScalarFormatter())
             direction.set_minor_formatter(NullFormatter())
         axis.set_title(words, fontsize="medium")
-        axis.set_xlabel("with the model file as it was")
+        axis.set_xlabel("with the baseline model")
         axis.set_ylabel("with the better model")
         axis.legend(loc="upper left")
     return figures.save(figure, path)

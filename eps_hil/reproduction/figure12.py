@@ -119,8 +119,8 @@ def _statements(made: Estimated, drifts: dict[str, list[float]]) -> list[Stateme
             "the error is very small compared to no friction compensation",
             "rms error at rest under load: 2Q-fa ÷ w/o FC",
             loaded["2Q-fa"] / loaded["w/o FC"], "", (0.33, 0.67),
-            "what is left is the friction band: at rest the bristle's deflection is only as well "
-            "known as the way in which the rack came to rest",
+            "the remaining error is the friction band: at rest the bristle's deflection is only as "
+            "well known as the way in which the rack came to rest",
         ),
         at_most(
             "when rack force and motor torque go to zero, so does the estimate",

@@ -13,6 +13,8 @@ from eps_hil.physics.effects.catalogue import catalogue
 ROOT = Path(__file__).parents[2]
 OLD = {
     "left over": "residual",
+    "what is left(?! out)": "the residual, the rest",
+    "model file as it was(?! given)": "baseline model",
     "put right": "corrected",
     "rubs": "causes friction",
     "leave over": "the residual",

@@ -79,7 +79,7 @@ def test_what_has_no_name_is_looked_at_from_elsewhere_and_then_left() -> None:
     before = [told(possible)]
     decision = decided(possible, before, [ONE])
     assert decision.choices[0].experiment == TWO
-    assert "without a name" in decision.why
+    assert "has no name" in decision.why
     assert decided(possible, before * 3, [ONE]).stop is Stop.NOTHING_MORE
 
 

@@ -69,9 +69,9 @@ def between_recordings(recordings: Sequence[Prepared], model: Model) -> list[str
             continue
         ends = ", ".join(f"{one.values[kind] - usual:+.2g} Nm in {one.name}" for one in (low, high))
         if share > LEAST_SHARE:
-            much = f"{100 * share:.0f} % of what is left"
+            much = f"{100 * share:.0f} % of the residual's energy"
         elif apart > _LEAST_OF_TORQUE * usual_nm:
-            much = "Little of what is left, but adding up in a free run,"
+            much = "Little of the residual, but adding up in a free run,"
         else:
             continue
         told.append(

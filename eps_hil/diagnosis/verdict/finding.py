@@ -148,7 +148,7 @@ def unknown(left: Leftover) -> dict[str, Any]:
             f"{left.low:.4g} to {left.high:.4g}"
         )
     return unknown_entry(
-        f"Something is left that no effect of the catalogue explains: {shape}; "
+        f"The residual holds something that no effect of the catalogue explains: {shape}; "
         f"{100 * left.excess:.0f} % more energy than sensor noise.",
         round(min(SUREST, 1.0 - float(np.exp(-left.excess))), 3),
         [place(signal, left.low, left.high, left.share)],
