@@ -32,7 +32,7 @@ from eps_hil.dashboard.wire import unpack
 from eps_hil.errors import BusError, InputError
 from eps_hil.report.page import library
 
-LIBRARIES = ("starlette", "uvicorn", "websockets", "uplot")
+LIBRARIES = ("starlette", "uvicorn", "websockets", "uplot", "jinja2")
 KEPT_S = 180.0
 """What a live page can look back at, and what it can diagnose."""
 _TICK_S, _OVERVIEW_S = 0.04, 1.0

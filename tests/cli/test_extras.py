@@ -1,11 +1,13 @@
 """What needs an extra that is not installed is refused first, before any file is even opened."""
 
 import importlib.util
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from eps_hil.cli.main import main
+from eps_hil.dashboard import server
 
 ROOT = Path(__file__).parents[2]
 MODEL = ["--model", "not_there.yaml"]
@@ -99,6 +101,12 @@ def test_an_e2e_profile_asks_for_its_extra_before_a_torque_is_planned(
     said = capsys.readouterr().err
     assert "override.e2e: an AUTOSAR profile needs the 'e2e' extra; pip install \"eps_hil[" in said
     assert said.count("\n") == 1
+
+
+def test_the_dashboards_extra_brings_all_that_it_asks_for() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extra = {line.split(">")[0] for line in project["optional-dependencies"]["dashboard"]}
+    assert extra == {"uplot-python" if name == "uplot" else name for name in server.LIBRARIES}
 
 
 def test_what_an_investigation_lacks_is_not_called_an_option(

@@ -35,12 +35,17 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.parametrize("library", ["uvicorn", "jinja2"])
 def test_without_the_extra_one_line_before_anything_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    library: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """jinja2: the report of a stretch that is diagnosed, which would end without one."""
     there = importlib.util.find_spec
     monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *r: None if name == "uvicorn" else there(name)
+        importlib.util, "find_spec", lambda name, *r: None if name == library else there(name)
     )
     assert main(["dashboard", "--config", str(tmp_path / "not_there.yaml")]) == 2
     said = capsys.readouterr().err
