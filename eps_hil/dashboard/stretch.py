@@ -35,7 +35,9 @@ def work(order: Order, tell: Callable[[Mapping[str, Any]], None]) -> None:
     try:
         model = load_model(order.model)
         series = _samples(order)
-        start_ns = min((int(one.t_ns[0]) for one in series.values()), default=0)
+        if not series:
+            raise EpsHilError("nothing was recorded in this stretch")
+        start_ns = min(int(one.t_ns[0]) for one in series.values())
         found = diagnose(
             model,
             {order.name: series},

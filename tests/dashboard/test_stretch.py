@@ -19,7 +19,8 @@ T0_NS = 1_790_000_000_000_000_000
 def ordered(folder: Path, **more: Any) -> tuple[list[Mapping[str, Any]], Path]:
     told: list[Mapping[str, Any]] = []
     model = str(ROOT / "configs" / "reference_rig.yaml")
-    work(Order("rig", 0, 2**62, model, str(folder), **more), told.append)
+    whole = {"begin_ns": 0, "end_ns": 2**62}
+    work(Order("rig", model=model, folder=str(folder), **(whole | more)), told.append)
     return told, folder
 
 
@@ -60,3 +61,14 @@ def test_what_is_wrong_is_told_in_one_line(tmp_path: Path) -> None:
     assert "motor_angle" in told[-1]["error"]
     assert "\n" not in told[-1]["error"]
     assert not (folder / RESULT).exists()
+
+
+def test_a_stretch_inside_a_hole_of_the_recording(tmp_path: Path) -> None:
+    """As where the bus was away for a while."""
+    recording = tmp_path / "r.csv"
+    recording.write_text(
+        "time_s,motor_torque_nm,motor_speed_rad_s\n"
+        "0.0,0.1,1.0\n0.001,0.1,1.0\n60.0,0.1,1.0\n60.001,0.1,1.0\n"
+    )
+    told, _ = ordered(tmp_path, recording=str(recording), begin_ns=10**10, end_ns=4 * 10**10)
+    assert told[-1] == {"error": "nothing was recorded in this stretch"}
