@@ -21,12 +21,37 @@ def read(path: str | Path) -> Any:
     """Parse one YAML file into plain values; :class:`InputError` if missing or broken."""
     text = _text(Path(path))
     try:
-        return yaml.safe_load(text)
+        loader = yaml.SafeLoader(text)
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        _refuse_twice(node, set())
+        return loader.construct_document(node)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not readable"
         raise InputError(path, place, f"not valid YAML: {problem}", "mend the syntax") from None
+
+
+def _refuse_twice(node: yaml.Node, known: set[int]) -> None:
+    """A key that a mapping holds twice: YAML forbids it, and PyYAML takes the last one."""
+    if id(node) in known or not isinstance(node, yaml.CollectionNode):
+        return
+    known.add(id(node))
+    first: dict[str, int] = {}
+    for one in node.value:
+        if not isinstance(node, yaml.MappingNode):
+            _refuse_twice(one, known)
+            continue
+        key, value = one
+        _refuse_twice(value, known)
+        if isinstance(key, yaml.ScalarNode):
+            line = key.start_mark.line + 1
+            if key.value in first:
+                problem = f"'{key.value}' stands here and on line {first[key.value]}"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
+            first[key.value] = line
 
 
 def load(path: str | Path, kind: type[T], *, section: str = "") -> T:
