@@ -62,6 +62,7 @@ _YOUNG_NS = (
     2_000_000_000  # so long after it was guessed by time a relation of counters may be wrong
 )
 _WAITED = 3.5  # periods of lateness from which that matters
+_SLIPPED = 2.0  # the same where all are late again, soon after their sender slipped
 _RELATED = 64  # frames in time after which a lane's counter belongs to the line
 _IN_A_ROW = 8
 _MS = 1_000_000
@@ -98,6 +99,7 @@ class SampleClock:
         self._lanes: dict[str, Lane] = {}
         self.last: Lane | None = None
         self._paused = False  # whether the sender was silent before the line began
+        self._slip = 0  # stamp at which it last went on with frames that were late for good
         self._later = (0, 0)  # stamp at which the line went to later instants, and by how much
         self._origin = 0
         self._slope = 0.0  # ns per cycle against the nominal period
@@ -217,8 +219,8 @@ class SampleClock:
         if last is None or not 0 <= since <= self.silence_ns:
             return self._restart(at, t_ns, counter, 1 if first else skip, silence)
         cycle = last.cycle + (since + self.period_ns // 2) // self.period_ns
-        if counter == 0 and silence > self.silence_ns:  # it began anew, whatever it was before
-            at.phase = None
+        if silence > self.silence_ns and (counter == 0 or self._was_of_two(at, t_ns)):
+            at.phase = None  # it began anew, whatever it was before
         if at.phase is not None:
             half = self.counter_modulo // 2
             ahead = (counter - at.phase - cycle + half) % self.counter_modulo - half
@@ -236,6 +238,13 @@ class SampleClock:
             at.near_since = t_ns
         lost = 0 if first else self._held(skip, silence)
         return Instant(self._place(at, t_ns, counter, cycle), lost, trusted=not waits)
+
+    def _was_of_two(self, at: Lane, t_ns: int) -> bool:
+        """Whether it was silent, and before that had counters of two senders, by turns.
+
+        Nobody knows which of them goes on, and so not by its counter whether it waits.
+        """
+        return t_ns - at.stamp > self.silence_ns and 0 < at.stamp - at.strayed <= self._unit_ns
 
     def _kept_pace(self, at: Lane, t_ns: int, skip: int) -> bool:
         """Whether it counted on as time went since its last frame, and did not slip of late."""
@@ -293,6 +302,9 @@ class SampleClock:
         """Late without catching up: the sender's schedule slipped, or this lane's frames wait."""
         at.slipped_at = t_ns
         if self._others_in_time(at, t_ns):
+            if self._was_of_two(at, t_ns):
+                at.joined, at.phase, at.behind_since = False, None, None
+                return self._join(at, t_ns, counter, skip) or Instant(t_ns, trusted=False)
             at.waited_at = t_ns
             if at.behind_since is None or not t_ns - at.behind_since > at.patience:
                 if at.behind_since is None:
@@ -303,8 +315,24 @@ class SampleClock:
                 return Instant(t, cycles - 1, trusted=late < _WAITED * self._unit_ns)
             at.joined, at.phase, at.behind_since = False, None, None
             return self._join(at, t_ns, counter, skip) or Instant(t_ns, trusted=False)
-        waited = max(late - at.late_low, 0)
-        return self._restart(at, t_ns, counter, skip, t_ns - at.stamp, waited)
+        silence = t_ns - at.stamp
+        far = max(silence - self.silence_ns, late - _WAITED * self._unit_ns) > 0
+        if not far and self._slips_again(at, t_ns):
+            if at.behind_since is None:
+                at.behind_since = t_ns
+            t = self._place(at, t_ns, counter, at.cycle + cycles)
+            return Instant(t, cycles - 1, trusted=late < _SLIPPED * self._unit_ns)
+        self._slip = t_ns
+        return self._restart(at, t_ns, counter, skip, silence, max(late - at.late_low, 0))
+
+    def _slips_again(self, at: Lane, t_ns: int) -> bool:
+        """Whether it is late for good again, soon after a slip, and has not been so for long.
+
+        A sender that pauses slips once, or far. Frames that wait behind others on a full bus are
+        late time and again, by more or by less.
+        """
+        since = self._slip if at.behind_since is None else at.behind_since
+        return self._slip > 0 and 0 <= t_ns - since <= _DOUBT_NS
 
     def _others_in_time(self, at: Lane, t_ns: int) -> bool:
         """Whether another lane's newest frame was in time, and is new."""
@@ -398,7 +426,7 @@ class SampleClock:
     def _slipped(self, at: Lane, late: int, silence: int) -> bool:
         """Whether lateness is no hiccup any more: after a silence, or without catching up."""
         if at.behind_since is not None:
-            at.late_last = late
+            at.late_last, at.late_low = late, min(at.late_low, late)
             return True
         if silence > self.silence_ns:
             at.late_low = late

@@ -108,6 +108,26 @@ def test_a_second_count_between_the_first_is_never_trusted() -> None:
             assert second.t_ns > first.t_ns
 
 
+def test_after_a_silence_a_message_of_two_senders_is_believed_by_its_time() -> None:
+    """The second came as the sender slipped, and is gone: by its counters the first one is late."""
+    clock = SampleClock(MS, 256)
+    for n in range(1100):
+        at = EPOCH + n * MS + (6 * MS if n > 400 else 0)  # held up between the two messages
+        if 480 <= n < 700:
+            continue
+        b = None if n == 700 else clock.instant(at + PLACE["a"], n % 256, "b")
+        a = clock.instant(at + PLACE["b"] + (6 * MS if n == 400 else 0), n % 256, "a")
+        if 405 <= n < 480:
+            clock.instant(at + 600_000, (n + 97) % 256, "b")
+        if n >= 710:
+            assert a is not None
+            assert b is not None
+            assert a.trusted
+            assert b.trusted
+            assert abs(a.t_ns - at) < 0.3 * MS
+            assert abs(b.t_ns - at) < 0.3 * MS
+
+
 def test_a_clock_that_is_set_back_keeps_the_messages_together() -> None:
     clock = SampleClock(MS, 256)
     for n in range(600):

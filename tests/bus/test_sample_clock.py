@@ -224,6 +224,22 @@ def test_a_slip_is_followed_even_if_frames_keep_falling_behind_and_catching_up()
     assert clock.restarts >= 1
 
 
+def test_frames_that_wait_on_a_full_bus_do_not_move_the_line_again_and_again() -> None:
+    """Ever later, and then less: the line went along by 1 ms each time, until it was 3 ms late."""
+    sender = Sender(cycles=1600)
+    clock = SampleClock(MS, 256)
+    off = []
+    for n, stamp in enumerate(sender.stamps):
+        full = 600 <= n < 840
+        wait = min(1.2 + (n - 600) // 40 * 0.6, 3.2) + 0.2 * (n % 3) if full else 0.0
+        at = clock.instant(stamp + round(wait * MS), n % 256)
+        assert at is not None
+        if at.trusted:
+            off.append(abs(at.t_ns - sender.true[n]))
+    assert max(off) < 1.5 * MS
+    assert len(off) > 1300
+
+
 @pytest.mark.parametrize("jump_s", [-3600, -1, 1, 3600])
 def test_jumping_stamps_are_followed_at_once(jump_s: int) -> None:
     sender = Sender(cycles=600)
