@@ -19,6 +19,15 @@ from eps_hil.estimation.watch import CREPT_RING, Limits, Watch
 from eps_hil.physics.friction import bristle_step
 
 _WRAP = CREPT_RING - 1
+_UNSEEN_STEPS = 5
+"""Steps without an angle over which the way goes on: a rotor that turns round within the
+acceleration that counts as rest (SP_B of eq. 4a) hides half a milliradian in them."""
+
+
+@kernel
+def _noise(p: Limits, u: Inputs) -> float:
+    """How far (rad) two samples of the angle may be apart by noise."""
+    return max(p.angle_tolerance, math.sqrt(p.jump * max(u.angle_noise, 0.0)))
 
 
 @kernel
@@ -28,8 +37,7 @@ def follow_creep(w: Watch, p: Limits, u: Inputs) -> None:
     w.pending_way += u.motor_speed_rad_s * p.step_s
     w.unbroken += 1
     if u.angle_periods <= 1.0:
-        noise = max(p.angle_tolerance, math.sqrt(p.jump * max(u.angle_noise, 0.0)))
-        if min(abs(w.pending_turn), abs(w.pending_turn - w.pending_way)) >= noise:
+        if min(abs(w.pending_turn), abs(w.pending_turn - w.pending_way)) >= _noise(p, u):
             w.zeroed = 0
         w.pending_turn = w.pending_way = 0.0
         if w.zeroed < p.zero_steps:  # stands still until its zero is no single sample's
@@ -45,6 +53,33 @@ def follow_creep(w: Watch, p: Limits, u: Inputs) -> None:
     gap = CREEP_SIGMA * math.sqrt(left * max(u.angle_noise, 0.0))
     w.followed = min(max(w.followed, w.smooth - gap), w.smooth + gap)
     w.crept[w.unbroken & _WRAP] = w.followed
+
+
+@kernel
+def lose_sight(w: Watch) -> None:
+    """A step without speed or angle: over a few the way goes on, over more it is lost."""
+    if w.unbroken > 0 and w.sightless < _UNSEEN_STEPS:
+        w.sightless += 1
+        w.unbroken += 1
+        w.crept[w.unbroken & _WRAP] = w.followed
+        return
+    w.pending_turn, w.pending_way, w.unbroken, w.sightless = 0.0, 0.0, 0, 0
+
+
+@kernel
+def see_again(w: Watch, p: Limits, u: Inputs) -> None:
+    """Speed and angle are there again: where the rotor went meanwhile is to be counted.
+
+    An angle that went another way than the speed tells may have another zero, or not: so the way
+    is lost.
+    """
+    step_rad = u.motor_speed_rad_s * p.step_s
+    turn, way = u.motor_angle_rad - step_rad - w.angle, w.sightless * step_rad
+    w.pending_turn += turn
+    w.pending_way += way
+    w.angle, w.sightless = u.motor_angle_rad - step_rad, 0
+    if min(abs(turn), abs(turn - way)) >= _noise(p, u):
+        w.pending_turn, w.pending_way, w.unbroken = 0.0, 0.0, 0
 
 
 @kernel

@@ -96,6 +96,36 @@ def _cannot_turn(c: Constants, turn_rad: float, time_s: float) -> bool:
 
 
 @kernel
+def _steady(c: Constants, s: Moment, speed: float, gap_s: float, off: float, most: float) -> bool:
+    """Whether a rotor slid on over a gap, and its angle tells it.
+
+    ``off`` and ``most``: by how much (rad) the angle's way is not that of the speeds, and may be
+    if these do not change.
+    """
+    slack = c.limiter_speed + c.limiter_acceleration * gap_s
+    return abs(off) < most + slack * gap_s and abs(speed - s.speed) < slack
+
+
+@kernel
+def _angle_beyond(
+    c: Constants, s: Moment, u: Inputs, before: float, went: float, hidden: float
+) -> float:
+    """Where a rotor that slid on was in the step before ``u`` (rad): by its speeds and its angle.
+
+    ``before``: its filtered angle before the gap; ``went``: its way over the gap by the speeds,
+    from which a rotor that bends its course departs by ``hidden`` (rad). Each counts as it is
+    certain. The noise of a single angle would be taken for a way out, and its end for a way back.
+    """
+    told, gap_s = before + went, s.held_steps * c.step_s
+    seen = u.motor_angle_rad - u.motor_speed_rad_s * c.step_s
+    left = c.angle_low_pass / (2.0 - c.angle_low_pass)  # variance that the low-pass leaves
+    unsure = left * s.angle_noise + 0.5 * gap_s * gap_s * s.speed_noise + hidden * hidden
+    if s.angle_noise <= 0.0:
+        return seen
+    return told + unsure / (unsure + s.angle_noise) * (seen - told)
+
+
+@kernel
 def bridge(
     c: Constants,
     s: Moment,
@@ -143,13 +173,11 @@ def bridge(
         return
     change = u.motor_angle_rad - s.last_angle if c.angle_seen else 0.0
     gap_s = s.held_steps * c.step_s
-    hidden = 0.125 * c.limiter_acceleration * gap_s * gap_s
+    hidden = furthest = 0.125 * c.limiter_acceleration * gap_s * gap_s
     rested = rests(c, s, speed)
-    off = c.limiter_speed + c.limiter_acceleration * gap_s
     went = 0.5 * (s.speed + speed) * gap_s
     far = NOISE_SIGMA * math.sqrt(2.0 * max(s.angle_noise, c.first_angle_noise))
-    as_told = abs(change - went) < far + off * gap_s + GAIN * abs(went)
-    steady = as_told and abs(speed - s.speed) < off
+    steady = _steady(c, s, speed, gap_s, change - went, far + GAIN * abs(went))
     stood = abs(torque - s.drive) > _most_torque(c, s) + sigma0 * (abs(change) + far)
     disputed = s.parted != 0 and min(abs(change), abs(change - s.went)) > far
     other_zero = s.carried != 0 and abs(s.other_zero) > far
@@ -161,6 +189,9 @@ def bridge(
     if c.angle_seen and rested and not jumped:
         hidden = 0.0
     kept = abs(change) + hidden < end if rested else c.angle_seen and steady
+    if kept and not rested:
+        s.angle = _angle_beyond(c, s, u, angle, went, hidden)
+        change, s.held = s.angle - held, s.angle
     if kept and jumped:
         s.unknown_nm = min(s.unknown_nm + sigma0 * hidden, sigma0 * abs(s.bristle) + most)
         return
@@ -177,6 +208,8 @@ def bridge(
             return
         change = crept if abs(crept) < end else change
         level, end = pos if change >= 0.0 else neg, most / sigma0
+        if furthest > 2.0 * end and abs(change) > far:  # it moved: perhaps further, and back
+            hidden = abs(change)
     s.bristle = bristle_step(s.bristle, change, abs(change), level, sigma0)
     s.bristle = min(max(s.bristle, -end), end)
     anything = sigma0 * abs(s.bristle) + most

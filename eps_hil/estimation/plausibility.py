@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from eps_hil.compiled import kernel
-from eps_hil.estimation.creep import follow_creep
+from eps_hil.estimation.creep import follow_creep, lose_sight, see_again
 from eps_hil.estimation.frozen import take_equal
 from eps_hil.estimation.gain_and_lag import SMOOTHED_S, doubt_lessons, relation_steps
 from eps_hil.estimation.holes import blind, course, in_the_dark, lose_course, unseen
@@ -150,10 +150,12 @@ def _miss(w: Watch, p: Limits, u: Inputs, turns: bool) -> None:
     w.mean_slip, w.mean_path, w.mean_gain = 0.0, 0.0, 0.0
     w.slow, w.turned, w.slow_gain = 0.0, 0.0, 0.0
     if turns and p.angle_seen and w.unbroken > 0:
+        if w.sightless > 0:
+            see_again(w, p, u)
         follow_creep(w, p, u)
         w.angle = u.motor_angle_rad
     else:
-        w.pending_turn, w.pending_way, w.unbroken = 0.0, 0.0, 0
+        lose_sight(w)
 
 
 @kernel
@@ -161,6 +163,8 @@ def _speed_before(w: Watch, p: Limits, u: Inputs) -> float:
     """The speed (rad/s) of the step before; where nothing was seen then, as it is now."""
     if w.steps > 0 and w.hole == 0:
         return float(w.speed[(w.steps - 1) & WRAP])
+    if w.sightless > 0:
+        see_again(w, p, u)
     if w.unbroken == 0:
         w.angle = u.motor_angle_rad - u.motor_speed_rad_s * p.step_s
     return u.motor_speed_rad_s

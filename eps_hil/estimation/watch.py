@@ -133,6 +133,7 @@ class Watch:
     change_square: float
     turned_slow: float
     change_slow: float
+    slow_square: float
     gain_off: float
     lag_s: float
     gain_variance: float
@@ -142,11 +143,13 @@ class Watch:
     looks: int
     unlike: int
     unlike_alone: int
-    # The angle's way less the speed's, summed: a speed that leaves its own course bends it.
+    # The angle's way less the speed's, summed: a speed that leaves its own course bends it;
+    # whether (0 or 1) the angle of the last step was drawn over a hole.
     apart: Annotated[Floats, RING]
+    angle_drawn: int
     # The angle without its jumps, smoothed, and followed past its noise, at each of the last steps;
     # its zero, and of how many samples that is the mean; what is drawn of it, and of the speed's
-    # way, until a sample comes; steps without missing ones.
+    # way, until a sample comes; steps without missing ones, and how many of the last had no angle.
     ahead: float
     zero: float
     zeroed: int
@@ -156,6 +159,7 @@ class Watch:
     pending_turn: float
     pending_way: float
     unbroken: int
+    sightless: int
 
 
 WATCH = record_of(Watch)
@@ -236,11 +240,11 @@ def watch_anew(watch: Records) -> None:
     both, paired = w.both, w.paired
     sums = w.turned_square, w.turned_change, w.change_square, w.turned_slow, w.change_slow
     known = w.gain_off, w.lag_s, w.gain_variance, w.lag_variance, w.gain_and_lag, w.relation_left
-    looks = w.looks
+    looks, square = w.looks, w.slow_square
     copy(watch, 0, _NEW, 0)
     w.turned_square, w.turned_change, w.change_square, w.turned_slow, w.change_slow = sums
     w.gain_off, w.lag_s, w.gain_variance, w.lag_variance, w.gain_and_lag, w.relation_left = known
-    w.looks = looks
+    w.looks, w.slow_square = looks, square
     w.spread, w.residual, w.started = spread, residual, 0
     w.both, w.paired = both, paired
     for i in range(COUNT):

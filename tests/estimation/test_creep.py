@@ -99,6 +99,23 @@ def test_a_hole_of_the_torques_is_bent_by_a_way_out_and_back(
     assert at(trace, 3.4) == pytest.approx(at(right, 3.4), abs=50.0)
 
 
+def test_moments_without_the_angle_lose_no_way(reference_model: Model) -> None:
+    """Of 3 ms each, in a hole of the torques over which a rotor went out and back."""
+    series = out_and_back(0.015)
+    right = estimate(series, reference_model)
+    for name in NAMES:
+        t_ns, value = series[name].t_ns, series[name].value
+        if name in NAMES[:2]:
+            seen = (t_ns < 1.03e9) | (t_ns > 1.6e9)
+            series[name] = Series(t_ns[seen], value[seen])
+            continue
+        for since in (1040, 1092, 1130, 1300):
+            value[since : since + 3] = np.nan
+    trace = estimate(series, reference_model)
+    assert np.all(trace.valid[trace.t_ns > 3.0e9])
+    assert at(trace, 3.4) == pytest.approx(at(right, 3.4), abs=50.0)
+
+
 def test_what_turned_back_in_a_hole_is_not_forgotten_with_a_doubt_after_it(
     reference_model: Model,
 ) -> None:

@@ -186,6 +186,36 @@ def test_what_crept_in_a_gap_bends_the_bristle(reference_model: Model, lost_ms: 
     assert trace.rack_force_n[-1] == pytest.approx(expected, abs=40.0)
 
 
+def test_the_noise_of_an_angle_after_a_hole_is_no_way(reference_model: Model) -> None:
+    """A rotor comes to rest just after a hole of 2 ms: one noisy angle bent its bristle."""
+    noise_rad, off = 2e-3, []
+    for seed in range(12):
+        series = back_and_rest(1.5)
+        series["motor_angle_rad"].value[:] += noise_rad * np.random.default_rng(
+            seed
+        ).standard_normal(1500)
+        expected = estimate(series, reference_model)
+        for name in NAMES[2:]:
+            series[name].value[490:492] = np.nan
+        trace = estimate(series, reference_model)
+        assert np.any(within(trace, 0.46, 0.52) & int(Reason.BAD_SAMPLE))
+        off.append(abs(trace.rack_force_n[-1] - expected.rack_force_n[-1]))
+    assert max(off) < 15.0
+
+
+def test_a_rotor_that_crept_in_a_long_hole_may_have_been_elsewhere(
+    reference_model: Model,
+) -> None:
+    """Nobody saw whether it went further and came back; one whose angle is the same rested."""
+    settings = EstimatorSettings()
+    for way_rad, known in ((0.02, False), (0.0, True)):
+        series = back_and_rest()
+        series["motor_angle_rad"].value[1200:] += way_rad
+        lost = cut(series, lambda t: (t > 1000 * MS) & (t < 1600 * MS))
+        after = within(estimate(lost, reference_model, settings), 2.4, 2.9)
+        assert np.all((after == 0) == known)
+
+
 @pytest.mark.parametrize("kind", ["observer", "bristle_filter"])
 @pytest.mark.parametrize(
     ("jump_rad", "lost_ms", "known"),
