@@ -101,7 +101,7 @@ def doubt_lessons(w: Watch, p: Limits) -> None:
 def _forget_relation(w: Watch) -> None:
     """Gain and lag are as unknown as at the beginning."""
     w.turned_square = w.turned_change = w.change_square = 0.0
-    w.turned_slow = w.change_slow = w.relation_left = 0.0
+    w.turned_slow = w.change_slow = w.slow_square = w.relation_left = 0.0
     w.gain_variance, w.looks, w.unlike_alone = 0.0, 0, 0
 
 
@@ -134,6 +134,7 @@ def learn_relation(w: Watch, p: Limits, u: Inputs) -> None:
     w.change_square = keep * w.change_square + weight * change * change
     w.turned_slow = keep * w.turned_slow + weight * turned * w.slow
     w.change_slow = keep * w.change_slow + weight * change * w.slow
+    w.slow_square = keep * w.slow_square + weight * w.slow * w.slow
     scale = 1.0 / max(w.relation_left, 1.0)
     a = scale * w.turned_square + (_KNOWN_SIGMA / LOW_SCALE) ** 2
     b = scale * w.turned_change
@@ -142,6 +143,21 @@ def learn_relation(w: Watch, p: Limits, u: Inputs) -> None:
     w.gain_off = (c * first - b * second) / whole
     w.lag_s = (a * second - b * first) / whole
     w.gain_variance, w.lag_variance, w.gain_and_lag = c / whole, a / whole, -b / whole
+    if w.looks == LEAST_LOOKS:
+        w.relation_left = _left_by_relation(w)
+
+
+@kernel
+def _left_by_relation(w: Watch) -> float:
+    """The mean square that gain and lag leave of the first looks, in parts of its variance.
+
+    It is large where some of them were of a fault that is over: such a relation tells little.
+    """
+    gain, lag = w.gain_off, w.lag_s
+    left = w.slow_square - 2.0 * (gain * w.turned_slow + lag * w.change_slow)
+    left += gain * gain * w.turned_square + lag * lag * w.change_square
+    left += 2.0 * gain * lag * w.turned_change
+    return _TOGETHER * left / (LEAST_LOOKS - 2)
 
 
 def relation_steps(step_s: float) -> tuple[int, float, int, int]:

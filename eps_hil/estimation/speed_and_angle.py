@@ -52,6 +52,8 @@ def angle_off(w: Watch, p: Limits, u: Inputs, before: float) -> int:
     if w.looks >= LEAST_LOOKS:
         summed -= w.gain_off * turned + w.lag_s * (speed - before)
     w.apart[(w.steps - 1) & WRAP] = w.apart[(w.steps - 2) & WRAP] + summed
+    if w.drawn > 0:
+        w.angle_drawn = int(u.angle_periods > 1.0)
     w.slip = p.leak * w.slip + apart
     w.path = p.leak * w.path + way
     w.gain = p.leak * w.gain + (speed - before)
@@ -79,7 +81,8 @@ def _drawn_ahead(w: Watch, u: Inputs) -> float:
     """
     if w.drawn > 1:
         return 0.5 * u.speed_periods + 1.5 - w.drawn if u.angle_periods > 1.0 else 0.0
-    if w.drawn == 0 and w.hole_last == w.steps - 1 and w.hole_first >= 0:
+    after = w.drawn == 0 and w.hole_last == w.steps - 1 and w.hole_first >= 0
+    if after and w.angle_drawn:
         return 1.0 - 0.5 * (w.hole_last - w.hole_first)
     return 0.0
 

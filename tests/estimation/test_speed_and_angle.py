@@ -156,6 +156,16 @@ def test_a_service_that_starts_with_a_frozen_speed_does_not_keep_that(
     assert not np.any(found[2000:])
 
 
+@pytest.mark.parametrize("off", [1.0, 1.77])
+def test_a_relation_learnt_half_within_an_offset_is_not_believed(
+    reference_model: Model, off: float
+) -> None:
+    """What gain and lag leave of its first looks tells that these do not belong together."""
+    offset = np.where(np.arange(4000) < 350, off, 0.0)
+    found = watched(new_watch(), reference_model, 1.0, 0, seconds=4.0, offset=offset)
+    assert not np.any(found[500:])
+
+
 @pytest.mark.parametrize("after_ms", [1, 2, 4, 7])
 def test_a_speed_that_jumps_soon_after_a_hole_is_told(
     reference_model: Model, sweep_truth: Any, after_ms: int
