@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from eps_hil import compiled
 from eps_hil.examples import CONFIGS, DBC
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import load_model
@@ -31,6 +32,8 @@ SIGNALS = CONFIGS / "eps_rig_signals.yaml"
 DATABASE = DBC / "eps_rig.dbc"
 LIVE_S = 20.0
 COMPILING_S = 600.0
+COMPILED = "rig", "estimation", "diagnosis"
+"""Parts of the package whose kernels the demo runs."""
 RANGES: dict[str, dict[str, tuple[float, float]]] = {
     "stribeck": {"level_nm": (0.04, 0.06), "speed_rad_s": (5.0, 10.0)},
     "viscous_friction": {"coefficient_nm_s_per_rad": (1e-3, 2e-3)},
@@ -135,6 +138,12 @@ def running(name: str, file: Path, *arguments: str) -> Iterator[Process]:
             yield one
         finally:
             one.stop()
+
+
+def is_compiled(folder: Path | None) -> bool:
+    """Whether machine code of all that the demo runs is in the cache's folder; None: no folder."""
+    parts = [] if folder is None else [folder / "functions" / part for part in COMPILED]
+    return bool(parts) and all(next(part.rglob("*.nbi"), None) for part in parts)
 
 
 def hidden(effect: str | None, seed: int) -> dict[str, Any]:
@@ -316,6 +325,9 @@ def main() -> int:
     port = 40000 + os.getpid() % 20000
     rig = config(out, "rig", truth, port, publish=True)
 
+    if not is_compiled(compiled.FOLDER):
+        say("compiling for this machine comes first, once: some minutes in all, before the rig "
+            "drives, in the diagnosis, and before the services")  # fmt: skip
     say("an effect is hidden in the simulated rig; which one is in " + str(truth))
     say("recording 40 s of sweep, steps and weave over the bus (UDP multicast)")
     record(out, rig, out / "bus.log", 40.0)

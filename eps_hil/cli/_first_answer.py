@@ -1,10 +1,16 @@
-"""The first answer after installation: interpreted at once, while it is compiled for the next."""
+"""The first answer after installation: interpreted at once, while it is compiled for the next.
+
+Where it has to be compiled first, nobody waits without a word.
+"""
 
 import contextlib
+import functools
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -13,6 +19,8 @@ if TYPE_CHECKING:
 
 MOST_SAMPLES = 400_000
 """Interpreted, these take some twenty seconds; more of them wait for the compiler."""
+LATE_S = 2.0
+"""A process that compiles for longer says so."""
 
 
 def _is_compiled(effects: bool) -> bool:
@@ -48,6 +56,54 @@ def prepare(series: "Mapping[str, Series]", recordings: int, *, effects: bool) -
             start_new_session=True,
         )  # fmt: skip
         _say("estimated without compiled code, which is made in the background, once")
+
+
+@functools.cache
+def say_if_it_compiles() -> None:
+    """From here on: one line on stderr, once, if kernels are compiled and it takes its time.
+
+    For logs and pipes; at a terminal :mod:`eps_hil.compiled` says it at once. What is found on
+    disk is not compiled, and costs nothing. Imports numba: for verbs that are about to compute.
+    """
+    from numba.core import event
+
+    from eps_hil import compiled
+
+    often = "once" if compiled.FOLDER else "each time, for no cache folder can be written"
+    line = f"compiling for this machine, {often}: some minutes"
+
+    class Compiling(event.Listener):
+        """Sums the outermost compilations' time: numba holds one lock over all threads."""
+
+        depth, spent_s, begun_s = 0, 0.0, 0.0
+        timer: threading.Timer | None = None
+
+        def on_start(self, event: object) -> None:
+            self.depth += 1
+            if self.depth > 1 or self.spent_s >= LATE_S:
+                return
+            if sys.stderr.isatty():
+                self.spent_s = LATE_S  # said by now
+                return
+            self.begun_s = time.monotonic()
+            self.timer = threading.Timer(LATE_S - self.spent_s, _complain, (line,))
+            self.timer.daemon = True
+            self.timer.start()
+
+        def on_end(self, event: object) -> None:
+            self.depth -= 1
+            if self.depth == 0 and self.timer is not None:
+                self.timer.cancel()
+                self.timer = None
+                self.spent_s += time.monotonic() - self.begun_s
+
+    listen: Any = event.register  # carries no types
+    listen("numba:compile", Compiling())
+
+
+def _complain(line: str) -> None:
+    with contextlib.suppress(OSError, ValueError):  # nobody listens
+        typer.echo(line, err=True)
 
 
 def _say(text: str) -> None:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import ModelPath, Reading, read_recording, reads_recordings, waiting
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ def compare(
     published = comparison.read_published(live) if live else None
     read = read_recording(recording, reading)
     given = eps_hil.Recording(read.name, read.series, read.notes)
+    say_if_it_compiles()
     with waiting("estimating with and without"):
         found = eps_hil.compare(given, rig, chosen, published=published, second=second)
     candidates = list(found.candidates)

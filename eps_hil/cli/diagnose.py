@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.cli._files import write_json
+from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import (
     ModelPath,
     Reading,
@@ -138,6 +139,7 @@ def diagnose(
     judged = read_all(holdout or [], reading)
     for name in fitted.keys() & judged.keys():
         raise InputError(name, "", "is recording and hold-out", "what is fitted proves nothing")
+    say_if_it_compiles()
     with stages("aligning the recordings") as say:
         traces = None
         if simulation and _one_fmu(simulation):

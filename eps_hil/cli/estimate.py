@@ -96,6 +96,7 @@ def estimate(
     for path, recording in read_each(recordings, reading):
         if not results and chosen.kind == "observer":
             _first_answer.prepare(recording.series, len(recordings), effects=bool(rig.effects))
+        _first_answer.say_if_it_compiles()
         read = eps_hil.Recording(str(path), recording.series, recording.notes, recording.arrivals)
         with waiting(f"estimating {path.name}"):
             found = eps_hil.estimate(read, rig, chosen, changes=changes)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from eps_hil.cli._files import check_places, write_json
+from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import (
     ModelPath,
     Reading,
@@ -89,6 +90,7 @@ def identify(
     rig = load_model(model)
     read = read_all(recordings, reading)
     given = [eps_hil.Recording(name, series) for name, series in read.items()]
+    say_if_it_compiles()
     with progress("identifying") as bar:
         found = eps_hil.identify(given, rig, on_progress=bar).result
     _say(found)

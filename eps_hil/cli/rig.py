@@ -26,10 +26,12 @@ def register(app: typer.Typer) -> None:
         import math
         import signal
 
+        from eps_hil.cli._first_answer import say_if_it_compiles
         from eps_hil.rig.config import load_rig_setup
         from eps_hil.rig.process import Rig
 
         setup = load_rig_setup(config, manoeuvre)
+        say_if_it_compiles()
         process = Rig(setup, typer.echo)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: process.stop())

@@ -64,6 +64,7 @@ def _run(
 
     from eps_hil.board import Notice
     from eps_hil.bus.eager_loop import EagerLoop
+    from eps_hil.cli._first_answer import say_if_it_compiles
     from eps_hil.service.config import load_config
     from eps_hil.service.estimate_log import EstimateLog
     from eps_hil.service.level_updates import LevelUpdates
@@ -71,6 +72,7 @@ def _run(
     from eps_hil.service.setup import describe, prepare
     from eps_hil.service.systemd import Notifier
 
+    say_if_it_compiles()
     parts = prepare(load_config(config), config)
     for line in describe(parts):
         _say(line)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from eps_hil.cli._files import check_different, check_places
+from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import (
     ModelPath,
     Reading,
@@ -46,6 +47,7 @@ def simulate(
     check_different(out, inputs)
     recording = read_recording(inputs, reading)
     read = eps_hil.Recording(str(inputs), recording.series, recording.notes)
+    say_if_it_compiles()
     with waiting("simulating"):
         made = eps_hil.simulate(read, rig, physical=physical)
     for note in made.notes:

@@ -1,16 +1,24 @@
-"""The first estimate after installation waits for no compiler."""
+"""The first estimate after installation waits for no compiler; what waits for it says so."""
 
 import os
 import subprocess
 import sys
+import time
+from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
+import pytest
+from numba.core import event
 
+from eps_hil.cli import _first_answer
 from eps_hil.cli.main import main
 from eps_hil.recordings.write import write_table
 
-MODEL = str(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
+CONFIGS = Path(__file__).parents[2] / "configs"
+MODEL = str(CONFIGS / "reference_rig.yaml")
 PROGRAM = """
 import subprocess, sys
 started = []
@@ -43,3 +51,78 @@ def test_it_is_interpreted_and_the_same(tmp_path: Path) -> None:
     assert done.stdout.splitlines()[-1] == "0 True ['eps_hil.estimation.ahead']"
     assert main([*words, str(tmp_path / "later.csv")]) == 0
     assert (tmp_path / "first.csv").read_bytes() == (tmp_path / "later.csv").read_bytes()
+
+
+@pytest.fixture
+def late(monkeypatch: pytest.MonkeyPatch) -> Iterator[float]:
+    """Seconds of compiling after which a process says so; what listens is gone afterwards."""
+    monkeypatch.setattr(event, "_registered", defaultdict(list))
+    monkeypatch.setattr(_first_answer, "LATE_S", 0.2)
+    _first_answer.say_if_it_compiles.cache_clear()
+    yield 0.2
+    _first_answer.say_if_it_compiles.cache_clear()
+
+
+def _compile(seconds: float, within: float = 0.0) -> None:
+    """As numba tells of a kernel, and of one that it calls."""
+    with event.trigger_event("numba:compile", data={}):
+        if within:
+            _compile(within)
+        time.sleep(seconds)
+
+
+@pytest.mark.parametrize(
+    ("kernels", "lines"),
+    [
+        ([(0.4, 0.0)], 1),
+        ([(0.02, 0.0)] * 3, 0),
+        ([(0.06, 0.0)] * 6, 1),  # none of them takes long
+        ([(0.0, 0.4), (0.4, 0.0)], 1),
+    ],
+)
+def test_a_process_that_compiles_for_long_says_so_once(
+    late: float,
+    capsys: pytest.CaptureFixture[str],
+    kernels: list[tuple[float, float]],
+    lines: int,
+) -> None:
+    _first_answer.say_if_it_compiles()
+    for seconds, within in kernels:
+        _compile(seconds, within)
+        time.sleep(late)  # in which nothing is compiled
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err == "compiling for this machine, once: some minutes\n" * lines
+
+
+@pytest.mark.parametrize(
+    ("words", "works"),
+    [
+        (("rig", "--config", str(CONFIGS / "demo_udp.yaml")), "eps_hil.rig.process.Rig"),
+        (("run", "--config", str(CONFIGS / "demo_udp.yaml")), "eps_hil.service.setup.prepare"),
+        (("diagnose", "--model", MODEL, "--recording"), "eps_hil.diagnose"),
+        (("estimate", "--model", MODEL), "eps_hil.estimate"),
+        (("identify", "--model", MODEL), "eps_hil.identify"),
+    ],
+)
+@pytest.mark.usefixtures("late")
+def test_verbs_that_compile_say_so(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
+    works: str,
+) -> None:
+    drive = tmp_path / "drive.csv"
+    write_table(drive, {"motor_torque_nm": np.zeros(9)}, t_ns=np.arange(9) * 1_000_000)
+
+    def compiles(*_: object, **__: object) -> NoReturn:
+        _compile(0.4)
+        raise OSError(5, "enough")
+
+    monkeypatch.setattr(works, compiles)
+    assert main([*words, *([] if "--config" in words else [str(drive)])]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.splitlines()[0] == "compiling for this machine, once: some minutes"
+    assert said.err.count("\n") == 2

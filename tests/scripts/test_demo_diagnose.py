@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import yaml
@@ -22,6 +23,16 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def loaded() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("demo_diagnose", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    demo = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = demo
+    spec.loader.exec_module(demo)
+    return demo
+
+
 def test_what_it_cannot_hide_it_says() -> None:
     found = run("--effect", "gremlins")
     assert found.returncode == 1
@@ -33,11 +44,7 @@ def test_what_it_cannot_hide_it_says() -> None:
 
 def test_an_estimate_is_compared_with_the_load_cell_of_its_own_moment() -> None:
     """Services say their lines at different moments: at 700 N and 2 Hz that is hundreds of N."""
-    spec = importlib.util.spec_from_file_location("demo_diagnose", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    demo = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(demo)
+    demo = loaded()
 
     def service(*moments: float, error: float) -> str:
         lines = ["READY", "rack force       +0 N  load cell        - N     0 Hz  no input"]
@@ -51,6 +58,32 @@ def test_an_estimate_is_compared_with_the_load_cell_of_its_own_moment() -> None:
     assert (cell, given) == (700, [-30, -30])
     assert len(found) == 3
     assert demo._rms(found) == pytest.approx(2.0, abs=1.0)
+
+
+def test_where_something_must_be_compiled_it_says_so_before_it_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    demo = loaded()
+
+    def ends(*_: object) -> None:
+        raise SystemExit
+
+    def said() -> str:
+        with pytest.raises(SystemExit):
+            demo.main()
+        return str(capsys.readouterr().out.splitlines()[0])
+
+    monkeypatch.setattr(demo, "record", ends)
+    monkeypatch.setattr(sys, "argv", ["demo", "--out", str(tmp_path / "out")])
+    monkeypatch.setattr(demo.compiled, "FOLDER", tmp_path)
+    for part in demo.COMPILED:
+        assert said().startswith("==> compiling for this machine comes first, once: some minutes")
+        kept = tmp_path / "functions" / part / "deeper" / "kernel.nbi"
+        kept.parent.mkdir(parents=True)
+        kept.touch()
+    assert said().startswith("==> an effect is hidden")
+    monkeypatch.setattr(demo.compiled, "FOLDER", None)
+    assert said().startswith("==> compiling")
 
 
 @pytest.mark.slow
