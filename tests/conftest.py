@@ -5,6 +5,7 @@ import importlib.util
 import os
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -90,6 +91,14 @@ def _module(name: str, folder: str) -> ModuleType:
         sys.modules[name] = module
         spec.loader.exec_module(module)
     return sys.modules[name]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_without_a_word() -> Iterator[None]:
+    """What a verb says on stderr does not hang on which kernels are in the machine's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("eps_hil.cli._first_answer.LATE_S", 1e6)
+        yield
 
 
 @pytest.fixture(scope="session")
