@@ -4,7 +4,7 @@ The bristle remembers its path: out and back again leaves it bent, where the con
 way out. So what is held for a doubt of other signals, or of the angle's zero, is carried along the
 way that the angle shows meanwhile. Noise is no way: the angle is smoothed, by no more than noise,
 and followed at a distance that noise does not pass. A step that no noise explains, nor the speed,
-is another zero.
+is another zero, and a sample before it may be of that step: each is followed once the next is seen.
 """
 
 import math
@@ -38,14 +38,15 @@ def follow_creep(w: Watch, p: Limits, u: Inputs) -> None:
     w.unbroken += 1
     if u.angle_periods <= 1.0:
         if min(abs(w.pending_turn), abs(w.pending_turn - w.pending_way)) >= _noise(p, u):
-            w.zeroed = 0
+            w.zeroed, w.next_ahead = 0, w.smooth  # the sample before may be the jump, half way
         w.pending_turn = w.pending_way = 0.0
+        w.ahead = w.next_ahead
         if w.zeroed < p.zero_steps:  # stands still until its zero is no single sample's
             w.zeroed += 1
             w.zero += (u.motor_angle_rad - w.smooth - w.zero) / w.zeroed
-            w.ahead = w.smooth
+            w.ahead = w.next_ahead = w.smooth
         else:
-            w.ahead = u.motor_angle_rad - w.zero
+            w.next_ahead = u.motor_angle_rad - w.zero
     w.smooth += p.creep_share * (w.ahead - w.smooth)
     near = CREEP_SIGMA * math.sqrt(max(u.angle_noise, 0.0))  # out and back is no noise
     w.smooth = min(max(w.smooth, w.ahead - near), w.ahead + near)

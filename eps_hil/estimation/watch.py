@@ -147,10 +147,12 @@ class Watch:
     # whether (0 or 1) the angle of the last step was drawn over a hole.
     apart: Annotated[Floats, RING]
     angle_drawn: int
-    # The angle without its jumps, smoothed, and followed past its noise, at each of the last steps;
-    # its zero, and of how many samples that is the mean; what is drawn of it, and of the speed's
-    # way, until a sample comes; steps without missing ones, and how many of the last had no angle.
+    # The angle without its jumps and its newest sample (which may be half a jump); smoothed, and
+    # followed past its noise, at each of the last steps; its zero, and of how many samples that
+    # is the mean; what is drawn of it, and of the speed's way, until a sample comes; steps without
+    # missing ones, and how many of the last had no angle.
     ahead: float
+    next_ahead: float
     zero: float
     zeroed: int
     smooth: float

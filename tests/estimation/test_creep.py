@@ -1,5 +1,6 @@
 """The way of a rotor while its estimate is held: it bends the bristle, noise and jumps do not."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -188,6 +189,16 @@ def test_the_way_without_jumps_and_noise_bends_the_bristle(
     bent, exact, other_zero = walked(reference_model, path, bristle, jumps)
     assert bent == pytest.approx(exact, abs=0.003)
     assert other_zero == pytest.approx(jump, abs=0.002)
+
+
+@pytest.mark.parametrize("half", [-0.009, 0.009])
+def test_a_jump_that_is_read_half_way_first_is_no_way(reference_model: Model, half: float) -> None:
+    """A sample within the noise of a jump to come was taken for a way out, and its end for back."""
+    jumps = np.zeros(600)
+    jumps[100:300] = 48.0 * half
+    jumps[99] = jumps[300] = half
+    bent, exact, _ = walked(reference_model, np.zeros(600), -math.copysign(BENT, half), jumps)
+    assert bent == pytest.approx(exact, abs=0.0005)
 
 
 def test_a_way_with_lost_steps_carries_nothing(reference_model: Model) -> None:
