@@ -22,7 +22,8 @@ class Lane:
         "again", "again_run", "again_stamp", "again_still", "behind_since", "counter", "cycle",
         "in_a_row", "in_time", "joined", "late_first", "late_last", "late_low", "late_run",
         "late_total", "near_since", "passed", "patience", "phase", "repeated", "row_since",
-        "slipped_at", "stamp", "stray", "strayed", "t", "waited_at",
+        "slipped_at", "stamp", "steady_high", "steady_low", "steady_run", "stray", "strayed", "t",
+        "waited_at",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -46,6 +47,8 @@ class Lane:
         self.again_run = 0  # how many of these came one after the other
         self.again_still = 0  # whether (0 or 1) that counter stands still over other data
         self.slipped_at = 0  # stamp of the last frame that was late for good
+        self.steady_run = 0  # how many of those in a row were late by one and the same
+        self.steady_low = self.steady_high = 0
         self.waited_at = 0  # stamp of the last frame that waited while others did not
         self.in_a_row = 0
         self.row_since = 0  # stamp of the first of these

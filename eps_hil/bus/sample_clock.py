@@ -63,6 +63,8 @@ _YOUNG_NS = (
 )
 _WAITED = 3.5  # periods of lateness from which that matters
 _SLIPPED = 2.0  # the same where all are late again, soon after their sender slipped
+_STEADY = 0.25  # periods within which lateness stays if frames do not wait
+_STEADY_RUN = 32
 _RELATED = 64  # frames in time after which a lane's counter belongs to the line
 _IN_A_ROW = 8
 _MS = 1_000_000
@@ -317,7 +319,7 @@ class SampleClock:
             return self._join(at, t_ns, counter, skip) or Instant(t_ns, trusted=False)
         silence = t_ns - at.stamp
         far = max(silence - self.silence_ns, late - _WAITED * self._unit_ns) > 0
-        if not far and self._slips_again(at, t_ns):
+        if not far and self._slips_again(at, t_ns) and not self._is_steady(at, late):
             if at.behind_since is None:
                 at.behind_since = t_ns
             t = self._place(at, t_ns, counter, at.cycle + cycles)
@@ -333,6 +335,17 @@ class SampleClock:
         """
         since = self._slip if at.behind_since is None else at.behind_since
         return self._slip > 0 and 0 <= t_ns - since <= _DOUBT_NS
+
+    def _is_steady(self, at: Lane, late: int) -> bool:
+        """Whether a run of frames is late by one and the same: they do not wait, it slipped."""
+        low, high = min(at.steady_low, late), max(at.steady_high, late)
+        if at.behind_since is None or high - low > _STEADY * self._unit_ns:
+            at.steady_run, low, high = 0, late, late
+        at.steady_run, at.steady_low, at.steady_high = at.steady_run + 1, low, high
+        if at.steady_run < _STEADY_RUN * self._scale:
+            return False
+        at.late_low = low
+        return True
 
     def _others_in_time(self, at: Lane, t_ns: int) -> bool:
         """Whether another lane's newest frame was in time, and is new."""

@@ -240,6 +240,24 @@ def test_frames_that_wait_on_a_full_bus_do_not_move_the_line_again_and_again() -
     assert len(off) > 1300
 
 
+@pytest.mark.parametrize("slips_ms", [(50, 2.2), (7, 2.2), (1, 1, 1, 1, 1), (3, 2, 1, 3)])
+def test_a_sender_that_slips_time_and_again_is_followed_each_time(
+    slips_ms: tuple[float, ...],
+) -> None:
+    """It is late by one and the same, as frames that wait are not: a set clock, a busy sender."""
+    sender = Sender(cycles=300 + 200 * len(slips_ms))
+    clock = SampleClock(MS, 256)
+    for n, stamp in enumerate(sender.stamps):
+        k, since = divmod(n - 300, 200)
+        slipped = round(sum(slips_ms[: max(k + 1, 0)]) * MS)
+        at = clock.instant(stamp + slipped, n % 256)
+        assert at is not None
+        if n < 300 or since >= 64:
+            assert at.trusted
+            assert abs(at.t_ns - sender.true[n] - slipped) < 200 * US
+    assert clock.restarts == len(slips_ms)
+
+
 @pytest.mark.parametrize("jump_s", [-3600, -1, 1, 3600])
 def test_jumping_stamps_are_followed_at_once(jump_s: int) -> None:
     sender = Sender(cycles=600)
