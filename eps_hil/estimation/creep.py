@@ -57,6 +57,12 @@ def follow_creep(w: Watch, p: Limits, u: Inputs) -> None:
 
 
 @kernel
+def _no_way(w: Watch) -> None:
+    """From here on nobody knows how the rotor got where it is."""
+    w.pending_turn, w.pending_way, w.unbroken = 0.0, 0.0, 0
+
+
+@kernel
 def lose_sight(w: Watch) -> None:
     """A step without speed or angle: over a few the way goes on, over more it is lost."""
     if w.unbroken > 0 and w.sightless < _UNSEEN_STEPS:
@@ -64,7 +70,8 @@ def lose_sight(w: Watch) -> None:
         w.unbroken += 1
         w.crept[w.unbroken & _WRAP] = w.followed
         return
-    w.pending_turn, w.pending_way, w.unbroken, w.sightless = 0.0, 0.0, 0, 0
+    _no_way(w)
+    w.sightless = 0
 
 
 @kernel
@@ -80,7 +87,7 @@ def see_again(w: Watch, p: Limits, u: Inputs) -> None:
     w.pending_way += way
     w.angle, w.sightless = u.motor_angle_rad - step_rad, 0
     if min(abs(turn), abs(turn - way)) >= _noise(p, u):
-        w.pending_turn, w.pending_way, w.unbroken = 0.0, 0.0, 0
+        _no_way(w)
 
 
 @kernel

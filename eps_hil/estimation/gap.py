@@ -146,7 +146,8 @@ def bridge(
     moved and come back: no further than the acceleration that counts as rest (SP_B of eq. 4a) takes
     it, a path of SP_B T²/8. A rotor that slid on, its angle measured and its speed changed by no
     more than noise (SP_A) and SP_B T, has taken the bristle along by that angle, where such speeds
-    go so far, and the same path is all that it may have hidden. An angle that jumped tells nothing
+    go so far, and the same path is all that it may have hidden; it is placed by both, each as it is
+    certain. An angle that jumped tells nothing
     of a rotor at rest on both sides: it is as if there were none, and has another zero since. So
     it is where speed and angle parted, and the angle shows in the end another way than the speed
     did, or than none: nobody knows which of them was wrong. And where its zero was seen to change,
@@ -159,7 +160,9 @@ def bridge(
 
     Creep that is no more than the angle's noise is followed from where it was, noise filtered.
     More of it bends the bristle at once: were the rotor then judged as moving, it would leave
-    behind what the filter holds back.
+    behind what the filter holds back. Where the gap is so long that twice the bend at break-away
+    may have been gone in it, such a rotor may have gone on and come back: by its way as much is
+    unknown.
     """
     level, most = pos if way >= 0.0 else neg, max(pos, neg)
     end = level / sigma0
