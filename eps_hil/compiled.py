@@ -27,7 +27,7 @@ from typing import Any, Literal, TypeVar, overload
 import numba
 
 _KEPT_FOLDERS = 4
-_LONGEST_WAIT_S, _LOOK_S = 300.0, 0.02
+_LONGEST_WAIT_S, _LOOK_S, _LATE_S = 300.0, 0.02, 1.0
 _BACKGROUND_NICE = 5
 """For code that another process compiles: then it is compiled here too."""
 _SECOND_NS = 1_000_000_000
@@ -120,6 +120,9 @@ def _forget_old(parent: Path) -> None:
 
 FOLDER = _folder()
 """Where compiled functions are kept; None: nowhere."""
+_OFTEN = "once" if FOLDER else "each time, for no cache folder can be written (set NUMBA_CACHE_DIR)"
+COMPILING = f"compiling for this machine, {_OFTEN}: some seconds, or minutes where all is missing"
+"""What is said of it."""
 
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -293,7 +296,7 @@ class _Kept:
             self._lock = _locked(self._place)
         found = self._cache.load_overload(signature, context)
         if found is None:
-            _tell()
+            _tell(COMPILING)
             if os.nice(0) >= _BACKGROUND_NICE:
                 self.let_go()
         return found
@@ -305,12 +308,21 @@ class _Kept:
             self._lock = None
 
 
+_logs_too: list[bool] = []
+_waited_s = [0.0]
+
+
+def tell_logs_too() -> None:
+    """From here on a wait for another process is told where stderr is no terminal, too."""
+    _logs_too.append(True)
+
+
 @functools.cache
-def _tell(why: str = "once after installation") -> None:
+def _tell(line: str, *, logs_too: bool = False) -> None:
     """Once, to a person at a terminal: why nothing seems to happen."""
     with contextlib.suppress(OSError, ValueError, AttributeError):
-        if sys.stderr.isatty():
-            sys.stderr.write(f"compiling, {why}: up to a minute\n")
+        if logs_too or sys.stderr.isatty():
+            sys.stderr.write(f"{line}\n")
             sys.stderr.flush()
 
 
@@ -326,6 +338,9 @@ def _locked(place: Path) -> Any:
             break
         except BlockingIOError:
             time.sleep(_LOOK_S)
+            _waited_s[0] += _LOOK_S
+            if _waited_s[0] > _LATE_S:
+                _tell("waiting for code that another process compiles", logs_too=bool(_logs_too))
     return lock
 
 
@@ -399,7 +414,7 @@ def _say_each_time(function: Any) -> None:
         return
 
     def compiled(signature: Any) -> Any:
-        _tell("each time, for no cache folder can be written (set NUMBA_CACHE_DIR)")
+        _tell(COMPILING)
         return compile_for(signature)
 
     function.compile = compiled

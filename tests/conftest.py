@@ -98,6 +98,7 @@ def _compiled_without_a_word() -> Iterator[None]:
     """What a verb says on stderr does not hang on which kernels are in the machine's cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("eps_hil.cli._first_answer.LATE_S", 1e6)
+        patch.setattr("eps_hil.compiled._LATE_S", 1e6)
         yield
 
 

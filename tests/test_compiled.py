@@ -1,6 +1,7 @@
 """Where compiled functions are kept: the user's cache, else a private folder, else nowhere."""
 
 import contextlib
+import fcntl
 import importlib
 import json
 import os
@@ -10,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
@@ -18,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from eps_hil import estimation
+from eps_hil import compiled, estimation
 from eps_hil.compiled import kernel
 from eps_hil.physics import effects
 
@@ -127,7 +129,7 @@ def test_at_a_terminal_it_says_once_why_it_takes_so_long(
             return os.read(ours, 4096)
         return b""
 
-    when = b"once after installation" if kept else b"each time"
+    when = b"once: some seconds, or minutes" if kept else b"each time"
     for again in (False, True):
         said = told()
         assert said.count(b"compiling") == said.count(when) == (0 if again and kept else 1)
@@ -305,6 +307,28 @@ def test_nobody_waits_for_a_process_in_the_background(
             finally:
                 other.kill()
                 behind.kill()
+
+
+@pytest.mark.parametrize("logs_too", [False, True])
+def test_who_waits_for_another_process_says_so_once(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    logs_too: bool,
+) -> None:
+    monkeypatch.setattr(compiled, "_LATE_S", 0.05)
+    monkeypatch.setattr(compiled, "_logs_too", [True] if logs_too else [])
+    monkeypatch.setattr(compiled, "_waited_s", [0.0])
+    compiled._tell.cache_clear()
+    with (tmp_path / "lock").open("wb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)  # as of another process: an open file of its own
+        letting_go = threading.Timer(0.4, fcntl.flock, (held, fcntl.LOCK_UN))
+        letting_go.start()
+        compiled._locked(tmp_path / "lock").close()
+        letting_go.join()
+    compiled._tell.cache_clear()
+    said = "waiting for code that another process compiles\n" if logs_too else ""
+    assert capsys.readouterr().err == said
 
 
 def owns(kind: Any) -> bool:

@@ -62,15 +62,15 @@ def prepare(series: "Mapping[str, Series]", recordings: int, *, effects: bool) -
 def say_if_it_compiles() -> None:
     """From here on: one line on stderr, once, if kernels are compiled and it takes its time.
 
-    For logs and pipes; at a terminal :mod:`eps_hil.compiled` says it at once. What is found on
-    disk is not compiled, and costs nothing. Imports numba: for verbs that are about to compute.
+    Another one if it waits for code that another process compiles. For logs and pipes; at a
+    terminal :mod:`eps_hil.compiled` says it at once. What is found on disk is not compiled, and
+    costs nothing. Imports numba: for verbs that are about to compute.
     """
     from numba.core import event
 
     from eps_hil import compiled
 
-    often = "once" if compiled.FOLDER else "each time, for no cache folder can be written"
-    line = f"compiling for this machine, {often}: some minutes"
+    compiled.tell_logs_too()
 
     class Compiling(event.Listener):
         """Sums the outermost compilations' time: numba holds one lock over all threads."""
@@ -86,7 +86,7 @@ def say_if_it_compiles() -> None:
                 self.spent_s = LATE_S  # said by now
                 return
             self.begun_s = time.monotonic()
-            self.timer = threading.Timer(LATE_S - self.spent_s, _complain, (line,))
+            self.timer = threading.Timer(LATE_S - self.spent_s, _complain, (compiled.COMPILING,))
             self.timer.daemon = True
             self.timer.start()
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import (
     ModelPath,
     Reading,
@@ -38,6 +39,7 @@ def reversals(
     from eps_hil.physics.model import load_model
 
     rig = load_model(model)
+    say_if_it_compiles()
     adaptation = ReversalAdaptation(ReversalSettings(load_cell=not without_load_cell), rig)
     for path, recording in read_each(recordings, reading):
         with progress(f"adapting to {path.name}") as bar, told_what_it_holds(path, recording):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from eps_hil.cli._files import check_places, write_json
+from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import ModelPath, progress
 from eps_hil.cli.estimate import Kind
 
@@ -92,6 +93,7 @@ def budget(
         raise InputError(
             uncertainty or "", "uncertainty", "every source is zero", "give one a size"
         )
+    say_if_it_compiles()
     with progress("simulating the rig"):
         world = simulated_world(
             rig,

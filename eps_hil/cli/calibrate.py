@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.board import Notice
+from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import reads_recordings
 from eps_hil.cli._levels import accept, reset_levels
 from eps_hil.cli._reversals import reversals
@@ -87,6 +88,7 @@ def torque_injection(
         reset_levels(setup, write_model)
         return
     settings = calibration_settings(setup, config)
+    say_if_it_compiles()
     parts = prepare_override(setup, config)
     _check_plan(parts.override.limits.max_torque_nm, settings, config)
     source = TorqueInjectionSource(settings.torque_injection, parts.model)
@@ -134,6 +136,7 @@ def error_injection(
         return
     settings = calibration_settings(setup, config)
     model = load_model(setup.model)
+    say_if_it_compiles()
     source = ErrorInjectionSource(settings, model)
     warm_up_error_injection(settings.error_injection, model)
     listener = Listener(setup, source)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import (
     Gaps,
     ModelPath,
@@ -146,6 +147,7 @@ def _models(
     parameters = load_chain(chain)
     models: dict[int, dict[str, Response]] = {}
     orders = sorted(set(masses)) if masses else ORDERS
+    say_if_it_compiles()
     with progress("running the models") as bar:
         for number, order in enumerate(orders):
             models |= chain_responses(parts, rig, parameters, load, settings, (order,))

@@ -56,6 +56,7 @@ def investigate(
     from eps_hil.bus.config import load_bus_setup
     from eps_hil.cli._bus_options import stop_on_signals
     from eps_hil.cli._files import check_places, write_json
+    from eps_hil.cli._first_answer import say_if_it_compiles
     from eps_hil.cli._inputs import progress
     from eps_hil.investigate import story
     from eps_hil.investigate.journal import Journal
@@ -78,6 +79,7 @@ def investigate(
     if steps:
         rig_min = sum(one.rig_s for one in steps) / 60.0
         typer.echo(f"{len(steps)} steps ({rig_min:.2f} min of rig) are there already")
+    say_if_it_compiles()
     stop = stop_on_signals()
     with progress("simulating what experiments would show") as bar:
         menu = prepared_menu(model, limits, share, bar)

@@ -127,7 +127,8 @@ def _explain(error: BaseException, debug: bool) -> int:
             return 2
         case _ if hasattr(error, "format_message"):  # wrong words, in click's own exception
             verb = getattr(getattr(error, "ctx", None), "command_path", "eps-hil")
-            message, status = f"{error.format_message().rstrip('.')}; see {verb} --help", 2
+            remedy = _goes_after(error) or f"see {verb} --help"
+            message, status = f"{error.format_message().rstrip('.')}; {remedy}", 2
         case SystemExit():
             raise error
         case OSError(strerror=str(said)):  # a full disk, a folder that is gone
@@ -136,6 +137,20 @@ def _explain(error: BaseException, debug: bool) -> int:
             message = f"internal error, please report it with --debug: {type(error).__name__}: "
             message, status = message + str(error), 1
     return _say(message, status, debug)
+
+
+def _goes_after(error: Any) -> str:
+    """Of an option that stands before the verb it belongs to: after which; else nothing."""
+    option, ctx = getattr(error, "option_name", None), getattr(error, "ctx", None)
+    verbs = getattr(getattr(ctx, "command", None), "commands", {})
+    takers = [
+        name for name, verb in verbs.items() if any(option in one.opts for one in verb.params)
+    ]
+    return (
+        f"it goes after {getattr(ctx, 'command_path', '')} {'|'.join(takers)}"
+        if option and takers
+        else ""
+    )
 
 
 def _say(message: str, status: int, debug: bool) -> int:

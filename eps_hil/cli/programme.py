@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from eps_hil.board import Notice
+from eps_hil.cli._first_answer import say_if_it_compiles
 
 if TYPE_CHECKING:
     from eps_hil.physics.model import Model
@@ -62,6 +63,7 @@ def programme(
     with _progress(str(setup.bus), file.name) as on_progress:
         summary = run.run(finished, stop=stop_on_signals(), on_progress=on_progress)
     table_file(summary, out / "cells.csv")
+    say_if_it_compiles()
     found = identified(summary, model)
     _say(summary, model, found)
     whole = None

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from eps_hil.cli._first_answer import say_if_it_compiles
+
 if TYPE_CHECKING:
     from eps_hil.reproduction.reproduce import Reproduction
 
@@ -38,6 +40,7 @@ def reproduce(
 
     check("reproduce", "matplotlib")
     make_folder(out, "--out")
+    say_if_it_compiles()
     with progress("reproducing the paper") as bar:
         step = (lambda _name, part: bar(part)) if bar else None
         made = run(out, seed=seed, quick=quick, on_progress=step)

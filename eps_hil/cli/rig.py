@@ -32,12 +32,19 @@ def register(app: typer.Typer) -> None:
 
         setup = load_rig_setup(config, manoeuvre)
         say_if_it_compiles()
+        signals = signal.SIGINT, signal.SIGTERM
+        for number in signals:  # nothing is sent yet: it ends at once, also amid the compiler
+            signal.signal(number, signal.SIG_DFL)
         process = Rig(setup, typer.echo)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: process.stop())
+
+        def loaded() -> None:
+            for number in signals:
+                signal.signal(number, lambda *_: process.stop())
+
         # A duration longer than the manoeuvre can only be meant to repeat it.
         repeat = loop or setup.rig.loop or duration is not None
-        report = process.run(duration_s=math.inf if duration is None else duration, loop=repeat)
+        length_s = math.inf if duration is None else duration
+        report = process.run(duration_s=length_s, loop=repeat, loaded=loaded)
         late = report.lateness
         typer.echo(
             f"done: {report.simulated_s:.3f} s, {report.frames_sent} frames sent, "

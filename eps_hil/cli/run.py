@@ -80,7 +80,7 @@ def _run(
     _say(levels.hint())
     log = EstimateLog(log_path, _say) if log_path else None
     notice = Notice("service", str(parts.config.bus), "service")
-    notice.put(text="loads its code (the first time it is compiled, which takes a minute)")
+    notice.put(text="loads its code (the first time it is compiled, which takes minutes)")
     parts.warm_up()
     notice.end()
     service = Service(

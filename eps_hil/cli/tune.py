@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.cli._files import check_places, write_json
+from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import ModelPath, Reading, progress, read_recording, reads_recordings
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ def tune(
     now, points = tuning.point(rig, chosen, noise), tuning.curve(rig, chosen, noise)
     places = [round(k * (len(points) - 1) / (_CHECKED - 1)) for k in range(_CHECKED)]
     checked: list[tuple[Point, float]] = []
+    say_if_it_compiles()
     with progress("checking by simulation") as bar:
         for done, place in enumerate(places):
             one = points[place]

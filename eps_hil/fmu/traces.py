@@ -5,8 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from eps_hil import yaml_file
 from eps_hil.errors import InputError
 from eps_hil.fmu.described import Described
 from eps_hil.fmu.drive import Signals, Simulator, opened
@@ -64,11 +63,14 @@ def checked(fmu: Described, values: Mapping[str, float]) -> dict[str, float]:
 
 def read_values(path: Path) -> dict[str, float]:
     """Parameters from a YAML file ``name: value``, or from the JSON of ``identify``."""
-    text = read_bytes(path).decode("utf-8", errors="replace")
-    try:
-        content: Any = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
-    except (ValueError, yaml.YAMLError) as error:
-        raise InputError(path, "", str(error).splitlines()[0], "name: value, a line each") from None
+    content: Any
+    if path.suffix == ".json":
+        try:
+            content = json.loads(read_bytes(path), object_pairs_hook=_each_once)
+        except ValueError as error:
+            raise InputError(path, "", str(error), "write it with identify --json") from None
+    else:
+        content = yaml_file.read(path)
     if isinstance(content, dict) and isinstance(content.get("parameters"), dict):
         content = {name: one.get("value") if isinstance(one, dict) else one
                    for name, one in content["parameters"].items()}  # fmt: skip
@@ -78,3 +80,12 @@ def read_values(path: Path) -> dict[str, float]:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(path, str(name), f"is {value!r}, a number was expected")
     return {str(name): float(value) for name, value in content.items()}
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; of a key that stands twice, JSON would take the last one."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"'{next(name for name in names if names.count(name) > 1)}' stands twice")
+    return found

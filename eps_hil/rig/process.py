@@ -160,17 +160,27 @@ class Rig:
         """End after the present tick (callable from a signal handler)."""
         self._stop = True
 
-    def run(self, *, duration_s: float = math.inf, loop: bool = False) -> RigReport:
-        """Run in real time for one manoeuvre, ``duration_s``, or (``loop``) until stopped."""
+    def run(
+        self,
+        *,
+        duration_s: float = math.inf,
+        loop: bool = False,
+        loaded: Callable[[], None] = lambda: None,
+    ) -> RigReport:
+        """Run in real time for one manoeuvre, ``duration_s``, or (``loop``) until stopped.
+
+        ``loaded`` is called once, when the code is compiled and before anything is sent.
+        """
         simulation = self._simulation
         per_ms = simulation.per_ms
         limit_ms = math.inf if loop else simulation.rows
         limit_ms = min(limit_ms, duration_s * 1000)
         self._announce(limit_ms)
         notice = Notice("rig", str(self._setup.bus.bus), "simulated rig")
-        notice.put(text="loads its code (the first time it is compiled, which takes a minute)")
+        notice.put(text="loads its code (the first time it is compiled, which takes minutes)")
         self._warm_up()
         notice.end()
+        loaded()
         self._say(f"timing: {settle(self._setup.rig.realtime)}")
         self._say("READY")
         while self._port.recv(0.0):

@@ -15,9 +15,11 @@ from numba.core import event
 
 from eps_hil.cli import _first_answer
 from eps_hil.cli.main import main
+from eps_hil.compiled import COMPILING
 from eps_hil.recordings.write import write_table
 
 CONFIGS = Path(__file__).parents[2] / "configs"
+LIVE = str(CONFIGS / "calibrate_udp.yaml")
 MODEL = str(CONFIGS / "reference_rig.yaml")
 PROGRAM = """
 import subprocess, sys
@@ -92,7 +94,7 @@ def test_a_process_that_compiles_for_long_says_so_once(
         time.sleep(late)  # in which nothing is compiled
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err == "compiling for this machine, once: some minutes\n" * lines
+    assert said.err == f"{COMPILING}\n" * lines
 
 
 @pytest.mark.parametrize(
@@ -103,6 +105,19 @@ def test_a_process_that_compiles_for_long_says_so_once(
         (("diagnose", "--model", MODEL, "--recording"), "eps_hil.diagnose"),
         (("estimate", "--model", MODEL), "eps_hil.estimate"),
         (("identify", "--model", MODEL), "eps_hil.identify"),
+        (("calibrate", "reversals", "--model", MODEL), "eps_hil.adaptation.offline.adapt"),
+        (
+            ("calibrate", "error-injection", "--config", LIVE),
+            "eps_hil.service.online_methods.warm_up_error_injection",
+        ),
+        (
+            ("calibrate", "torque-injection", "--dry-run", "--config", LIVE),
+            "eps_hil.service.override_setup.prepare_override",
+        ),
+        (
+            ("investigate", "--config", LIVE, "--budget", "1min", "--out", "found"),
+            "eps_hil.investigate.run.prepared_menu",
+        ),
     ],
 )
 @pytest.mark.usefixtures("late")
@@ -113,6 +128,7 @@ def test_verbs_that_compile_say_so(
     words: tuple[str, ...],
     works: str,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     drive = tmp_path / "drive.csv"
     write_table(drive, {"motor_torque_nm": np.zeros(9)}, t_ns=np.arange(9) * 1_000_000)
 
@@ -124,5 +140,5 @@ def test_verbs_that_compile_say_so(
     assert main([*words, *([] if "--config" in words else [str(drive)])]) == 1
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err.splitlines()[0] == "compiling for this machine, once: some minutes"
+    assert said.err.splitlines()[0] == COMPILING
     assert said.err.count("\n") == 2

@@ -72,6 +72,24 @@ def test_a_group_without_a_verb_shows_its_help(
     assert "\nCommands:\n" in shown
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ["batch", "--dask", "tcp://a:1"],
+            "--dask; it goes after eps-hil batch estimate|identify|diagnose",
+        ),
+        (["--dry-run"], "--dry-run; see eps-hil --help"),
+        (["batch", "--desk"], "--desk; see eps-hil batch --help"),
+    ],
+)
+def test_an_option_that_stands_too_early_says_where_it_goes(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.main(words) == 2
+    assert capsys.readouterr().err == f"eps-hil: No such option: {said}\n"
+
+
 def test_ctrl_c_inside_a_verb_is_one_line(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

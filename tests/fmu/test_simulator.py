@@ -273,6 +273,23 @@ def test_fmi_3_gives_the_trace_of_fmi_2(drive: Path, tmp_path: Path) -> None:
         assert apart < 1e-2 * np.ptp(two[name].value)
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a.yaml", "a: 1\nb: 2\na: 3\n", "line 3, .*'a' stands here and on line 1"),
+        ("a.json", '{"a": 1, "b": 2, "a": 3}', "'a' stands twice"),
+        ("a.json", "[1", "Expecting"),
+        ("a.yaml", "a: [1\n", "not valid YAML"),
+    ],
+)
+def test_values_that_cannot_be_meant_are_refused(
+    tmp_path: Path, name: str, text: str, said: str
+) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_values(tmp_path / name)
+
+
 @pytest.mark.slow
 def test_its_parameters_are_found_with_intervals_and_the_gain_on_what_was_kept(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

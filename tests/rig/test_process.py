@@ -242,6 +242,34 @@ class TestOnABus:
         assert "done:" in out
         assert "lateness: p50" in out
 
+    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+    def test_a_signal_ends_it_while_it_compiles(
+        self, process_config: Path, number: signal.Signals
+    ) -> None:
+        """The compiler goes on after a handler: only the signal's own effect ends it."""
+        program = (
+            "import sys, time\n"
+            "from eps_hil.cli.main import main\n"
+            "from eps_hil.rig.process import Rig\n"
+            "def compiles(rig):\n"
+            "    print('compiles', flush=True)\n"
+            "    end = time.monotonic() + 60\n"
+            "    while time.monotonic() < end: time.sleep(1)\n"
+            "Rig._warm_up = compiles\n"
+            "main(sys.argv[1:])\n"
+        )
+        words = ["rig", "--config", str(process_config), "--loop"]
+        with subprocess.Popen(
+            [sys.executable, "-c", program, *words], stdout=subprocess.PIPE, text=True
+        ) as process:
+            try:
+                assert process.stdout is not None
+                assert "compiles\n" in iter(process.stdout.readline, "")
+                process.send_signal(number)
+                assert process.wait(timeout=10) == -number
+            finally:
+                process.kill()
+
     @pytest.mark.slow
     def test_killed_it_leaves_a_silent_bus_that_the_next_one_can_use(
         self, process_config: Path
