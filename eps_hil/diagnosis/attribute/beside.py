@@ -23,7 +23,7 @@ from eps_hil.diagnosis.attribute.select import Selection, rivals_of
 from eps_hil.diagnosis.balance.baseline import ALL, HOLD, SIDES, TIMING, is_free
 from eps_hil.diagnosis.balance.discrepancy import Discrepancy, Evidence
 from eps_hil.diagnosis.balance.fit import Fit, deviation, fit, own_column
-from eps_hil.diagnosis.balance.probes import Candidate, orders_of
+from eps_hil.diagnosis.balance.probes import Candidate, orders_of, taken_anew
 from eps_hil.diagnosis.balance.problem import Problem, knee, term_of
 from eps_hil.diagnosis.balance.reference import OF_MOTOR, torque_is_referenced
 from eps_hil.diagnosis.mismatch.curve import ID as CURVE
@@ -45,6 +45,8 @@ class Beside:
     found: Fit
     gains: Mapping[str, float]
     """By term: twice the gain of log evidence, which is in noise variances."""
+    pool: Sequence[Candidate]
+    """Sensitivities as they were taken there, not whitened."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +61,19 @@ class _Model:
 
 def beside(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> Beside:
     """Names that the recordings show beside a discrepancy; ``found``: what was found without."""
-    search = _Search(problem, found, pool)
+    search = _Search(problem, found)
+    pool = search.weighed(search.discrepancy.evidence(found.residual, found.jacobian), pool)
     structures = [entry for entry in found.entries if entry["effect"] not in SPANNED]
     search.own = {**ALL, **problem.tied}
     model = search.settled(structures, search.with_orders(structures, pool))
+    pool = search.weighed(model.evidence, pool)
     numbers = [entry for entry in found.entries if entry["effect"] in SPANNED]
     search.own = {**TIMING, **problem.tied}
     spanned = [c for c in pool if c.effect.id in SPANNED]
     model = search.settled([*model.entries, *numbers], spanned)
     whitened = search.whitened(model.evidence)
     again = fit(whitened, model.entries, own=model.at.own)
-    return Beside(whitened, again, model.gains)
+    return Beside(whitened, again, model.gains, pool)
 
 
 def selected_beside(selection: Selection) -> tuple[Problem, Selection]:
@@ -82,7 +86,7 @@ def selected_beside(selection: Selection) -> tuple[Problem, Selection]:
             searched = fit(selection.part, entries, own=searched.own)
     told = beside(selection.part, searched, pool)
     problem, found = told.problem, told.found
-    pool = [replace(one, columns=problem.whitened(one.columns)) for one in pool]
+    pool = [replace(one, columns=problem.whitened(one.columns)) for one in told.pool]
     null = fit(problem, [], own={**TIMING, **problem.tied})
     again = replace(
         selection, null=null, found=found, searched=found, part=problem, pool=pool,
@@ -113,13 +117,23 @@ def not_whitened(problem: Problem, told: Selection, before: Selection) -> Select
 class _Search:
     """Forward and backward steps over sets of names."""
 
-    def __init__(self, problem: Problem, found: Fit, pool: Sequence[Candidate]) -> None:
+    def __init__(self, problem: Problem, found: Fit) -> None:
         self.problem = problem
         self.problem.knee = knee(found.residual)
         self.discrepancy = Discrepancy(problem, found.residual)
         self.price = 0.5 * float(np.log(max(problem.independent, 2.0)))
         self.own: Mapping[str, float] = {}
         self.refused: set[str] = set()
+
+    def weighed(self, evidence: Evidence, pool: Sequence[Candidate]) -> Sequence[Candidate]:
+        """From here on, what is left beside the discrepancy weighs as much under every model.
+
+        Returns the pool; what changes the noise that is expected, by sensitivities taken anew.
+        """
+        before, self.problem = self.problem, self.problem.beside_sigma(evidence.sigma)
+        if self.problem is before:
+            return pool
+        return taken_anew(self.problem, pool)
 
     def with_orders(self, entries: Entries, pool: Sequence[Candidate]) -> list[Candidate]:
         """Structures of the pool; what repeats with the angle, at the orders beside the unknown.

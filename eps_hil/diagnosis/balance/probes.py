@@ -1,7 +1,7 @@
 """Every effect's regressor: the sensitivity of the simulated torque balance to it."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
 
@@ -162,19 +162,54 @@ def candidates(
 
     def look(job: tuple[Effect, Mapping[str, float]]) -> Candidate | None:
         effect, shape = job
-        others = [entry for entry in entries if entry["effect"] != effect.id]
-        beside = dict(own or {})
-        if effect.probe is not None and np.isnan(effect.probe.neutral):
-            beside.pop(effect.probe.amplitude, None)  # the effect sets this very number
-        untouched = len(others) == len(entries) and len(beside) == len(own or {})
-        model = problem.with_entries(others, beside)
-        base = residual if untouched else problem.residual(model)
-        columns = _columns(problem, (others, beside), effect, shape, base)
+        base = _bare(effect, entries, own)
+        untouched = len(base[0]) == len(entries) and len(base[1]) == len(own or {})
+        left = residual if untouched else problem.residual(problem.with_entries(*base))
+        columns = _columns(problem, base, effect, shape, left)
         if on_progress:
             on_progress((next(done) + 1) / len(jobs))
         return None if columns is None else Candidate(effect, shape, columns)
 
     return [one for one in each(look, jobs) if one is not None]
+
+
+def taken_anew(problem: Problem, pool: Sequence[Candidate]) -> list[Candidate]:
+    """The pool where what is left weighs otherwise than when it was taken (``Problem.weigh``).
+
+    Only what changes the noise of a right model has other sensitivities by that.
+    """
+
+    def look(one: Candidate) -> Candidate:
+        base = _bare(one.effect, [], problem.at)
+        probe, model = one.effect.probe, problem.with_entries(*base)
+        assert probe is not None
+        if probe.scan == "curve" or probe.phase is not None:
+            return one
+        changed = problem.with_entries([*base[0], _probed(one.effect, one.shape, problem)], base[1])
+        if problem.noise(changed) == problem.noise(model):
+            return one
+        columns = _columns(problem, base, one.effect, one.shape, problem.residual(model))
+        return one if columns is None else replace(one, columns=columns)
+
+    return each(look, pool)
+
+
+def _bare(
+    effect: Effect, entries: Sequence[Mapping[str, Any]], own: Mapping[str, float] | None
+) -> tuple[Sequence[Mapping[str, Any]], Mapping[str, float]]:
+    """The base without the effect itself, and without the number that it sets."""
+    beside = dict(own or {})
+    if effect.probe is not None and np.isnan(effect.probe.neutral):
+        beside.pop(effect.probe.amplitude, None)
+    return [entry for entry in entries if entry["effect"] != effect.id], beside
+
+
+def _probed(effect: Effect, shape: Mapping[str, float], problem: Problem) -> dict[str, Any]:
+    """The effect's entry, its amplitude a small step away from where it is not there."""
+    probe = effect.probe
+    assert probe is not None
+    amplitude = neutral_value(probe, problem.model) + probe_step(effect, problem)
+    return {"effect": effect.id, **shape, probe.amplitude: amplitude}
 
 
 def orders_of(
@@ -209,14 +244,13 @@ def _columns(
     assert probe is not None
     if probe.scan == "curve":
         return hats(problem, base, effect, list(shape.values()), residual)
-    neutral, step = neutral_value(probe, problem.model), probe_step(effect, problem)
-    value = {probe.amplitude: neutral + step}
+    step = probe_step(effect, problem)
     turns: list[dict[str, float]] = [{}]
     if probe.phase is not None:
         turns = [{probe.phase: 0.0}, {probe.phase: np.pi / 2}]
     columns = []
     for turn in turns:
-        entry = {"effect": effect.id, **shape, **value, **turn}
+        entry = {**_probed(effect, shape, problem), **turn}
         changed = problem.residual(problem.with_entries([*base[0], entry], base[1]))
         columns.append((residual - changed) / step)
     found = np.column_stack(columns)

@@ -169,6 +169,10 @@ class Problem:
         """What the model leaves of one recording, Nm, in proportion to its usual size there."""
         return one.left_over(model) * (self._usual_nm(one, self.model) / self._usual_nm(one, model))
 
+    def noise(self, model: Model) -> list[float]:
+        """Deviation (Nm) of each recording's sensor noise under ``model``."""
+        return [one.floor_nm(self.state_of(one, model)) for one in self.recordings]
+
     def state_of(self, one: Prepared, model: Model) -> Model:
         """The model of the state in which a recording was made."""
         return model
@@ -177,6 +181,20 @@ class Problem:
         """Deviation of a right model's residual: noise, and what no model explains."""
         floor = one.floor_nm(model)
         return float(np.hypot(floor, one.acting_share(model) * self.beyond_nm))
+
+    def beside_sigma(self, sigma: float) -> "Problem":
+        """The same where ``sigma`` times the noise is left; what a remainder holds is not left.
+
+        As :meth:`weigh` has it, of what is left beside a discrepancy. A discrepancy that was taken
+        for an error in the equation as well would leave the noise of regressors uncounted.
+        """
+        share = max((one.acting_share(self.model) for one in self.recordings), default=1.0)
+        beyond = float(np.sqrt(max(sigma**2 - _MUCH**2, 0.0))) * self.floor / max(share, 1e-12)
+        if beyond == self.beyond_nm:
+            return self
+        again = replace(self, beyond_nm=beyond)
+        again.knee, again.at = self.knee, self.at
+        return again
 
     def weigh(self, model: Model) -> bool:
         """Take what ``model`` leaves beyond noise for an error in the equation; whether it was new.

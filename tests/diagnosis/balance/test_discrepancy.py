@@ -1,6 +1,7 @@
 """A remainder estimated with the model: its covariance, and what names are worth beside it."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,10 @@ from eps_hil.diagnosis.attribute.beside import LEAST, _Search
 from eps_hil.diagnosis.balance.baseline import ALL, TIMING
 from eps_hil.diagnosis.balance.discrepancy import Basis, Discrepancy, Whitening, _updated
 from eps_hil.diagnosis.balance.fit import fit
+from eps_hil.diagnosis.balance.probes import candidates
 from eps_hil.diagnosis.balance.problem import Problem, knee
 from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 
 pytestmark = pytest.mark.slow
@@ -47,11 +50,41 @@ def test_the_variance_of_a_curve_and_of_the_noise_is_found(problem: Problem) -> 
     assert np.count_nonzero(found.variance) <= 4
 
 
+@pytest.mark.parametrize(("times", "beyond"), [(1.0, 0.0), (5.0, np.sqrt(21.0))])
+def test_what_a_discrepancy_holds_is_no_error_in_the_equation_too(
+    problem: Problem, times: float, beyond: float
+) -> None:
+    """Only what is left beside it is as large under every model; all else keeps its noise."""
+    rng = np.random.default_rng(4)
+    problem = replace(problem, beyond_nm=20.0 * problem.floor)
+    found = fit(problem, [], own=ALL)
+    problem.knee = 1e3
+    search = _Search(problem, found)
+    columns, group = search.discrepancy.basis.columns(problem)
+    drawn = columns[:, group == 0] @ (30.0 * rng.standard_normal(int(np.sum(group == 0))))
+    drawn += times * rng.standard_normal(len(drawn))
+    assert np.std(drawn) > 10.0
+    evidence = search.discrepancy.evidence(drawn, found.jacobian)
+    without = set(catalogue()) - {"inertia", "stribeck"}
+    pool = candidates(problem, [], problem.residual(problem.model), None, {}, without)
+    again = search.weighed(evidence, pool)
+    assert search.problem.beyond_nm == pytest.approx(beyond * problem.floor, rel=0.1)
+    assert search.weighed(evidence, again) is again
+    fresh = candidates(
+        search.problem, [], search.problem.residual(problem.model), None, {}, without
+    )
+    assert len(fresh) == len(pool) > 1
+    for one, new, old in zip(again, fresh, pool, strict=True):
+        np.testing.assert_allclose(one.columns, new.columns)
+        assert (one is old) == (one.effect.id == "stribeck")
+    assert any(one is not old for one, old in zip(again, pool, strict=True))
+
+
 def search_on(problem: Problem, entry: dict[str, Any], own: Mapping[str, float]) -> float:
     """What an entry is worth, some of the model's own numbers and a discrepancy free beside it."""
     found = fit(problem, [entry], own=own)
     problem.knee = knee(found.residual)
-    search = _Search(problem, found, [])
+    search = _Search(problem, found)
     search.own = own
     return search.gain(search.model([entry]), 0)
 
