@@ -20,6 +20,8 @@ WRAP = RING - 1
 
 _CLIP = 9.0
 """So many variances count at most: a jump is no noise."""
+LATELY = 64
+"""Samples that tell how large noise is now."""
 _BAD, _GAP = int(Reason.BAD_SAMPLE), int(Reason.GAP)
 
 Stamps = npt.NDArray[np.int64]
@@ -92,17 +94,40 @@ def learn_noise(
     """
     if n < 4:
         return
+    bend, period = _bend(stamps, values, n, i)
+    if not math.isfinite(bend):
+        return
+    known[i, 1] = min(known[i, 1] + 1.0, memory_ns / period)
+    power = min(bend * bend / 20.0, _CLIP * known[i, 0])
+    known[i, 0] += (power - known[i, 0]) / known[i, 1]
+
+
+@kernel
+def forget_noise(stamps: Stamps, values: Values, n: int, i: int, known: Values) -> None:
+    """Believe the last samples of ring ``i`` where these have less noise than is ``known``.
+
+    Where two transmitters sent by turns, their difference was learnt as noise.
+    """
+    total, found = 0.0, 0
+    for k in range(max(n - LATELY, 4), n + 1):
+        bend, _ = _bend(stamps, values, k, i)
+        if math.isfinite(bend):
+            total, found = total + bend * bend / 20.0, found + 1
+    if 2 * found > LATELY and total < known[i, 0] * found:
+        known[i, 0], known[i, 1] = total / found, min(known[i, 1], float(found))
+
+
+@kernel(inline="always")
+def _bend(stamps: Stamps, values: Values, n: int, i: int) -> tuple[float, int]:
+    """Third difference of ring ``i`` at its sample ``n`` and their period; NaN if uneven."""
     a, b, c, d = (n - 1) & WRAP, (n - 2) & WRAP, (n - 3) & WRAP, (n - 4) & WRAP
     period = stamps[i, a] - stamps[i, b]
     uneven = max(
         abs(stamps[i, b] - stamps[i, c] - period), abs(stamps[i, c] - stamps[i, d] - period)
     )
-    bend = values[i, a] - values[i, d] + 3.0 * (values[i, c] - values[i, b])
-    if not math.isfinite(bend) or 4 * uneven > period:
-        return
-    known[i, 1] = min(known[i, 1] + 1.0, memory_ns / period)
-    power = min(bend * bend / 20.0, _CLIP * known[i, 0])
-    known[i, 0] += (power - known[i, 0]) / known[i, 1]
+    if 4 * uneven > period:
+        return math.nan, period
+    return values[i, a] - values[i, d] + 3.0 * (values[i, c] - values[i, b]), period
 
 
 @kernel

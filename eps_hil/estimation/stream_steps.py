@@ -253,12 +253,20 @@ def _go_back(m: Memory, c: Constants, x: Physics, u: Inputs, doubted: bool) -> N
 
 @kernel
 def _be_wary(m: Memory, x: Physics, doubted: bool) -> None:
-    """Tell the estimator whether its torque is doubted, and what a wrong one has made of it."""
+    """Tell the estimator whether its torque is doubted, and what a wrong one has made of it.
+
+    What was learnt as noise in a doubt may have been what was doubted.
+    """
     w, s = m.watch[0], m.carried.moment[0]
     if not doubted:
         s.wary, s.wary_way = 0, 0.0
+        if w.noisy > 0:
+            w.noisy -= 1
+            if w.noisy % alignment.LATELY == 0:
+                for i in range(len(SIGNALS)):
+                    alignment.forget_noise(m.stamps, m.values, m.learnt[i], i, m.noise)
         return
-    s.wary = 1
+    s.wary, w.noisy = 1, 2 * alignment.LATELY
     if w.misled:
         w.misled = 0
         misled(x, s, m.carried.rig[0])

@@ -97,6 +97,8 @@ class Watch:
     misled: int
     told: int
     quiet: int
+    # For how many steps more what was learnt as noise in a doubt may be what was doubted.
+    noisy: int
     # For how many steps more the torque may be wrong since nobody looked; whether that is now;
     # whether it is since a start, which a recording is not asked to wait for.
     unsure: int

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eps_hil.estimation.alignment import RING, push_sample, read_at, slope
+from eps_hil.estimation.alignment import (
+    RING,
+    forget_noise,
+    learn_noise,
+    push_sample,
+    read_at,
+    slope,
+)
 from eps_hil.estimation.validity import Reason
 
 LOST = int(Reason.MOTOR_SPEED)
@@ -86,3 +93,26 @@ def test_slope_is_exact_for_a_parabola(speed: float, acceleration: float, points
 
 def test_no_slope_of_one_sample() -> None:
     assert not slope(*ring([1000], [1.0]), 0, 10**9)[0]
+
+
+@pytest.mark.parametrize("grew", [1.0, 3.0])
+def test_what_two_transmitters_differ_by_is_forgotten_and_noise_that_grew_is_not(
+    grew: float,
+) -> None:
+    rng = np.random.default_rng(7)
+    noise = rng.standard_normal(1900) * np.where(np.arange(1900) < 1000, 0.3, 0.3 * grew)
+    apart = np.where((np.arange(1900) >= 1000) & (np.arange(1900) < 1800), 4.6, 0.0)
+    values = noise + apart * (np.arange(1900) % 2)
+    stamps, data, count = ring([], [])
+    known = np.array([[0.09, 1000.0]])
+    for k, v in enumerate(values):
+        push_sample(stamps, data, count, 0, EPOCH + k * 1_000_000, float(v))
+        learn_noise(stamps, data, int(count[0]), 0, known, 2e9)
+    assert known[0, 0] > 15 * 0.09
+    forget_noise(stamps, data, int(count[0]), 0, known)
+    assert known[0, 0] == pytest.approx(0.09 * grew**2, rel=0.6)
+    assert known[0, 1] <= 100
+    before = known.copy()
+    known[0, 0] *= 0.1
+    forget_noise(stamps, data, int(count[0]), 0, known)
+    assert known[0, 0] == 0.1 * before[0, 0]

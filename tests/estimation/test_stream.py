@@ -359,3 +359,19 @@ def test_interpolated_noise_is_not_taken_for_less_noise(
             stream.push(name, int(t_ns[k]), sigma * rng.standard_normal())
         stream.advance(k * MS)
     assert stream.memory.carried.moment[0].speed_noise == pytest.approx(0.25**2, rel=0.2)
+
+
+def test_two_transmitters_by_turns_leave_no_noise_behind(reference_model: Model) -> None:
+    """Their difference was learnt as noise for seconds: slow creep of the rotor counted as rest."""
+    clean, turns = moving(4.0), moving(4.0)
+    k = np.arange(1000, 1500)
+    turns[NAMES[0]].value[k] -= 0.31 * (k % 2)
+    turns[NAMES[2]].value[k] -= 4.6 * (k % 2)
+    noise = []
+    for series in (clean, turns):
+        stream = StreamEstimator(reference_model, EstimatorSettings(), sample_periods_s(series))
+        kind, t_ns, value = events(series)
+        before = t_ns < t_ns[0] + 3_200 * MS
+        stream.run(kind[before], t_ns[before], value[before])
+        noise.append(stream.memory.noise[: len(NAMES), 0].copy())
+    assert np.all(noise[1] < 2.0 * noise[0])
