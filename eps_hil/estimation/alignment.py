@@ -18,8 +18,9 @@ RING = 512
 WRAP = RING - 1
 """``n & WRAP`` is ``n % RING``."""
 
-_CLIP = 9.0
-"""So many variances count at most: a jump is no noise."""
+_CLIP, _LEAST = 9.0, 0.01
+"""So many variances count at most: a jump is no noise; of no less than this share of the settings'
+figure: after a signal that stood still no noise would be seen any more."""
 LATELY = 64
 """Samples that tell how large noise is now."""
 _BAD, _GAP = int(Reason.BAD_SAMPLE), int(Reason.GAP)
@@ -84,13 +85,14 @@ def read_between(
 
 @kernel
 def learn_noise(
-    stamps: Stamps, values: Values, n: int, i: int, known: Values, memory_ns: float
+    stamps: Stamps, values: Values, n: int, i: int, known: Values, first: float, memory_ns: float
 ) -> None:
     """Follow the noise of ring ``i`` from the last four of its first ``n`` samples: ``known[i]``.
 
-    ``known[i, 0]`` is its variance, ``known[i, 1]`` of how many samples it was learnt. Third
-    differences see noise and hardly any motion; of samples as they came, because interpolated ones
-    have lost noise to their neighbours that is still there once it is averaged.
+    ``known[i, 0]`` is its variance, ``known[i, 1]`` of how many samples it was learnt, ``first``
+    the variance that the settings say. Third differences see noise and hardly any motion; of
+    samples as they came, because interpolated ones have lost noise to their neighbours that is
+    still there once it is averaged.
     """
     if n < 4:
         return
@@ -98,7 +100,7 @@ def learn_noise(
     if not math.isfinite(bend):
         return
     known[i, 1] = min(known[i, 1] + 1.0, memory_ns / period)
-    power = min(bend * bend / 20.0, _CLIP * known[i, 0])
+    power = min(bend * bend / 20.0, _CLIP * max(known[i, 0], _LEAST * first))
     known[i, 0] += (power - known[i, 0]) / known[i, 1]
 
 
@@ -106,12 +108,13 @@ def learn_noise(
 def forget_noise(stamps: Stamps, values: Values, n: int, i: int, known: Values) -> None:
     """Believe the last samples of ring ``i`` where these have less noise than is ``known``.
 
-    Where two transmitters sent by turns, their difference was learnt as noise.
+    Where two transmitters sent by turns, their difference was learnt as noise. A value that stands
+    still tells nothing: it may be one that is stuck.
     """
     total, found = 0.0, 0
     for k in range(max(n - LATELY, 4), n + 1):
         bend, _ = _bend(stamps, values, k, i)
-        if math.isfinite(bend):
+        if math.isfinite(bend) and bend != 0.0:
             total, found = total + bend * bend / 20.0, found + 1
     if 2 * found > LATELY and total < known[i, 0] * found:
         known[i, 0], known[i, 1] = total / found, min(known[i, 1], float(found))

@@ -152,7 +152,8 @@ def _learn(m: Memory, timing: Timing, i: int, t: int) -> None:
     n = max(m.learnt[i], m.filled[i] - alignment.RING + 4)
     while n < m.filled[i] and m.stamps[i, n & alignment.WRAP] <= t:
         n += 1
-        alignment.learn_noise(m.stamps, m.values, n, i, m.noise, timing.noise_memory)
+        first = timing.first_noise[i, 0]
+        alignment.learn_noise(m.stamps, m.values, n, i, m.noise, first, timing.noise_memory)
     m.learnt[i] = n
 
 

@@ -127,7 +127,7 @@ def watch_jump(w: Watch, p: Limits, u: Inputs) -> None:
     elif unclear or undecided(w, p, edge):
         lose_course(w)
     else:
-        _found(w, p, base, slope, level)
+        _found(w, p, base, slope, level, most)
 
 
 @kernel
@@ -282,8 +282,10 @@ def _edge(w: Watch, p: Limits, u: Inputs) -> tuple[float, float]:
 
 
 @kernel
-def _found(w: Watch, p: Limits, base: float, slope: float, level: float) -> None:
+def _found(w: Watch, p: Limits, base: float, slope: float, level: float, most: float) -> None:
     """Take a jump that nothing followed out of the ring; ``level`` (Nm) is what is left of it.
+
+    It was up to ``most``.
 
     What is left of a jump that went back, or of a spike, may be what the course did meanwhile: it
     is not doubted for long. Nor is a jump after one of which much was left: it may be its end. Nor
@@ -302,6 +304,8 @@ def _found(w: Watch, p: Limits, base: float, slope: float, level: float) -> None
         vague = vague or level * level <= _OWN_SIGMA**2 * w.swing
         if abs(level) * p.ratio < _KEPT * UNEXPLAINED_N:
             level = 0.0
+    elif abs(level) < _BACK * most:  # a spike that is over already
+        vague = vague or level * level <= _OWN_SIGMA**2 * w.swing
     for j in range(1, k - first + 1):
         w.torque[(first + j) & WRAP] = base + j * slope
     old = w.unexplained_nm

@@ -107,7 +107,7 @@ def test_what_two_transmitters_differ_by_is_forgotten_and_noise_that_grew_is_not
     known = np.array([[0.09, 1000.0]])
     for k, v in enumerate(values):
         push_sample(stamps, data, count, 0, EPOCH + k * 1_000_000, float(v))
-        learn_noise(stamps, data, int(count[0]), 0, known, 2e9)
+        learn_noise(stamps, data, int(count[0]), 0, known, 0.09, 2e9)
     assert known[0, 0] > 15 * 0.09
     forget_noise(stamps, data, int(count[0]), 0, known)
     assert known[0, 0] == pytest.approx(0.09 * grew**2, rel=0.6)
@@ -116,3 +116,20 @@ def test_what_two_transmitters_differ_by_is_forgotten_and_noise_that_grew_is_not
     known[0, 0] *= 0.1
     forget_noise(stamps, data, int(count[0]), 0, known)
     assert known[0, 0] == 0.1 * before[0, 0]
+
+
+def test_a_value_that_stood_still_does_not_hide_noise_for_ever() -> None:
+    """Stuck before anything was seen: what was learnt of it was no noise at all, for ever."""
+    rng = np.random.default_rng(3)
+    values = np.concatenate([np.full(150, 645.6), 0.25 * rng.standard_normal(4000)])
+    stamps, data, count = ring([], [])
+    known = np.array([[0.09, 50.0]])
+    for k, v in enumerate(values):
+        push_sample(stamps, data, count, 0, EPOCH + k * 1_000_000, float(v))
+        learn_noise(stamps, data, int(count[0]), 0, known, 0.09, 1e9)
+        if k == 149:
+            before = known.copy()
+            forget_noise(stamps, data, int(count[0]), 0, known)
+            assert known.tolist() == before.tolist()
+            known[0, 0] = 0.0
+    assert known[0, 0] == pytest.approx(0.25**2, rel=0.1)

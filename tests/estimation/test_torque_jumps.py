@@ -11,7 +11,7 @@ from eps_hil.estimation.batch import estimate
 from eps_hil.estimation.plausibility import limits_of
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Inputs
-from eps_hil.estimation.torque_jumps import _alone, swing_hinge
+from eps_hil.estimation.torque_jumps import _alone, _found, swing_hinge
 from eps_hil.estimation.watch import new_watch
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -138,3 +138,19 @@ def test_a_jump_beside_a_hole_is_not_doubted_for_long(
             series[name] = Series(series[name].t_ns[kept], series[name].value[kept])
         bad = np.flatnonzero(~estimate(series, reference_model).valid[1900:])
         assert max(bad, default=0) < 1700
+
+
+@pytest.mark.parametrize(
+    ("most_nm", "swing", "missed"), [(0.44, 0.004, 1), (0.05, 0.004, 0), (0.44, 1e-4, 0)]
+)
+def test_what_noise_leaves_of_a_spike_within_the_window_is_not_doubted_for_long(
+    reference_model: Model, most_nm: float, swing: float, missed: int
+) -> None:
+    """A spike of 3 ms was over as it was told; the noise of its course stayed, doubted for 10 s."""
+    p, watch = limits_of(reference_model, EstimatorSettings(), True), new_watch()
+    w = watch[0]
+    w.steps, w.quiet, w.swing = 1000, 100_000, swing
+    w.edge_at = w.steps - 1 - p.window
+    _found(w, p, 0.0, 0.0, -0.049, most_nm)
+    assert w.unexplained_nm == -0.049
+    assert w.missed == missed
