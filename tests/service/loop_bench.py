@@ -1,6 +1,7 @@
 """A running service, a tiny rig and a listener on one bus without hardware."""
 
 import asyncio
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -26,6 +27,8 @@ from .conftest import T0_NS, Receiver, TinyRig
 SYNC, ESTIMATE, VERDICT, HEALTH = 0x100, 0x120, 0x121, 0x400
 PATIENCE_S = 30.0
 """A stalled guest, or a first compilation, may take so long over what takes milliseconds."""
+_LATE_S = 0.02
+"""A sender that is late by no more catches up."""
 UDP = BusConfig("udp_multicast", "239.74.163.77", fd=True, options={"port": 43177, "hop_limit": 0})
 
 
@@ -87,7 +90,7 @@ class Bench:
         self.said: list[str] = []
         self.shown: list[Snapshot] = []
         self.log: EstimateLog | None = None
-        self._rig, self._k = TinyRig(), 0
+        self._rig, self._k, self._start = TinyRig(), 0, -math.inf
         self._last: Frame | None = None
         self._ready = threading.Event()
         bus = config.bus
@@ -107,8 +110,12 @@ class Bench:
         assert self._ready.wait(PATIENCE_S)
 
     def drive(self, milliseconds: int) -> None:
-        """Frames of so many milliseconds, at their pace."""
+        """Frames of so many milliseconds, at their pace, also from one call to the next: a sender
+        that slips every time is not believed."""
         start = time.monotonic() - self._k * 1e-3
+        if start - self._start < _LATE_S:
+            start = self._start
+        self._start = start
         for _ in range(milliseconds):
             for frame in self._rig.millisecond(self._k):
                 self._last = frame
@@ -116,6 +123,15 @@ class Bench:
                     time.sleep(1e-3)
             self._k += 1
             time.sleep(max(0.0, start + self._k * 1e-3 - time.monotonic()))
+
+    def drive_until_valid(self, receiver: Receiver, milliseconds: int) -> None:
+        """So many, and more until an estimate is valid: after the bunches in which a busy machine
+        sends, a sender is believed again after some time only."""
+        self.drive(milliseconds)
+        begin = time.monotonic()
+        while verdicts(receiver, self.taps[-1].estimates()[-1:]) != [(Status.VALID, Reason.FINE)]:
+            assert time.monotonic() - begin < PATIENCE_S, "no estimate became valid"
+            self.drive(20)
 
     def drive_when_ready(self, milliseconds: int) -> None:
         """So that the service sees every frame."""

@@ -48,7 +48,7 @@ def test_reconnect_waits_and_goes_on(quick: ServiceConfig, receiver: Receiver) -
         bench.drive(300)
         bench.in_loop(bench.tap.pull_the_plug)
         bench.pause(200)
-        bench.drive(1300)
+        bench.drive_until_valid(receiver, 1300)
 
     summary = bench.run(script)
     assert [line.split("  ")[0] for line in bench.said if line.startswith("bus")] == [
@@ -80,7 +80,12 @@ def test_a_bus_that_is_not_there_yet_is_waited_for_and_listened_to_first(
     config: ServiceConfig, receiver: Receiver
 ) -> None:
     bench = LateBus(replace(config, service=replace(config.service, reconnect_s=0.05)))
-    bench.run(lambda: bench.drive_when_ready(500))
+
+    def script() -> None:
+        bench.wait_ready()
+        bench.drive_until_valid(receiver, 500)
+
+    bench.run(script)
     said = "bus absent can0: the interface is down; sudo ip link set can0 up; waiting for it"
     assert [line for line in bench.said if line.startswith(said)] == [f"{said} (bus.reconnect)"]
     order = [bench.said.index(line) for line in ("bus back   going on", "READY")]
