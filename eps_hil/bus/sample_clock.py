@@ -23,6 +23,10 @@ What can go wrong, and what happens:
   stay late without catching up (the sender slipped its schedule): the clock restarts on that
   frame at once. It never slews. (Frames of *all* messages that wait equally long, all the time,
   look like those of a sender that paused: no counter tells a gateway's constant delay);
+* late for good again within 0.8 s of such a slip: frames that wait behind others on a full bus are
+  late time and again, by more or by less. They keep their instants on the line, and are not trusted
+  from two periods on, for 0.8 s; or until 32 in a row are late by the same within a quarter of a
+  period, as those of a sender that slipped are;
 * a lane that is late while another is in time: the lanes' counters stay in one relation unless a
   message was interrupted, so it is this lane's frames that wait. They keep the instants that their
   counter says, and are not *trusted* from four periods on. A relation that stays changed for 0.8 s
