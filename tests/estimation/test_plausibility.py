@@ -304,13 +304,13 @@ def test_what_is_left_of_a_jump_that_is_over_is_not_doubted_for_long(
     w.steps, w.missed_now, w.started = 1000, 0, 0
     if of == "a spike":
         w.edge_at, w.swing = 999 - p.window - 3, 0.03
-        _found(w, p, 0.0, 0.0, -0.05)
+        _found(w, p, 0.0, 0.0, -0.05, 0.05)
     elif of == "a torque that stood still":
         w.stalled, w.unexplained_nm = p.stalled_steps - 100, -0.04
-        _found(w, p, 0.0, 0.0, 0.15)
+        _found(w, p, 0.0, 0.0, 0.15, 0.15)
     else:
-        _found(w, p, 0.0, 0.0, -0.15)
-        _found(w, p, 0.0, 0.0, 0.21)
+        _found(w, p, 0.0, 0.0, -0.15, 0.15)
+        _found(w, p, 0.0, 0.0, 0.21, 0.21)
     doubted = [latched(w, p) != 0 for _ in range(p.consistent_steps)]
     assert all(doubted[: p.stalled_steps])
     assert not any(doubted[p.stalled_steps + 1 :])
