@@ -26,6 +26,8 @@ from typing import Any, Literal, TypeVar, overload
 
 import numba
 
+from eps_hil import within
+
 _KEPT_FOLDERS = 4
 _LONGEST_WAIT_S, _LOOK_S, _LATE_S = 300.0, 0.02, 1.0
 _BACKGROUND_NICE = 5
@@ -71,7 +73,7 @@ def _private() -> Iterator[Path]:
 
 
 def _source_hash() -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
+    digest = hashlib.sha256(f"{numba.__version__} {within.usable()}".encode())
     for source in sorted(_PACKAGE.rglob("*.py")):
         text = source.read_bytes()
         if any(mark in text for mark in _COMPILED):
@@ -187,6 +189,8 @@ _made: list[str] = []
 
 
 def _decorator(**options: Any) -> Callable[[F], F]:
+    options |= {"nogil": True}
+
     def decorated(function: F) -> F:
         _made.append(function.__qualname__)
         digest = _held(function)
@@ -194,13 +198,14 @@ def _decorator(**options: Any) -> Callable[[F], F]:
             function.__qualname__ = f"{function.__qualname__}_{digest[:12]}"
         with _cached_there(function):
             try:
-                compiled: F = numba.njit(cache=FOLDER is not None, nogil=True, **options)(function)
+                compiled: F = numba.njit(cache=FOLDER is not None, **options)(function)
             except RuntimeError:  # numba finds no folder that it may write to after all
-                return numba.njit(nogil=True, **options)(function)
+                return numba.njit(**options)(function)
         if FOLDER is not None:
             _compile_once(compiled, FOLDER / "locks", digest)
         else:
             _say_each_time(compiled)
+        within.only_part(compiled)
         return compiled
 
     return decorated
@@ -300,6 +305,17 @@ class _Kept:
             if os.nice(0) >= _BACKGROUND_NICE:
                 self.let_go()
         return found
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """The code to disk, one process at a time: numba numbers files by what it read before."""
+        lock = None
+        with contextlib.suppress(OSError, ImportError):
+            lock = _locked(self._place.with_name(f"{self._place.name}.save"))
+        try:
+            self._cache.save_overload(signature, compiled)
+        finally:
+            if lock is not None:
+                lock.close()
 
     def let_go(self) -> None:
         """Let others in."""

@@ -19,6 +19,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 import pytest
+from numba.core.caching import FunctionCache
 
 from eps_hil import compiled, estimation
 from eps_hil.compiled import kernel
@@ -51,7 +52,7 @@ def read_only_install(tmp_path: Path) -> Path:
     """The module as it is, in a package that nothing can be compiled beside, not even by root."""
     package = tmp_path / "site" / "eps_hil"
     package.mkdir(parents=True)
-    for name in ("__init__.py", "compiled.py"):
+    for name in ("__init__.py", "compiled.py", "within.py"):
         shutil.copy(SOURCES / name, package / name)
     (package / "kernel.py").write_text(KERNEL)
     (package / "__pycache__").write_text("a file where numba wants a folder")
@@ -307,6 +308,30 @@ def test_nobody_waits_for_a_process_in_the_background(
             finally:
                 other.kill()
                 behind.kill()
+
+
+def test_code_goes_to_disk_one_process_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """numba numbers its files by what it read before: two at once would name different code."""
+    saved: list[object] = []
+    monkeypatch.setattr(FunctionCache, "load_overload", lambda *_: None)
+    monkeypatch.setattr(FunctionCache, "save_overload", lambda *given: saved.append(given))
+
+    @kernel
+    def eighth(value: float) -> float:
+        return 0.125 * value
+
+    place: Path = vars(eighth)["_cache"]._place
+    place.parent.mkdir(parents=True, exist_ok=True)
+    saves = threading.Thread(target=eighth, args=(16.0,))
+    with place.with_name(f"{place.name}.save").open("wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        saves.start()
+        saves.join(3.0)
+        assert saves.is_alive()
+        assert not saved
+    saves.join(60.0)
+    assert not saves.is_alive()
+    assert len(saved) == 1
 
 
 @pytest.mark.parametrize("logs_too", [False, True])
