@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from eps_hil.diagnosis.accept.improvement import Judged, improvement, only_if_clear
 from eps_hil.diagnosis.accept.proof_of_fit import measures
 from eps_hil.diagnosis.attribute.select import Say
 from eps_hil.diagnosis.balance.load import missing
@@ -76,12 +77,16 @@ def _with_surplus(result: Diagnosis, simulator: Model, extra: Sequence[Surplus])
     if not extra:
         return content
     content["findings"] = [*(_finding(one) for one in extra), *content["findings"]]
-    if content["verdict"] == "no_mismatch":
+    if all(one["effect"] != "unknown" for one in content["findings"]):
         content["verdict"] = "explained"
     before = measures(result.as_read or result.judged, result.model, simulator)
     holdout = {**content["fit"]["holdout"], "baseline": before}
-    content["fit"] = {**content["fit"], "holdout": holdout}
-    return content
+    shown = result.as_read or result.judged
+    better = improvement(
+        Judged(shown, simulator), Judged(shown, result.model), simulator, result.model
+    )
+    content["fit"] = {**content["fit"], "holdout": holdout, "improvement": better}
+    return only_if_clear(content, result.elsewhere)
 
 
 def _finding(one: Surplus) -> dict[str, Any]:

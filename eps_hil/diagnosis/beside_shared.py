@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.accept.holdout_support import augmented_by, holdout_support
+from eps_hil.diagnosis.accept.improvement import Judged, improvement, only_if_clear
 from eps_hil.diagnosis.accept.measured_ratio import settled
 from eps_hil.diagnosis.accept.placebo import placebos
 from eps_hil.diagnosis.accept.standing import price, standing
@@ -104,7 +105,11 @@ def beside_shared(known: Diagnosis, word: str, other: Diagnosis, say: Say | None
     left = left_of(problem, shown, judged) if _more_left(problem, shown) else None
     content = content_of(problem, shown, findings, left, judged, None, written)
     content["fit"]["placebo"] = placebos(weighed, told, findings, judged)
+    content["fit"]["improvement"] = improvement(
+        Judged(judged, base), Judged(judged, written), base, written
+    )
     content["limits"] = [_SHARED]
+    content = only_if_clear(content)
     diagnosis = replace(
         other,
         content=without_nan(content),

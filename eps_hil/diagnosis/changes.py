@@ -11,6 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from eps_hil.diagnosis.accept.improvement import only_if_clear
 from eps_hil.diagnosis.accept.proof_of_fit import measures
 from eps_hil.diagnosis.attribute.select import Say
 from eps_hil.diagnosis.beside_shared import alike, beside_shared, gain
@@ -192,7 +193,7 @@ def _content(
         "limits": first.content["limits"],
         "effects_given": [dict(one) for one in given.effects],
     }
-    return content
+    return only_if_clear(content, way.other.elsewhere)
 
 
 def in_words(change: Mapping[str, Any]) -> str:

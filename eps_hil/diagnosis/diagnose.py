@@ -23,6 +23,7 @@ from eps_hil.diagnosis.accept.holdout_support import (
     holdout_support,
     unjudged,
 )
+from eps_hil.diagnosis.accept.improvement import Judged, improvement, only_if_clear
 from eps_hil.diagnosis.accept.measured_ratio import settled
 from eps_hil.diagnosis.accept.placebo import placebos
 from eps_hil.diagnosis.accept.proof_of_fit import (
@@ -138,6 +139,8 @@ class Diagnosis:
     """What the hold-outs' residual and the numbers of the written model cost (``standing.py``)."""
     ratio_is_measured: bool = False
     """Whether rotor against rack has shown what the ratio is."""
+    elsewhere: Collection[str] = ()
+    """Effects that the first look found, by evidence that is not the torque balance's."""
 
 
 def diagnose(
@@ -183,11 +186,8 @@ def diagnose(
         if not missing(every):
             doubts += late_channels(every, model, trusted=trust_channels)
         found = _found(model, ready, spare, say, without)
-        if not doubts:
-            return found
-        return replace(
-            found, content={**found.content, "limits": [*doubts, *found.content["limits"]]}
-        )
+        content = only_if_clear(found.content, found.elsewhere)
+        return replace(found, content={**content, "limits": [*doubts, *content["limits"]]})
 
 
 def _found(
@@ -488,6 +488,12 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
             balance=shown,
             simulated=final,
         )
+    content["fit"]["improvement"] = improvement(
+        Judged(as_read or judged, model if as_read else problem.model),
+        Judged(judged, written),
+        model,
+        ready_to_write,
+    )
     content["limits"] = [
         *([] if load is None else [load.sentence]),
         *unseen(every),
@@ -522,6 +528,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         price=price(problem, selection, findings, judged, written, extra)
         + (wrong is not None) * price_of_one(problem, judged),
         ratio_is_measured=look.ratio_is_measured,
+        elsewhere=[str(one["effect"]) for one in look.findings],
     )
 
 

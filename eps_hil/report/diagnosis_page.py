@@ -170,8 +170,12 @@ def _verdict(content: Mapping[str, Any]) -> str:
         "no_mismatch": "Nothing is missing: what differs between model and recordings is sensor "
         "noise, or too small to be told from it.",
         "explained": f"The mismatch is explained by {_and(named)}.",
-        "partly_explained": f"The mismatch is explained in part, by {_and(named)}; something "
-        "that no known effect explains is left.",
+        "partly_explained": f"The mismatch is explained in part, by {_and(named)}; "
+        + (
+            "something that no known effect explains is left."
+            if len(findings) < len(content["findings"])
+            else "recordings kept from the fit do not get better by it beyond chance."
+        ),
         "unknown_effect": "Something is missing that no known effect explains; where it acts and "
         "its shape are below.",
     }

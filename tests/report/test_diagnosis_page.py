@@ -344,6 +344,14 @@ def test_where_is_told_in_one_and_two_signals(
     assert 'class="frame"' in page
 
 
+def test_names_that_help_no_holdout_for_sure_are_no_whole_explanation(
+    explained: Diagnosis,
+) -> None:
+    content = {**explained.content, "verdict": "partly_explained"}
+    values, _ = diagnosis_page.values_of(replace(explained, content=content))
+    assert values["verdict"].endswith("do not get better by it beyond chance.")
+
+
 def test_placebos_stand_beside_the_gain(explained: Diagnosis, checked: _Checked) -> None:
     text = checked.text
     (term,) = explained.content["fit"]["placebo"]

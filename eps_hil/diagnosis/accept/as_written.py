@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from eps_hil.diagnosis.accept.free_run import DISAGREE, worse_free_run
+from eps_hil.diagnosis.accept.improvement import Judged, improvement
 from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
     measures,
@@ -47,6 +48,9 @@ def under_written_load(
     if read:
         balance = "put_right" in content["fit"]["holdout"]
         told = as_the_file_does(told, read, given, written, balance=balance)
+    content = {**content, "fit": {**content["fit"], "improvement": improvement(
+        Judged(read or bare, given), Judged(bare, written), given, written
+    )}}  # fmt: skip
     return _with(content, told)
 
 
