@@ -36,8 +36,9 @@ _MOTION = 4.0
 friction change its bend too, but a torque that leaves its own course at once is rare."""
 _KEPT = 1.5
 """So much of it is kept as unexplained; less is nothing."""
-_BACK = 0.4
-"""Share of an unexplained torque that may be left when it has jumped back."""
+_BACK, _BACK_SIGMA = 0.4, 4.0
+"""Share of an unexplained torque that may be left when it has jumped back, and deviations of the
+torque's own course: more may be of another that began meanwhile, and is doubted for a while."""
 _OWN_SIGMA = 2.0
 """Deviations of the torque's own course within which what a spike leaves may be that course."""
 
@@ -314,7 +315,7 @@ def _found(w: Watch, p: Limits, base: float, slope: float, level: float, most: f
     w.left = 0
     if abs(w.unexplained_nm) * p.ratio < _KEPT * UNEXPLAINED_N:
         forget_unexplained(w)
-    elif level * old < 0.0 and abs(w.unexplained_nm) < _BACK * abs(old):
+    elif level * old < 0.0 and abs(w.unexplained_nm) < _back_nm(w, old):
         forget_unexplained(w)
         w.left = 1
     vague = vague or (level * old < 0.0 and abs(w.unexplained_nm) < abs(old))
@@ -324,6 +325,12 @@ def _found(w: Watch, p: Limits, base: float, slope: float, level: float, most: f
         w.missed, w.stalled, w.told = 1, p.stalled_steps, ROLLED_BACK
     else:
         w.told = p.told_steps
+
+
+@kernel
+def _back_nm(w: Watch, old: float) -> float:
+    """What may be left (Nm) of an unexplained torque ``old`` that has jumped back."""
+    return min(_BACK * abs(old), _BACK_SIGMA * math.sqrt(w.swing))
 
 
 @kernel

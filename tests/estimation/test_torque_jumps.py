@@ -11,7 +11,7 @@ from eps_hil.estimation.batch import estimate
 from eps_hil.estimation.plausibility import limits_of
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Inputs
-from eps_hil.estimation.torque_jumps import _alone, _found, swing_hinge
+from eps_hil.estimation.torque_jumps import _alone, _found, latched, swing_hinge
 from eps_hil.estimation.watch import new_watch
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -154,3 +154,18 @@ def test_what_noise_leaves_of_a_spike_within_the_window_is_not_doubted_for_long(
     _found(w, p, 0.0, 0.0, -0.049, most_nm)
     assert w.unexplained_nm == -0.049
     assert w.missed == missed
+
+
+@pytest.mark.parametrize(("level_nm", "left_nm"), [(1.5, 0.346), (1.2, 0.0), (1.1, 0.0)])
+def test_what_another_offset_adds_is_left_as_the_first_ends(
+    reference_model: Model, level_nm: float, left_nm: float
+) -> None:
+    """0.35 Nm of a sensor, which began within 1.15 Nm of another, were forgotten with these."""
+    p, watch = limits_of(reference_model, EstimatorSettings(), True), new_watch()
+    w = watch[0]
+    w.steps, w.quiet, w.swing, w.unexplained_nm = 1000, 1000, 0.0007, -1.154
+    _found(w, p, 0.0, 0.0, level_nm, level_nm)
+    assert w.unexplained_nm == pytest.approx(left_nm)
+    doubted = [latched(w, p) != 0 for _ in range(p.consistent_steps)]
+    assert all(doubted[: p.stalled_steps]) == (left_nm > 0.0)
+    assert not any(doubted[p.stalled_steps + 1 :])
