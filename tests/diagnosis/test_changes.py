@@ -79,12 +79,15 @@ class Told:
     problem: Any = NOTHING
     judged: Sequence[Any] = ()
     as_read: Sequence[Any] = ()
+    elsewhere: Sequence[str] = ()
 
 
 def told_of(*names: str) -> Told:
     holdout: dict[str, Any] = {"augmented": {}, "noise_floor": {}}
     findings = [{"effect": one} for one in names]
-    return Told({"findings": findings, "verdict": "", "limits": [], "fit": {"holdout": holdout}})
+    better = {"torque_residual": {"share": 0.5, "ci95": [0.4, 0.6]}}
+    fit = {"holdout": holdout, "improvement": better}
+    return Told({"findings": findings, "verdict": "", "limits": [], "fit": fit})
 
 
 class Way(OneWay):
