@@ -77,16 +77,21 @@ def say_if_it_compiles() -> None:
 
         depth, spent_s, begun_s = 0, 0.0, 0.0
         timer: threading.Timer | None = None
+        said = threading.Lock()  # for good, by whoever says it first
+
+        def say(self) -> None:
+            if self.said.acquire(blocking=False):
+                _complain(compiled.COMPILING)
 
         def on_start(self, event: object) -> None:
             self.depth += 1
-            if self.depth > 1 or self.spent_s >= LATE_S:
+            if self.depth > 1 or self.said.locked():
                 return
             if sys.stderr.isatty():
-                self.spent_s = LATE_S  # said by now
+                self.said.acquire(blocking=False)  # elsewhere, by now
                 return
             self.begun_s = time.monotonic()
-            self.timer = threading.Timer(LATE_S - self.spent_s, _complain, (compiled.COMPILING,))
+            self.timer = threading.Timer(LATE_S - self.spent_s, self.say)
             self.timer.daemon = True
             self.timer.start()
 
@@ -96,6 +101,8 @@ def say_if_it_compiles() -> None:
                 self.timer.cancel()
                 self.timer = None
                 self.spent_s += time.monotonic() - self.begun_s
+                if self.spent_s >= LATE_S:  # the timer was about to say it
+                    self.say()
 
     listen: Any = event.register  # carries no types
     listen("numba:compile", Compiling())

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterator
@@ -95,6 +96,24 @@ def test_a_process_that_compiles_for_long_says_so_once(
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err == f"{COMPILING}\n" * lines
+
+
+def test_a_compilation_that_ends_as_the_time_is_up_is_said(
+    late: float, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The timer was cancelled a moment before, and no later one was set: nobody was told."""
+    monkeypatch.setattr(threading, "Timer", Idle)
+    _first_answer.say_if_it_compiles()
+    for _ in range(2):
+        _compile(late)
+    assert capsys.readouterr().err == f"{COMPILING}\n"
+
+
+class Idle(threading.Timer):
+    """As if each were late."""
+
+    def start(self) -> None:
+        pass
 
 
 @pytest.mark.parametrize(
