@@ -155,7 +155,9 @@ def test_functions_that_call_each_other_in_a_circle() -> None:
     assert not odds(4)
 
 
-def test_a_part_whose_address_is_wanted_is_a_program() -> None:
+def part_of_a_ninth() -> Kernel:
+    """A third, compiled as a part of a kernel that calls it twice."""
+
     def third(value: float) -> float:
         if value < 0.0:
             raise ValueError("less than nothing")
@@ -166,6 +168,11 @@ def test_a_part_whose_address_is_wanted_is_a_program() -> None:
 
     part, whole = uncached(third, ninth)
     assert whole(9.0) == 1.0
+    return part
+
+
+def test_a_part_whose_address_is_wanted_is_a_program() -> None:
+    part = part_of_a_ninth()
     assert is_part(part)
     kind = types.FunctionType(types.float64(types.float64))
 
@@ -178,16 +185,7 @@ def test_a_part_whose_address_is_wanted_is_a_program() -> None:
 
 
 def test_a_part_in_a_kernel_of_somebody_else() -> None:
-    def third(value: float) -> float:
-        if value < 0.0:
-            raise ValueError("less than nothing")
-        return value / 3.0
-
-    def ninth(value: float) -> float:
-        return part(part(value))
-
-    part, whole = uncached(third, ninth)
-    assert whole(9.0) == 1.0
+    part = part_of_a_ninth()
 
     @numba.njit(parallel=True)
     def thirds(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -146,7 +146,7 @@ def test_a_jump_beside_a_hole_is_not_doubted_for_long(
 def test_what_noise_leaves_of_a_spike_within_the_window_is_not_doubted_for_long(
     reference_model: Model, most_nm: float, swing: float, missed: int
 ) -> None:
-    """A spike of 3 ms was over as it was told; the noise of its course stayed, doubted for 10 s."""
+    """What noise left of a spike of 3 ms was doubted for 10 s."""
     p, watch = limits_of(reference_model, EstimatorSettings(), True), new_watch()
     w = watch[0]
     w.steps, w.quiet, w.swing = 1000, 100_000, swing
