@@ -10,6 +10,7 @@ from eps_hil.bus.config import BusConfig
 from eps_hil.bus.port import Port, open_port
 from eps_hil.errors import InputError
 
+_ENDING = signal.SIGINT, signal.SIGTERM
 DEFAULT_CHANNELS = {"socketcan": "vcan0", "udp_multicast": "239.74.163.2"}
 
 
@@ -85,6 +86,12 @@ def stop_on_signals() -> Callable[[], bool]:
         asked.append(number)
         signal.signal(number, signal.SIG_DFL)
 
-    signal.signal(signal.SIGINT, ask)
-    signal.signal(signal.SIGTERM, ask)
+    for number in _ENDING:
+        signal.signal(number, ask)
     return lambda: bool(asked)
+
+
+def end_on_signals() -> None:
+    """SIGINT and SIGTERM end the program at once, also amid the compiler."""
+    for number in _ENDING:
+        signal.signal(number, signal.SIG_DFL)

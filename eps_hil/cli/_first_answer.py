@@ -108,6 +108,17 @@ def say_if_it_compiles() -> None:
     listen("numba:compile", Compiling())
 
 
+def say_if_others_compile(module: str) -> None:
+    """One line on stderr if no kernel of ``module`` is on disk: other processes will compile.
+
+    Nobody reads their stderr, or there are many of them.
+    """
+    from eps_hil import compiled
+
+    if compiled.FOLDER is None or not any(compiled.FOLDER.rglob(f"{module}.*.nbi")):
+        _complain(compiled.COMPILING)
+
+
 def _complain(line: str) -> None:
     with contextlib.suppress(OSError, ValueError):  # nobody listens
         typer.echo(line, err=True)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import ModelPath, Reading, reads_recordings
 from eps_hil.errors import EpsHilError
 
@@ -111,7 +112,9 @@ def _run(
     job = Job(
         verb, model.resolve(), out.resolve(), settings and settings.resolve(), {**asked, **named}
     )
-    batch = run_batch(job, tasks, processes=processes, dask=dask, on_row=_teller())
+    batch = run_batch(
+        job, tasks, processes=processes, dask=dask, on_row=_teller(), begin=say_if_it_compiles
+    )
     report = population_page.write(batch, out / "population.html", f"{verb}: {source}")
     failed = len(batch.failed)
     typer.echo(

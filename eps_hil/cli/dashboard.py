@@ -68,6 +68,7 @@ def _show_recording(
     port: int,
     who: _From,
 ) -> None:
+    from eps_hil.cli._first_answer import say_if_it_compiles
     from eps_hil.cli._inputs import check_extras, progress, say_notes
     from eps_hil.dashboard.marks import Marks
     from eps_hil.dashboard.recording import store_of
@@ -75,6 +76,7 @@ def _show_recording(
 
     check_extras([recording])
     sock = listening(host, port)
+    say_if_it_compiles()
     with progress(f"reading {recording.name}") as on_progress:
         store, notes = store_of(recording, config, on_progress)
     say_notes(recording, notes)
@@ -118,6 +120,7 @@ def _show_bus(
     import socket
 
     from eps_hil.cli._bus_options import stop_on_signals
+    from eps_hil.cli._first_answer import say_if_others_compile
     from eps_hil.dashboard.listener import Listener, Outlet, listen, stand_back
     from eps_hil.dashboard.server import About, serve_live
     from eps_hil.errors import BusError
@@ -137,6 +140,7 @@ def _show_bus(
     server.start()
     theirs.close()
     stand_back()
+    say_if_others_compile("problem")
     try:
         listener.warm_up()
         if not listen(listener, port, Outlet(ours), lambda: stop() or not server.is_alive()):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.cli._files import check_places, write_json
+from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import waiting
 from eps_hil.errors import EpsHilError, InputError
 
@@ -58,6 +59,7 @@ def make(
         raise InputError(out, "--out", "exists already", "add --overwrite to replace it")
     check_places(out)
     setup = oracle.load_pair(log, config)
+    say_if_it_compiles()
     with waiting(f"playing {log.name} through the service"):
         estimates, own = oracle.run_core(log, setup, config)
     valid = int(estimates.valid.sum())
@@ -146,6 +148,7 @@ def _against(
     changed = [
         role for role in {**kept.files, **hashes} if hashes.get(role) != kept.files.get(role)
     ]
+    say_if_it_compiles()
     with waiting(f"playing {log.name} through the service"):
         now, _ = oracle.run_core(log, setup, config)
     return oracle.compare(golden.estimates, now, tolerances), now, tolerances, changed

@@ -54,7 +54,6 @@ def investigate(
     the motor. Finished steps outlive an interruption, kill -9 included; a second call goes on.
     """
     from eps_hil.bus.config import load_bus_setup
-    from eps_hil.cli._bus_options import stop_on_signals
     from eps_hil.cli._files import check_places, write_json
     from eps_hil.cli._first_answer import say_if_it_compiles
     from eps_hil.cli._inputs import progress
@@ -73,18 +72,19 @@ def investigate(
     setup, limits = load_bus_setup(config), load_limits(config)
     model = load_model(setup.model)
     share = load_rig_setup(config, "idle").rig.motor_share
+    say_if_it_compiles()
+    stop = _Stop()
     open_rig = _simulated(config, model, out) if simulated else _on_bus(setup, model)
     journal = Journal(out, model, limits, simulated)
     steps = journal.steps()
     if steps:
         rig_min = sum(one.rig_s for one in steps) / 60.0
         typer.echo(f"{len(steps)} steps ({rig_min:.2f} min of rig) are there already")
-    say_if_it_compiles()
-    stop = stop_on_signals()
     with progress("simulating what experiments would show") as bar:
         menu = prepared_menu(model, limits, share, bar)
     typer.echo(f"{len(menu.prospects)} experiments keep the limits")
-    run = Investigation(setup, menu, journal, open_rig, lambda c: _say(story.lines(c)))
+    led = stop.while_led(open_rig)
+    run = Investigation(setup, menu, journal, led, lambda c: _say(story.lines(c)))
     outcome = run.run(budget_s, stop)
     if write_model and outcome.found is not None:
         with replacing(write_model) as temporary:
@@ -94,6 +94,37 @@ def investigate(
     if json:
         write_json(json, story.content_of(outcome))
     typer.echo(f"page: {report or out / 'investigation.html'}")
+
+
+class _Stop:
+    """Whether a signal asked to stop while the rig was led; at other times it ends the program.
+
+    All that is finished is on disk, and the compiler would keep a question waiting for minutes.
+    """
+
+    def __init__(self) -> None:
+        from eps_hil.cli._bus_options import end_on_signals
+
+        self._asked: Callable[[], bool] = lambda: False
+        end_on_signals()
+
+    def __call__(self) -> bool:
+        return self._asked()
+
+    def while_led(self, open_rig: "OpenRig") -> "OpenRig":
+        """The rig, which is let go of before a signal ends the program again."""
+        from eps_hil.cli._bus_options import end_on_signals, stop_on_signals
+
+        @contextlib.contextmanager
+        def opened(stop: Callable[[], bool]) -> "Iterator[Rig]":
+            self._asked = stop_on_signals()
+            try:
+                with open_rig(stop) as rig:
+                    yield rig
+            finally:
+                end_on_signals()
+
+        return opened
 
 
 def seconds(text: str) -> float:

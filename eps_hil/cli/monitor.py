@@ -43,6 +43,7 @@ def monitor(
 ) -> None:
     """Signals, estimate, health, losses, and where rig and model part. Sends nothing."""
     from eps_hil.cli._bus_options import stop_on_signals
+    from eps_hil.cli._first_answer import say_if_it_compiles
     from eps_hil.monitor.alarm import limits_of
     from eps_hil.monitor.process import Pace, heard_nothing, open_watched, watch
     from eps_hil.monitor.view_model import Monitor
@@ -56,6 +57,7 @@ def monitor(
     known = bitrate or _bitrate_of(loaded.bus)
     view = Monitor(loaded, limits, window_s=window, bitrate=known)
     _say("monitor: loading")
+    say_if_it_compiles()
     view.warm_up()
     keep = Journal(journal)
     output = _Output(json, once)

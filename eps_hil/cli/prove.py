@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from eps_hil.cli._files import write_json
+from eps_hil.cli._first_answer import say_if_it_compiles, say_if_others_compile
 from eps_hil.cli._inputs import progress, waiting
 
 
@@ -60,6 +61,7 @@ def concealed(
     page.check("prove", "matplotlib")
     setting = Setting(seed, quick, not (quick or development), cases or sum(MIX.values()))
     folder = out or Path(f"concealed{'_quick' if quick else ''}_{seed}")
+    say_if_others_compile("probes")
     with progress("proving") as bar:
         desk = Desk(
             closed_loop,
@@ -100,6 +102,7 @@ def changes(
 
     from eps_hil.proof.changed import Desk, prove_changes
 
+    say_if_others_compile("probes")
     with progress("proving") as bar:
         desk = Desk(jobs or os.cpu_count() or 1, typer.echo, bar or (lambda _part: None))
         folder = out or Path(f"changes_{seed}")
@@ -129,6 +132,7 @@ def loop(
 
     chosen = load_config(config)
     models = {str(path): path for path in (chosen.model, *better)}
+    say_if_it_compiles()
     with waiting(f"playing {log.name} through the service"):
         errors = compare(log, chosen, config, models)
     typer.echo(f"{log.name}: error of the published rack force, N rms against the load cell")
@@ -173,6 +177,7 @@ def emps(
     from eps_hil.axis.proof import prove
 
     fitted, heldout = read(data_dir)
+    say_if_it_compiles()
     with progress("proving") as bar:
         proof = prove(fitted, heldout, (lambda _what, part: bar(part)) if bar else None)
     _say(proof.content)

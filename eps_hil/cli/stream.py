@@ -27,6 +27,7 @@ def stream(
     import time
 
     from eps_hil.cli._bus_options import stop_on_signals
+    from eps_hil.cli._first_answer import say_if_others_compile
     from eps_hil.dashboard.listener import Listener, listen, stand_back
     from eps_hil.dashboard.udp_json import JsonStream, address_of
     from eps_hil.monitor.process import open_watched
@@ -40,6 +41,7 @@ def stream(
     end_s = math.inf if seconds is None else time.monotonic() + seconds
     _say(f"stream: {loaded.bus} to udp {udp}, JSON, {rate:g} instants a second; Ctrl-C ends it")
     stand_back()
+    say_if_others_compile("problem")
     try:
         listener.warm_up()
         listen(listener, port, outlet, lambda: stop() or time.monotonic() >= end_s)

@@ -32,10 +32,12 @@ def run_batch(
     processes: int | None = None,
     dask: str | None = None,
     on_row: Callable[[Row, int, int], None] | None = None,
+    begin: workers.Begin = None,
 ) -> Batch:
     """Do what is not done yet. Each row is kept as it comes, so an end in the middle loses none.
 
     ``on_row`` hears each new row, how many are done and how many there are.
+    Each process of this machine calls ``begin`` first.
     """
     store = Store(job.out)
     keys = {job.key(task): task for task in tasks}
@@ -44,7 +46,7 @@ def run_batch(
     todo = [(task, key) for key, task in keys.items() if key not in rows]
     if todo:
         made = (
-            workers.here(job, todo, processes) if dask is None
+            workers.here(job, todo, processes, begin) if dask is None
             else workers.on_dask(job, todo, dask)
         )  # fmt: skip
         for row in made:

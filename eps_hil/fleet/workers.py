@@ -7,7 +7,7 @@ of a library) is tried once more, alone, and is then a failed row.
 import contextlib
 import importlib.util
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
@@ -20,6 +20,7 @@ from eps_hil.fleet.tasks import Task
 
 Todo = Sequence[tuple[Task, str]]
 """Tasks with their keys."""
+Begin = Callable[[], None] | None
 _RETRIES = 2
 _THREADS = tuple(f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL"))
 
@@ -39,16 +40,16 @@ def check(dask: str | None) -> None:
         raise InputError(asked, "", problem, f'pip install "eps_hil[{",".join(missing)}]"')
 
 
-def here(job: Job, todo: Todo, processes: int | None = None) -> Iterator[Row]:
+def here(job: Job, todo: Todo, processes: int | None = None, begin: Begin = None) -> Iterator[Row]:
     """In ``processes`` of this machine (default: one a core).
 
     The first task goes alone: what it compiles the others find in the cache. Then each process has
     one more waiting, so that none stands still while a row is kept; and linear algebra in one
-    thread, since the others are at work.
+    thread, since the others are at work. ``begin``: each process calls it first.
     """
     many = processes or os.cpu_count() or 1
     with _one_thread() if many > 1 else contextlib.nullcontext():
-        yield from _here(job, todo, many)
+        yield from _here(job, todo, many, begin)
 
 
 @contextlib.contextmanager
@@ -65,7 +66,7 @@ def _one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _here(job: Job, todo: Todo, many: int) -> Iterator[Row]:
+def _here(job: Job, todo: Todo, many: int, begin: Begin) -> Iterator[Row]:
     waiting, suspects = list(reversed(todo)), list[tuple[Task, str]]()
     warm = False
     while waiting or suspects:
@@ -73,7 +74,10 @@ def _here(job: Job, todo: Todo, many: int) -> Iterator[Row]:
         if alone:
             waiting = [suspects.pop()]
         pool = ProcessPoolExecutor(
-            1 if alone else many, get_context("spawn"), initializer=_end_with_parent
+            1 if alone else many,
+            get_context("spawn"),
+            initializer=_end_with_parent,
+            initargs=(begin,),
         )
         running: dict[Future[Row], tuple[Task, str]] = {}
         try:
@@ -97,8 +101,10 @@ def _here(job: Job, todo: Todo, many: int) -> Iterator[Row]:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _end_with_parent() -> None:
+def _end_with_parent(begin: Begin) -> None:
     """A worker whose parent was killed would wait for its next task for ever."""
+    if begin is not None:
+        begin()
     parent = parent_process()
     if parent is not None:
         Thread(target=_outlive_not, args=(parent.sentinel,), daemon=True).start()

@@ -107,6 +107,8 @@ class Investigation:
         steps = self._journal.steps()
         rounds = self._journal.rounds()[: len(steps)]
         while True:
+            if stop():  # steps are kept; what they say may take minutes of compiling
+                raise self._interrupted()
             found, problem = self._diagnosed(steps)
             possible = Possible(self._menu, found, _asked(rounds))
             used_s = sum(one.rig_s for one in steps)

@@ -1,26 +1,35 @@
 """The first estimate after installation waits for no compiler; what waits for it says so."""
 
 import os
+import pickle
 import subprocess
 import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NoReturn
+from types import SimpleNamespace
+from typing import Any, NoReturn
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from numba.core import event
 
+from eps_hil import compiled
 from eps_hil.cli import _first_answer
 from eps_hil.cli.main import main
 from eps_hil.compiled import COMPILING
+from eps_hil.diagnosis.balance.probes import _powers
+from eps_hil.diagnosis.balance.problem import _since_reversal
+from eps_hil.fleet import workers
 from eps_hil.recordings.write import write_table
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 LIVE = str(CONFIGS / "calibrate_udp.yaml")
+GOLDEN, RECORDING = "eps_hil.oracle.golden", "eps_hil.dashboard.recording"
+WARM_UP = "eps_hil.dashboard.listener.Listener.warm_up"
 MODEL = str(CONFIGS / "reference_rig.yaml")
 PROGRAM = """
 import subprocess, sys
@@ -137,6 +146,12 @@ class Idle(threading.Timer):
             ("investigate", "--config", LIVE, "--budget", "1min", "--out", "found"),
             "eps_hil.investigate.run.prepared_menu",
         ),
+        (("dashboard", "DRIVE", "--port", "0", "--config", LIVE), f"{RECORDING}.store_of"),
+        (("golden", "make", "DRIVE", "--out", "g.csv", "--config", LIVE), f"{GOLDEN}.run_core"),
+        (
+            ("prove", "loop", "DRIVE", "--with", MODEL, "--config", LIVE),
+            "eps_hil.oracle.lock_step.compare",
+        ),
     ],
 )
 @pytest.mark.usefixtures("late")
@@ -156,8 +171,102 @@ def test_verbs_that_compile_say_so(
         raise OSError(5, "enough")
 
     monkeypatch.setattr(works, compiles)
+    words = tuple(str(drive) if word == "DRIVE" else word for word in words)
     assert main([*words, *([] if "--config" in words else [str(drive)])]) == 1
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.splitlines()[0] == COMPILING
     assert said.err.count("\n") == 2
+
+
+@pytest.mark.usefixtures("late")
+def test_golden_check_and_a_proof_say_that_they_compile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def compiles(*_: object) -> NoReturn:
+        _compile(0.4)
+        raise OSError(5, "enough")
+
+    kept = SimpleNamespace(log=tmp_path, config=tmp_path, files={"log": "a"})
+    golden = SimpleNamespace(provenance=kept, tolerances={})
+    monkeypatch.setattr("eps_hil.oracle.golden_file.read_golden", lambda _: golden)
+    for name, found in (("load_pair", None), ("hashes", {"log": "a"}), ("parse_tolerances", {})):
+        monkeypatch.setattr(f"{GOLDEN}.{name}", lambda *_, found=found: found)
+    monkeypatch.setattr(f"{GOLDEN}.run_core", compiles)
+    assert main(["golden", "check", "g.csv"]) == 1
+    assert capsys.readouterr().err.splitlines()[0] == COMPILING
+
+    _first_answer.say_if_it_compiles.cache_clear()
+    event._registered.clear()
+    monkeypatch.setattr("eps_hil.axis.emps.read", lambda _: (None, None))
+    monkeypatch.setattr("eps_hil.axis.proof.prove", compiles)
+    assert main(["prove", "emps", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.splitlines()[0] == COMPILING
+
+
+@pytest.mark.usefixtures("late")
+def test_monitor_says_that_it_compiles(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def compiles(_: object) -> NoReturn:
+        _compile(0.4)
+        raise OSError(5, "enough")
+
+    monkeypatch.setattr("eps_hil.monitor.view_model.warm_up", compiles)
+    assert main(["monitor", "--config", LIVE, "--json"]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.splitlines()[:2] == ["monitor: loading", COMPILING]
+
+
+def test_each_worker_of_a_batch_listens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drive = tmp_path / "drive.csv"
+    write_table(drive, {"motor_torque_nm": np.zeros(9)}, t_ns=np.arange(9) * 1_000_000)
+    begun: list[Callable[[], None]] = []
+
+    def here(_job: object, _todo: object, _processes: object, begin: Callable[[], None]) -> None:
+        begun.append(pickle.loads(pickle.dumps(begin)))  # on its way to a worker
+        raise OSError(5, "enough")
+
+    monkeypatch.setattr(workers, "here", here)
+    words = ["batch", "estimate", str(tmp_path), "--model", MODEL, "--out", str(tmp_path / "out")]
+    assert main(words) == 1
+    assert begun == [_first_answer.say_if_it_compiles]
+    called: list[str] = []
+    workers._end_with_parent(lambda: called.append("begun"))
+    assert called == ["begun"]
+
+
+@pytest.mark.parametrize(
+    ("words", "kernel", "works"),
+    [
+        (("stream", "--config", LIVE), _since_reversal, WARM_UP),
+        (("dashboard", "--config", LIVE, "--port", "0"), _since_reversal, WARM_UP),
+        (("prove", "concealed", "--out", "out"), _powers, "eps_hil.proof.run.run"),
+        (("prove", "changes", "--out", "out"), _powers, "eps_hil.proof.changed.prove_changes"),
+    ],
+)
+def test_verbs_say_that_other_processes_compile(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
+    kernel: Any,
+    works: str,
+) -> None:
+    def ends(*_: object, **__: object) -> NoReturn:
+        raise OSError(5, "enough")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(works, ends)
+    monkeypatch.setattr("eps_hil.monitor.process.open_watched", lambda *_: None)
+    monkeypatch.setattr("eps_hil.dashboard.listener.stand_back", lambda: None)
+    monkeypatch.setattr("eps_hil.cli._bus_options.stop_on_signals", lambda: bool)
+    monkeypatch.setattr("multiprocessing.get_context", lambda _: Mock())
+    monkeypatch.setattr(compiled, "FOLDER", tmp_path)
+    assert main(list(words)) == 1
+    assert capsys.readouterr().err.count(COMPILING) == 1
+    place = Path(kernel.py_func.__code__.co_filename).stem
+    (tmp_path / f"{place}.{kernel.py_func.__name__}-1.py311.nbi").touch()
+    assert main(list(words)) == 1
+    assert COMPILING not in capsys.readouterr().err
