@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from eps_hil.errors import InputError
-from eps_hil.recordings.files import read_bytes
+from eps_hil.recordings.files import first_line_and_rest
 from eps_hil.recordings.table import (
     EPOCH_S,
     MARK_REMEDY,
@@ -24,8 +24,9 @@ from eps_hil.recordings.table import (
     Floats,
     Stamps,
     Table,
+    largest_second,
+    seconds_to_ns,
     shown,
-    stamps_from_seconds,
     usable_columns,
 )
 from eps_hil.signals import TIME
@@ -38,21 +39,26 @@ _WORTH_ARROW = 100_000
 """Bytes from which it is worth while to load pyarrow."""
 _LOOK = 4096
 """Bytes that are looked at first: the whole would be copied."""
+_PIECE = 1 << 18
+"""Bytes that stay in the processor's cache while one sign after the other is looked for."""
+_NUL, _RETURN, _BLANKS, _QUOTE, _WORD = b"\0", b"\r", b" \t", b'"', b"nN"
 _WHAT = "a CSV file with one header line of canonical names was expected"
 
 
 def read_csv(path: Path, *, ignore_unknown: bool = False) -> Table:
     """Read one CSV file; :class:`InputError` names file, line and column of anything wrong."""
-    header, body = _split(path, _text_bytes(path))
+    first, body = first_line_and_rest(path)
+    signs = _signs(body, _NUL + _RETURN + _BLANKS + _QUOTE + _WORD)
+    header, body = _split(path, *_as_text(path, first, body, signs))
     names = _names(path, header, body)
     columns, notes = usable_columns(path, names, "line 1", ignore_unknown=ignore_unknown)
-    body = _plain(path, body, names, columns)
+    body = _plain(path, body, names, columns, signs)
     if not (body[:_LOOK].strip(b"\n") or body.strip(b"\n")):
         raise InputError(path, "line 2", "nothing follows the header", "a recording needs rows")
     used = list(columns.values())
     line_of = _LineOfRow(body)
     exact: Stamps | None = None
-    fast = _plainly(body, len(names), columns)
+    fast = None if signs & {*_WORD} else _plainly(body, len(names), columns)
     if fast is None:
         _check_width(path, body, len(names), line_of)
         cells = _numbers(path, body, columns)
@@ -111,23 +117,37 @@ def _first_line(body: bytes) -> bytes:
     return body[begin : body.find(b"\n", begin)]
 
 
-def _text_bytes(path: Path) -> bytes:
-    raw = read_bytes(path)
-    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+def _signs(text: bytes, wanted: bytes) -> set[int]:
+    """Which of the ``wanted`` signs a text holds."""
+    missing = {*wanted}
+    for start in range(0, len(text), _PIECE):
+        missing -= {sign for sign in missing if text.find(sign, start, start + _PIECE) >= 0}
+    return {*wanted} - missing
+
+
+def _as_text(path: Path, first: bytes, body: bytes, signs: set[int]) -> tuple[bytes, bytes]:
+    """The first line and the body (which holds ``signs``) with line feeds alone between lines."""
+    if first[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(path, "", "is UTF-16 text", "save it as 'CSV UTF-8'")
-    raw = raw.removeprefix(b"\xef\xbb\xbf")
-    if b"\0" in raw:
-        line = raw[: raw.index(0)].count(10) + 1
-        raise InputError(path, f"line {line}", "holds binary data", _WHAT)
-    if not (raw[:_LOOK].strip() or raw.strip()):
+    first = first.removeprefix(b"\xef\xbb\xbf")
+    if _NUL in first or signs & {*_NUL}:
+        number = 1 if _NUL in first else 2 + body[: body.index(_NUL)].count(b"\n")
+        raise InputError(path, f"line {number}", "holds binary data", _WHAT)
+    if not (first.strip() or body[:_LOOK].strip() or body.strip()):
         raise InputError(path, "", "is empty", _WHAT)
-    if b"\r" in raw:
-        raw = raw.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return raw
+    line = first.removesuffix(_RETURN)
+    if _RETURN in line:  # between lines, as it once was
+        line, _, body = _with_line_feeds(first + b"\n" + body).partition(b"\n")
+    elif signs & {*_RETURN}:
+        body = _with_line_feeds(body)
+    return line, body
 
 
-def _split(path: Path, raw: bytes) -> tuple[str, bytes]:
-    first, _, body = raw.partition(b"\n")
+def _with_line_feeds(text: bytes) -> bytes:
+    return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+
+
+def _split(path: Path, first: bytes, body: bytes) -> tuple[str, bytes]:
     try:
         header = first.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -163,11 +183,13 @@ def _column_is_empty(body: bytes, commas: int) -> bool:
     return all(line.count(b",") == commas and line.endswith(b",") for _, line in _lines(body))
 
 
-def _plain(path: Path, body: bytes, names: list[str], columns: dict[str, int]) -> bytes:
+def _plain(
+    path: Path, body: bytes, names: list[str], columns: dict[str, int], signs: set[int]
+) -> bytes:
     """The body without quotes, blanks around cells, and commas that end every line."""
-    if b" " in body or b"\t" in body:
+    if signs & {*_BLANKS}:
         body = re.sub(rb"[ \t]*([,\n])[ \t]*", rb"\1", body.lstrip(b" \t"))
-    if b'"' in body:
+    if signs & {*_QUOTE}:
         body = _unquoted(path, body, set(columns.values()), names)
     first = _first_line(body)
     if first.count(b",") == len(names) and _column_is_empty(body, len(names)):
@@ -234,9 +256,9 @@ def _plainly(
 ) -> tuple[Floats, Stamps | None] | None:
     """All used cells, and stamps to the nanosecond where floats do not hold them.
 
-    None where anything is unusual, and is looked at closely: words, lines of another width.
+    None where anything is unusual, and is looked at closely: lines of another width.
     """
-    if len(body) < _WORTH_ARROW or b"n" in body or b"N" in body:
+    if len(body) < _WORTH_ARROW:
         return None
     used, exact = list(columns.values()), None
     if TIME_NS in columns:
@@ -343,12 +365,11 @@ def _stamps(
 ) -> Stamps:
     """The exact nanosecond that the text names; from floats while those are exact."""
     name = TIME_NS if TIME_NS in columns else TIME
-    seconds = values[name] * (1e-9 if name == TIME_NS else 1.0)
-    t_ns = stamps_from_seconds(path, seconds, line_of, column=f"column {name}")
-    if np.abs(seconds).max() < EPOCH_S:
-        return t_ns
+    seconds = values[name] * 1e-9 if name == TIME_NS else values[name]
+    if largest_second(path, seconds, line_of, column=f"column {name}") < EPOCH_S:
+        return seconds_to_ns(seconds)
     if known is not None:
-        return known if len(known) == len(t_ns) else known[line_of.rows]
+        return known if len(known) == len(seconds) else known[line_of.rows]
     index = columns[name]
     cells = line_of.kept([line.split(b",", index + 1)[index] for _, line in _lines(body)])
     exact: Callable[[bytes], int] = _integer if name == TIME_NS else _nanoseconds

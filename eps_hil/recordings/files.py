@@ -28,6 +28,20 @@ def read_bytes(path: Path) -> bytes:
         return path.read_bytes()
 
 
+def first_line_and_rest(path: Path) -> tuple[bytes, bytes]:
+    """The file up to its first line feed, and what follows that; as :func:`read_bytes`.
+
+    What follows is read by itself: cut off from the whole it would be a second copy.
+    """
+    check_readable(path)
+    with refused_by_system(path):
+        with path.open("rb") as file:
+            first = file.readline()
+        with path.open("rb", buffering=0) as file:
+            file.seek(len(first))
+            return first.removesuffix(b"\n"), file.readall()
+
+
 @contextlib.contextmanager
 def refused_by_system(path: Path) -> Iterator[None]:
     """Turn what the operating system says about reading ``path`` into one line."""

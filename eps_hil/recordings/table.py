@@ -89,12 +89,28 @@ def stamps_from_seconds(
 
     Beyond 2^53 ns (epoch times) a float resolves 0.24 us, so stamps are rounded to microseconds.
     """
-    bad = ~(np.abs(seconds) < _RANGE_S)
-    if bad.any():
-        row = int(np.argmax(bad))
+    largest_second(path, seconds, place, column=column)
+    return seconds_to_ns(seconds)
+
+
+def largest_second(
+    path: Path,
+    seconds: Floats,
+    place: Callable[[int], str],
+    *,
+    column: str = f"column {TIME}",
+) -> float:
+    """Of a column of times, shape (n,), the one farthest from 0; its size.
+
+    :class:`InputError` where one is none.
+    """
+    size = np.abs(seconds)
+    most = float(size.max(initial=0.0))
+    if not most < _RANGE_S:
+        row = int(np.argmin(size < _RANGE_S))
         what = "is empty" if np.isnan(seconds[row]) else "is not a time in seconds"
         raise InputError(path, f"{place(row)}, {column}", what, "every row needs its time")
-    return seconds_to_ns(seconds)
+    return most
 
 
 def seconds_to_ns(seconds: Floats) -> Stamps:
@@ -127,6 +143,8 @@ def to_series(path: Path, table: Table, *, gaps: str) -> tuple[dict[str, Series]
     ``gaps``: "refuse" raises :class:`InputError` at the first hole or non-finite value; "mark"
     keeps them as samples with the value NaN.
     """
+    if len(table.t_ns) and all(np.isfinite(one).all() for one in table.columns.values()):
+        return {name: Series(table.t_ns, one) for name, one in table.columns.items()}, table.notes
     filled = {name: ~np.isnan(column) for name, column in table.columns.items()}
     holes = _holes(filled, table.t_ns)
     excused = _said_invalid(table)

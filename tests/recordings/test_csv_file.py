@@ -107,6 +107,8 @@ def test_bad_table_is_refused_by_file_place_and_problem(
         HEADER + "0,1,2\n1,3,4",
         "\ufeff" + HEADER.replace("\n", "\r\n") + "0,1,2\r\n1,3,4\r\n",
         HEADER.replace("\n", "\r") + "0,1,2\r1,3,4\r",
+        HEADER.replace("\n", "\r") + "0,1,2\n1,3,4\r",
+        HEADER.replace("\n", "\r\n") + "0,1,2\n1,3,4\n",
         "time_s,motor_torque_nm,motor_speed_rad_s,\n0,1,2,\n1,3,4,\n",
         "time_s,motor_torque_nm,motor_speed_rad_s,\n0,1,2\n1,3,4\n",
         HEADER + "0,1,2,\n1,3,4,\n",
@@ -116,7 +118,8 @@ def test_bad_table_is_refused_by_file_place_and_problem(
         '"time_s" , motor_torque_nm,motor_speed_rad_s\n+0.0,1e0,2.\n1,3,.4e1\n',
     ],
     ids=[
-        "plain", "no last newline", "BOM and CRLF", "CR", "commas end lines", "comma ends header",
+        "plain", "no last newline", "BOM and CRLF", "CR", "CR and LF",
+        "CRLF once", "commas end lines", "comma ends header",
         "comma ends rows", "blanks", "quotes", "blank lines", "number spellings",
     ],
 )  # fmt: skip
@@ -124,6 +127,25 @@ def test_spreadsheet_habits_are_taken(tmp_path: Path, text: str) -> None:
     recording = _read(tmp_path, text)
     assert _samples(recording, "motor_torque_nm") == [(0, 1.0), (1_000_000_000, 3.0)]
     assert _samples(recording, "motor_speed_rad_s") == [(0, 2.0), (1_000_000_000, 4.0)]
+
+
+@pytest.mark.parametrize("piece", [1, 2, 3, 7])
+def test_signs_are_seen_wherever_the_pieces_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int
+) -> None:
+    monkeypatch.setattr(csv_file, "_PIECE", piece)
+    recording = _read(tmp_path, HEADER + '0,"1",2\r\n1 ,\t3,4\r\n')
+    assert _samples(recording, "motor_torque_nm") == [(0, 1.0), (1_000_000_000, 3.0)]
+    assert _samples(recording, "motor_speed_rad_s") == [(0, 2.0), (1_000_000_000, 4.0)]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("time_s,\0\n0,1\n", "line 1:"), ("time_s,rack_force_n\n\n0,1\n\0", "line 4:")],
+)
+def test_binary_data_is_placed(tmp_path: Path, text: str, line: str) -> None:
+    with pytest.raises(InputError, match=f"{line} holds binary data"):
+        _read(tmp_path, text)
 
 
 def test_slow_signal_has_fewer_samples(tmp_path: Path) -> None:

@@ -93,6 +93,37 @@ def test_epoch_csv_names_the_nanosecond(tmp_path: Path) -> None:
     assert path.read_text().splitlines()[1] == "1757617431.821276123,1.0"
 
 
+@given(
+    st.lists(
+        st.integers(10**18, 2**32 * 10**9 - 1)
+        | st.sampled_from(
+            [10**18, 2**32 * 10**9 - 1, 1_757_617_431 * 10**9, 1_999_999_999_999_999_999]
+        ),
+        min_size=1,
+        max_size=20,
+    )
+)
+def test_stamps_of_ten_digits_are_those_of_python(stamps: list[int]) -> None:
+    t_ns = np.array(stamps, dtype=np.int64)
+    assert write._decimals(t_ns).to_pylist() == [*write._seconds(t_ns)]
+
+
+@pytest.mark.parametrize("start_ns", [10**18 - 2, 2**32 * 10**9 - 2, 10**15, -(10**16)])
+def test_many_rows_are_written_as_few_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start_ns: int
+) -> None:
+    t_ns = start_ns + np.arange(5)
+    columns = {"rack_force_n": np.array([0.1, np.nan, 2.0, -3.0, 4.0])}
+    write_table(tmp_path / "few.csv", columns, t_ns=t_ns)
+    monkeypatch.setattr(write, "_WORTH_ARROW", 0)
+    write_table(tmp_path / "many.csv", columns, t_ns=t_ns)
+    np.testing.assert_array_equal(
+        read_recording(tmp_path / "many.csv", gaps="mark").series["rack_force_n"].t_ns, t_ns
+    )
+    few, many = ((tmp_path / f"{name}.csv").read_text().split() for name in ("few", "many"))
+    assert [one.split(",")[0] for one in few] == [one.split(",")[0] for one in many]
+
+
 def test_union_of_stamps_holds_every_sample(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     text = "time_s,motor_torque_nm,rack_force_n\n0,1,\n0.4,,5\n1,2,\n2,3,\n2.4,,6\n3,4,\n"
