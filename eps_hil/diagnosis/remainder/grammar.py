@@ -41,6 +41,16 @@ _FADING = ("exponential", "saturating", "rational")
 _AMOUNTS = ("abs_motor_speed_rad_s", "abs_motor_torque_nm", "abs_rack_force_n")
 """With which the strength of a sine may fade."""
 _SIGNS = ("motor_power_sign", "load_power_sign", "torque_sensor_power_sign")
+PLACES = (
+    ("rotor", "sum"),
+    ("friction", "sum"),
+    ("friction", "factor"),
+    ("motor", "sum"),
+    ("motor", "factor"),
+    ("load", "factor"),
+    ("torsion_bar", "factor"),
+)
+"""Where and how a torque may act, as ``Sight.places`` has it."""
 _BASES: Mapping[tuple[str, str], tuple[tuple[str, str], ...]] = {
     ("rotor", "sum"): (
         ("motor_speed_rad_s", "linear"),
@@ -129,28 +139,51 @@ class Law:
 
 
 def laws(sight: Sight, left: Floats) -> Iterator[list[Law]]:
-    """All laws, in groups by place; orders are looked for in ``left`` (n,), Nm."""
-    factors = list(_factors(sight))
-    for where, how in sight.places:
-        own = [Law(where, how, (one,)) for one in factors if not _says_nothing(where, how, one)]
-        if where == "load":  # the same everywhere: rotor against rack may know that no ratio is off
-            own.append(Law(where, how, (Input("rack_force_n", "one"),)))
-        if where in ("rotor", "motor"):
-            own += _waves(sight, left, Law(where, how, ()))
-        yield own
-        for name, shape in _BASES.get((where, how), ()):
-            if name not in sight.inputs:
-                continue
-            base = Input(name, shape)
-            group = [] if (where, shape) == ("rotor", "linear") else [Law(where, how, (base,))]
+    """All laws; orders are looked for in ``left`` (n,), Nm.
+
+    In groups of what they depend on, so that nothing has to be kept for the next one.
+    """
+    bases = {
+        place: [Input(*one) for one in _BASES.get(place, ()) if one[0] in sight.inputs]
+        for place in sight.places
+    }
+    for factors in _factors(sight):
+        group = []
+        for (where, how), before in bases.items():
+            group += [
+                Law(where, how, (one,)) for one in factors if not _says_nothing(where, how, one)
+            ]
             group += [
                 Law(where, how, (base, one))
+                for base in before
                 for one in factors
-                if not (one.name == name and one.shape in ("linear", "square"))
+                if not (one.name == base.name and one.shape in ("linear", "square"))
             ]
-            if where == "rotor":
-                group += _waves(sight, left, Law(where, how, (base,)))
-            yield group
+        yield group
+    # the same everywhere: rotor against rack may know that no ratio is off
+    group = [Law(*place, (Input("rack_force_n", "one"),)) for place in bases if place[0] == "load"]
+    for (where, how), before in bases.items():
+        group += [
+            Law(where, how, (one,)) for one in before if (where, one.shape) != ("rotor", "linear")
+        ]
+    yield group
+    for (where, how), before in bases.items():
+        if where in ("rotor", "motor"):
+            yield _waves(sight, left, Law(where, how, ()))
+        if where == "rotor":
+            for base in before:
+                yield _waves(sight, left, Law(where, how, (base,)))
+
+
+def rank(law: Law) -> tuple[int, int]:
+    """Of laws that do as well: those of an earlier place first, then those of an earlier base.
+
+    Torque times speed is speed times torque.
+    """
+    place = law.where, law.how
+    bases = [Input(*one) for one in _BASES.get(place, ())]
+    own = len(law.inputs) > 1 and law.inputs[0] in bases
+    return PLACES.index(place), 1 + bases.index(law.inputs[0]) if own else 0
 
 
 def _says_nothing(where: str, how: str, one: Input) -> bool:
@@ -162,31 +195,33 @@ def _says_nothing(where: str, how: str, one: Input) -> bool:
     return where == "motor" and how == "sum" and "torque" not in one.name
 
 
-def _factors(sight: Sight) -> Iterator[Input]:
+def _factors(sight: Sight) -> Iterator[list[Input]]:
     """Every input, remembered or not, through every shape."""
     use = sight.use
     for name, values in sight.inputs.items():
         if name in _SIGNS:
-            yield Input(name, "linear")
-            yield Input(name, "above", numbers={"centre": 0.0})
-            yield Input(name, "below", numbers={"centre": 0.0})
+            yield [
+                Input(name, "linear"),
+                Input(name, "above", numbers={"centre": 0.0}),
+                Input(name, "below", numbers={"centre": 0.0}),
+            ]
             continue
-        for shape, numbers in _shapes(values[use]):
-            if name == "since_reversal_s" and shape not in _FADING:
-                continue  # anything else is a place in the programme, not a memory
-            if name == "motor_angle_rad" and shape not in ("linear", "square"):
-                continue
-            yield Input(name, shape, numbers=numbers)
+        shapes = [*_shapes(values[use])]
+        if name == "since_reversal_s":  # anything else is a place in the programme, not a memory
+            shapes = [one for one in shapes if one[0] in _FADING]
+        if name == "motor_angle_rad":
+            shapes = [one for one in shapes if one[0] in ("linear", "square")]
+        yield [Input(name, shape, numbers=numbers) for shape, numbers in shapes]
     for name, memory, number in _memories(sight):
         values = sight.remembered(name, memory, number)
         if np.ptp(values[use]) < 1e-9:
             continue
         own = {"memory": number}
-        yield Input(name, "linear", memory, own)
+        found = [Input(name, "linear", memory, own)]
         if memory in ("lag", "heat", "play"):
             few = [one for one in _shapes(values[use]) if one[0] in ("saturating", "exponential")]
-            for shape, numbers in few[:3]:
-                yield Input(name, shape, memory, {**own, **numbers})
+            found += [Input(name, shape, memory, {**own, **numbers}) for shape, numbers in few[:3]]
+        yield found
 
 
 def _memories(sight: Sight) -> Iterator[tuple[str, str, float]]:
@@ -252,22 +287,29 @@ def columns_of(law: Law, sight: Sight) -> Floats | None:
 
     (k, 2) for the quadratures of a wave; None if the recordings lack an input.
     """
+    rows = rows_of(law, sight)
+    return None if rows is None else np.ascontiguousarray(rows.T)
+
+
+def rows_of(law: Law, sight: Sight) -> Floats | None:
+    """The same lying down: (1, k), or (2, k)."""
     place = sight.places.get((law.where, law.how))
     if place is None or any(one.name not in sight.inputs for one in law.inputs):
         return None
-    column, wave = place.effect[sight.rows], None
+    row, wave = sight.once((law.where, law.how), lambda: place.effect[sight.rows]), None
     for one in law.inputs:
         if one.shape == "sine":
             angle = sight.inputs[one.name][sight.rows]
             wave = one.numbers["order"] * angle
             rate = one.numbers["order"] * sight.inputs["abs_motor_speed_rad_s"][sight.rows]
-            column = column * np.clip(1.5 - rate / (2 * np.pi * _FILTER_HZ), 0.0, 1.0)
+            row = row * np.clip(1.5 - rate / (2 * np.pi * _FILTER_HZ), 0.0, 1.0)
             continue
         key = (one.name, one.memory, one.shape, *one.numbers.items())
-        column = column * sight.once(key, partial(_at, one, sight))
+        lasts = not one.numbers  # a base, or as cheap
+        row = row * sight.once(key, partial(_at, one, sight), lasts=lasts)
     if wave is None:
-        return column[:, None]
-    return np.column_stack([np.sin(wave), np.cos(wave)]) * column[:, None]
+        return row[None, :]
+    return np.stack([np.sin(wave), np.cos(wave)]) * row
 
 
 def _at(one: Input, sight: Sight) -> Floats:

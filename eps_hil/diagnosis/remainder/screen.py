@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.remainder.grammar import Law, columns_of, laws
+from eps_hil.diagnosis.data.side_by_side import each
+from eps_hil.diagnosis.remainder.grammar import Law, laws, rank, rows_of
 from eps_hil.diagnosis.remainder.refine import orthonormal
 from eps_hil.diagnosis.remainder.sight import Sight
 
@@ -22,6 +23,11 @@ NULLS = 24
 _SEED = 20
 _KEPT, _OF_FAMILY = 60, 2
 _NOTHING = 1e-9
+_AT_ONCE = 16
+"""Laws that are worked on together, by one core."""
+_MOSTLY = 1e-3
+"""Share of a column's square that is left beside the numbers that may move: of less, the difference
+of two sums would be rounding."""
 
 
 @dataclass(frozen=True)
@@ -58,45 +64,65 @@ def screen(
     said by the fitted recordings, so that the hold-outs judge a law with that.
     """
     ours, theirs = _weights(fitted), _weights(kept)
-    carried: Floats = np.zeros((0, 0))
-    moved: Floats = carried
+    carried: Floats = np.zeros((len(ours), 0))
+    moved: Floats = np.zeros((len(theirs), 0))
     if free is not None:
         here, moved = (
             part[sight.rows] * sight.weight[sight.rows, None]
             for part, sight in zip(free, (fitted, kept), strict=True)
         )
-        carried = np.asarray(np.linalg.pinv(here))
+        carried = np.asarray(np.linalg.pinv(here)).T
     basis = orthonormal(jacobian[fitted.rows] * fitted.weight[fitted.rows, None])
-    left, other = _turned(fitted), _turned(kept)
-    left -= basis @ (basis.T @ left)
-    found: list[Screened] = []
-    null, most = np.zeros(NULLS), 0.0
-    for group in laws(fitted, fitted.residual * fitted.scale * fitted.use):
-        columns = [(one, columns_of(one, fitted), columns_of(one, kept)) for one in group]
-        there = [(one, x, y) for one, x, y in columns if x is not None and y is not None]
+    beside, width = np.hstack([basis, carried]), basis.shape[1]
+    turned = _Turned(fitted)
+    within = basis.T @ turned.columns
+    other = _Turned(kept).columns
+
+    def tried(some: Sequence[Law]) -> tuple[list[Screened], Floats]:
+        rows = [(law, rows_of(law, fitted), rows_of(law, kept)) for law in some]
+        there = [(law, x, y) for law, x, y in rows if x is not None and y is not None]
         if not there:
-            continue
-        x = np.hstack([x for _, x, _ in there]) * ours[:, None]
-        y = np.hstack([y for _, _, y in there]) * theirs[:, None]
-        if free is not None:
-            y -= moved @ (carried @ x)
-        x -= basis @ (basis.T @ x)
-        gains, judged, sizes = _gains(x, left, y, other, [one.shape[1] for _, one, _ in there])
-        null = np.maximum(null, np.max(judged[:, 1:], axis=0, initial=0.0))
-        most = max(most, float(np.max(judged[:, 0])))
-        found += [
+            return [], np.full(1 + NULLS, -np.inf)
+        x = np.concatenate([x for _, x, _ in there]) * ours
+        y = np.concatenate([y for _, _, y in there]) * theirs
+        known = x @ beside
+        y -= known[:, width:] @ moved.T
+        known, sums = known[:, :width], turned.sums(x)
+        square = _squares(x)
+        # rather than of columns without what the basis can do: that would be two passes more
+        poor = square - _squares(known) < _MOSTLY * square
+        if poor.any():
+            x[poor] -= known[poor] @ basis.T
+            known[poor], sums[poor], square[poor] = (
+                x[poor] @ basis, turned.sums(x[poor]), _squares(x[poor]),
+            )  # fmt: skip
+        xr, xx = sums - known @ within, square - _squares(known)
+        widths = [len(one) for _, one, _ in there]
+        gains, judged, sizes = _gains((x, known), xr, xx, y, y @ other, widths)
+        found = [
             Screened(_sized(law, sizes[k]), float(gains[k]), float(judged[k, 0]))
             for k, (law, _, _) in enumerate(there)
         ]
+        return found, np.max(judged, axis=0)
+
+    found: list[Screened] = []
+    most: Floats = np.zeros(1 + NULLS)
+    for group in laws(fitted, fitted.residual * fitted.scale * fitted.use):
+        pieces = [group[k : k + _AT_ONCE] for k in range(0, len(group), _AT_ONCE)]
+        for some, best in each(tried, pieces):
+            found += some
+            most = np.maximum(most, best)
         found = _best(found)
-    return Screening(found, null, most)
+        fitted.forget()
+        kept.forget()
+    return Screening(found, most[1:], float(most[0]))
 
 
 def _best(found: Sequence[Screened]) -> list[Screened]:
     """The best, with no more than a few of one family: other numbers, or another shape."""
     kept: list[Screened] = []
     count: Counter[tuple[object, ...]] = Counter()
-    for one in sorted(found, key=lambda one: -one.worth):
+    for one in sorted(found, key=lambda one: (-float(f"{one.worth:.11e}"), rank(one.law))):
         if len(kept) < _KEPT and count[one.law.family] < _OF_FAMILY:
             kept.append(one)
             count[one.law.family] += 1
@@ -107,13 +133,24 @@ def _weights(sight: Sight) -> Floats:
     return (sight.weight / sight.scale)[sight.rows]
 
 
+def _squares(rows: Floats) -> Floats:
+    return np.asarray(np.einsum("ij,ij->i", rows, rows))
+
+
 def _gains(
-    x: Floats, r: Floats, y: Floats, s: Floats, widths: Sequence[int]
+    columns: tuple[Floats, Floats],
+    xr: Floats,
+    xx: Floats,
+    y: Floats,
+    ys: Floats,
+    widths: Sequence[int],
 ) -> tuple[Floats, Floats, list[Floats]]:
-    """(gain on the fitted (k,), gains on the hold-outs (k, 1 + NULLS), sizes of the real one)."""
-    xr, ys = x.T @ r, y.T @ s
-    xx, yy = np.sum(x**2, axis=0)[:, None], np.sum(y**2, axis=0)[:, None]
-    size = -xr / np.maximum(xx, _NOTHING)
+    """(gain on the fitted (k,), gains on the hold-outs (k, 1 + NULLS), sizes of the real one).
+
+    ``columns``: of the fitted, lying, and what the basis holds of each.
+    """
+    yy = _squares(y)[:, None]
+    size = -xr / np.maximum(xx, _NOTHING)[:, None]
     fitted = -(size * xr)[:, 0]
     judged = -2.0 * size * ys - size**2 * yy
     first = np.cumsum([0, *widths])[:-1]
@@ -122,8 +159,10 @@ def _gains(
         if width == 1:
             continue
         both = slice(at, at + width)
-        solved = -np.linalg.pinv(x[:, both].T @ x[:, both], rcond=1e-10, hermitian=True) @ xr[both]
-        gram = y[:, both].T @ y[:, both]
+        x, known = (one[both] for one in columns)
+        inverse = np.linalg.pinv(x @ x.T - known @ known.T, rcond=1e-10, hermitian=True)
+        solved = -inverse @ xr[both]
+        gram = y[both] @ y[both].T
         sizes[k] = solved[:, 0]
         fitted[at] = -float(solved[:, 0] @ xr[both, 0])
         judged[at] = -2.0 * np.sum(solved * ys[both], axis=0) - np.sum(
@@ -141,10 +180,21 @@ def _sized(law: Law, size: Floats) -> Law:
     return replace(moved, size=float(np.hypot(*size)))
 
 
-def _turned(sight: Sight) -> Floats:
-    """The weighted residual at the rows, and with blocks turned upside down, (k, 1 + NULLS)."""
-    rng = np.random.default_rng(_SEED)
-    block = sight.block[sight.rows]
-    real = (sight.residual * sight.weight)[sight.rows]
-    signs = [rng.choice([-1.0, 1.0], int(np.max(sight.block)) + 1)[block] for _ in range(NULLS)]
-    return np.column_stack([real, *(real * one for one in signs)])
+class _Turned:
+    """The weighted residual at the rows, and with blocks turned upside down."""
+
+    def __init__(self, sight: Sight) -> None:
+        rng = np.random.default_rng(_SEED)
+        block = sight.block[sight.rows]
+        signs = [rng.choice([-1.0, 1.0], int(np.max(sight.block)) + 1) for _ in range(NULLS)]
+        self.real = (sight.residual * sight.weight)[sight.rows]
+        self.columns = np.column_stack([self.real, *(self.real * one[block] for one in signs)])
+        """(n, 1 + NULLS)."""
+        self._starts = np.flatnonzero(np.diff(block, prepend=-1))
+        there = block[self._starts]
+        self._signs = np.column_stack([np.ones(len(there)), *(one[there] for one in signs)])
+
+    def sums(self, rows: Floats) -> Floats:
+        """Each of ``rows`` (k, n) times each of the columns, (k, 1 + NULLS): block by block."""
+        by_block = np.add.reduceat(rows * self.real, self._starts, axis=1)
+        return np.asarray(by_block @ self._signs)

@@ -56,7 +56,8 @@ class Sight:
         sizes = [len(one.thin_time_s) for one in problem.recordings]
         ends = np.cumsum([0, *sizes])
         self.parts = [slice(a, b) for a, b in pairwise(ends.tolist())]
-        self._values: dict[Hashable, Floats] = {}
+        self._lasting: dict[Hashable, Floats] = {}
+        self._passing: dict[Hashable, Floats] = {}
 
     @cached_property
     def longest_s(self) -> float:
@@ -73,11 +74,17 @@ class Sight:
         """Samples that screening looks at: every second that slides (the filter passes 40 Hz)."""
         return np.flatnonzero(self.use)[::2]
 
-    def once(self, key: Hashable, made: Callable[[], Floats]) -> Floats:
-        """What is worked out once for all laws that share it."""
-        if key not in self._values:
-            self._values[key] = made()
-        return self._values[key]
+    def once(self, key: Hashable, made: Callable[[], Floats], *, lasts: bool = True) -> Floats:
+        """What is worked out once for all laws that share it, or that do until :meth:`forget`."""
+        values = self._lasting if lasts else self._passing
+        found = values.get(key)
+        if found is None:
+            found = values[key] = made()
+        return found
+
+    def forget(self) -> None:
+        """Let go of what does not last: of an hour, every shape of every input is a gigabyte."""
+        self._passing.clear()
 
     @cached_property
     def inputs(self) -> Mapping[str, Floats]:
@@ -133,7 +140,7 @@ class Sight:
                 out[part] = _run(self.inputs[name][part], MEMORIES.index(memory), number, STEP)
             return out
 
-        return self.once((name, memory, number), run)
+        return self.once((name, memory, number), run, lasts=False)
 
     @cached_property
     def places(self) -> Mapping[tuple[str, str], Place]:

@@ -14,7 +14,7 @@ from eps_hil.diagnosis.remainder import find as find_module
 from eps_hil.diagnosis.remainder.find import Own, find, share_removed
 from eps_hil.diagnosis.remainder.grammar import Input, Law, columns_of, laws
 from eps_hil.diagnosis.remainder.refine import refine, with_laws
-from eps_hil.diagnosis.remainder.screen import Screened
+from eps_hil.diagnosis.remainder.screen import Screened, screen
 from eps_hil.diagnosis.remainder.sight import Sight
 from eps_hil.diagnosis.remainder.table import tables
 from eps_hil.physics.effects.catalogue import values_of
@@ -99,6 +99,52 @@ def test_a_ripple_that_fades_with_speed_is_tried(eddy: tuple[Problem, Problem]) 
     fading = [law for law in waves if law.inputs[0].name == "abs_motor_speed_rad_s"]
     assert max(map(share, fading)) > 0.95
     assert max(share(law) for law in waves if law not in fading) < 0.9
+
+
+def test_gains_are_those_of_columns_without_what_may_move(eddy: tuple[Problem, Problem]) -> None:
+    """Each of the best laws once more, its column made orthogonal as it stands."""
+    fitted, kept = (Sight(one, one.model) for one in eddy)
+    rng = np.random.default_rng(1)
+    smooth = np.cumsum(rng.normal(size=(len(fitted.residual), 4)), axis=0)
+    found = screen(fitted, kept, smooth)
+    rows, weight = fitted.rows, fitted.weight[fitted.rows, None]
+    basis = np.linalg.qr(smooth[rows] * weight)[0]
+    left = (fitted.residual * fitted.weight)[rows]
+
+    def free(columns: Any) -> Any:
+        return columns - basis @ (basis.T @ columns)
+
+    for one in found.best:
+        x, y = (columns_of(one.law, sight) for sight in (fitted, kept))
+        assert x is not None
+        assert y is not None
+        x = free(x / fitted.scale[rows, None] * weight)
+        size = np.linalg.lstsq(x, -left, rcond=1e-9)[0]
+        assert one.fitted == pytest.approx(float(-left @ x @ size), rel=1e-9)
+        y = y / kept.scale[kept.rows, None] * kept.weight[kept.rows, None] @ size
+        other = (kept.residual * kept.weight)[kept.rows]
+        gain = float(other @ other - (other + y) @ (other + y))
+        assert one.judged == pytest.approx(gain, rel=1e-9, abs=1e-9 * float(other @ other))
+    assert found.most >= max(one.judged for one in found.best)
+    assert found.null.min() > 0.0
+
+    (best, *_) = found.best
+    x = columns_of(best.law, fitted)
+    assert x is not None
+    mine = np.zeros((len(fitted.residual), x.shape[1]))
+    mine[rows] = x / fitted.scale[rows, None] * (1.0 + 1e-9 * rng.normal(size=x.shape))
+    again = screen(fitted, kept, np.hstack([smooth, mine]))
+    its = [one.fitted for one in again.best if replace(one.law, size=best.law.size) == best.law]
+    assert not its or max(its) < 1e-3 * best.fitted, "rounding is no gain"
+
+
+def test_what_is_kept_of_a_search_is_little(eddy: tuple[Problem, Problem]) -> None:
+    fitted, kept = (Sight(one, one.model) for one in eddy)
+    count = sum(len(group) for group in laws(fitted, fitted.residual))
+    screen(fitted, kept, np.zeros((len(fitted.residual), 0)))
+    assert count > 1000
+    assert len(fitted._passing) == 0
+    assert len(fitted._lasting) < 60
 
 
 def test_numbers_are_refined_by_the_simulator(eddy: tuple[Problem, Problem]) -> None:
