@@ -52,9 +52,9 @@ EDGE_S = 0.25
 """Left out at both ends of a recording, where a filter without phase has only one side."""
 
 _MOST_SHIFTED, _LEAST_SHIFTED = 40, 8
-_MOST_SHIFTED_BYTES = 300_000_000
+_MOST_SHIFTED_BYTES = 200_000_000
 """Of all recordings together. An hour's signals are 29 MB each: what is remembered of them has to
-end somewhere."""
+end somewhere. No motion needs more than eight at once."""
 _SAMPLED = 3e-4
 """Of the motor torque's rms: what the balance of a sampled recording leaves without any noise. A
 torque that steps, or friction that turns, between samples of 1 ms leaves nearly as much."""
@@ -358,15 +358,15 @@ class Prepared:
         if delay_s == 0.0 and every == 1:
             return values
         key = (id(values), delay_s, every)
-        found = self._shifted.get(key)  # other threads may clear them at any time
+        found = self._shifted.pop(key, None)  # other threads may take one away at any time
         if found is None:
             most = _MOST_SHIFTED_BYTES // (values.nbytes * self.among)
-            if len(self._shifted) > min(_MOST_SHIFTED, max(most, _LEAST_SHIFTED)):
-                self._shifted.clear()
+            for old in [*self._shifted][: -min(_MOST_SHIFTED, max(most, _LEAST_SHIFTED)) + 1]:
+                self._shifted.pop(old, None)  # what was wanted last stands last
             first = round(EDGE_S / STEP_S) % every  # the first thinned sample is one of them
             # straight lines would take noise off between the samples, and a delay would gain by it
             found = every_so_many(shifted(values, delay_s), every, first, summed=summed)
-            self._shifted[key] = found
+        self._shifted[key] = found
         return found
 
     @cached_property

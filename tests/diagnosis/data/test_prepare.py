@@ -75,6 +75,17 @@ def test_recordings_looked_at_together_share_what_may_be_remembered(
     assert kept[1] <= 10 < kept[0]
 
 
+def test_what_was_wanted_last_is_remembered(record: Callable[..., Any]) -> None:
+    """A delay that is tried takes the place of one that was tried before, not of one in use."""
+    (series,) = record({}, ("weave",), seconds=5.0).values()
+    one = prepare("weave", series).changed(among=10_000)
+    in_use = [one._at(one.raw["motor_speed_rad_s"], 1e-3 * k) for k in range(1, 5)]
+    for late_s in np.linspace(5e-3, 9e-3, 20):
+        one._at(one.raw["motor_torque_nm"], float(late_s))
+        for k, before in enumerate(in_use, 1):
+            assert one._at(one.raw["motor_speed_rad_s"], 1e-3 * k) is before
+
+
 def _half(one: Series) -> Series:
     return Series(one.t_ns, 0.5 * one.value)
 
