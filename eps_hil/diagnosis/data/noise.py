@@ -1,5 +1,13 @@
-"""The noise of a signal by its own samples: white, on smooth motion, coarse or fine."""
+"""The noise of a signal by its own samples: white, on smooth motion, coarse or fine.
 
+What differences tell is the noise of the highest frequencies. A speed that is counted from the
+steps of an encoder has far less below, where it is judged: its noise grows with frequency. Taken
+for white it would make an inertia too large, of which errors in variables say that J σ is as large.
+But noise that does not fall with frequency is nowhere more than all that a signal holds from there
+on: so far it is bounded by the signal's spectrum.
+"""
+
+from itertools import pairwise
 from math import comb
 
 import numpy as np
@@ -18,12 +26,18 @@ longest that the shortest beside it has to be; differences that say anything."""
 _WINDOW, _FEWEST_WINDOWS, _QUARTER, _QUIETER = 12, 40, 0.504, 0.7
 """Samples of a window that may be quiet, how many windows tell, the lower quartile of white noise's
 mean square there, and below which share of the noise of all samples theirs is believed."""
+_OCTAVES_HZ, _JUDGED_HZ, _ORDER = (5.0, 10.0, 20.0, 40.0, 80.0), 40.0, 4
+"""Bands in which there is no more noise than signal; the low-pass of what is judged."""
+_SEGMENT_S, _SURE = 2.0, 3.0
+"""Of spectra; standard errors by which a band has to hold less."""
 _OFF, _LATTICE = 0.1, 0.9
 """Of the smallest step: how far a change may be from a multiple; share of changes that are one."""
 
 
-def noise_at_1_khz(one: Series, *, moving: bool) -> float:
+def noise_at_1_khz(one: Series, *, moving: bool, derivatives: int = 0) -> float:
     """The white noise on the 1 kHz grid that is as strong below the cut-off as the signal's own.
+
+    In that derivative of it that a balance needs, where the spectrum shows that it is not white.
 
     Of a signal at another rate: its noise is spread over another band. Of a ``moving`` one it is
     what there is while it moves least: samples that lie far apart make noise of quick motion, but
@@ -35,6 +49,8 @@ def noise_at_1_khz(one: Series, *, moving: bool) -> float:
     uneven = float(np.std(steps)) > _UNEVEN * step
     stamps = np.asarray(one.t_ns[good] * 1e-9, dtype=np.float64)
     found = noise_of(one.value[good], stamps if uneven else None)
+    if not uneven:
+        found = _bounded(found, one.value[good], step, 2 * derivatives)
     if moving and step > 1.5 * _STEP_S:
         quiet = quiet_noise_of(one.value[good])
         found = quiet if quiet < _QUIETER * found else found
@@ -55,6 +71,29 @@ def noise_of(values: Floats, time_s: Floats | None = None) -> float:
         divided = ((n, _divided(values, time_s, n)) for n in (3, 6))
         found += [_noise_of(np.abs(one), n) for n, one in divided if len(one) > _FEWEST]
     return min(found)
+
+
+def _bounded(white: float, values: Floats, step_s: float, power: int) -> float:
+    """White noise that is as strong, times (2πf) to this power, as what no octave rules out."""
+    count = round(_SEGMENT_S / step_s)
+    if 2.0 * step_s * _OCTAVES_HZ[-1] > 1.0 or len(values) < 2 * count or white == 0.0:
+        return white
+    at = np.fft.rfftfreq(count, step_s)
+    held = np.mean(np.abs(segments(values, count)) ** 2, axis=0) / np.sum(np.hanning(count) ** 2)
+    most = np.full(len(at), white**2)
+    for low, high in reversed(list(pairwise(_OCTAVES_HZ))):
+        unsure = 1.0 / np.sqrt((high - low) * len(values) * step_s)
+        level = float(np.mean(held[(at >= low) & (at < high)])) * (1.0 + _SURE * unsure)
+        most[at < high] = np.minimum(most[at < high], level)
+    passes = 1.0 / (1.0 + (at / _JUDGED_HZ) ** (2 * _ORDER)) ** 2 * at**power
+    return float(np.sqrt(passes @ most / np.sum(passes)))
+
+
+def segments(values: Floats, count: int) -> npt.NDArray[np.complex128]:
+    """Spectra of half overlapping segments without their mean, (segments, frequencies)."""
+    parts = np.lib.stride_tricks.sliding_window_view(values, count)[:: count // 2]
+    parts = parts - np.mean(parts, axis=1, keepdims=True)
+    return np.asarray(np.fft.rfft(parts * np.hanning(count), axis=1))
 
 
 def quiet_noise_of(values: Floats) -> float:

@@ -62,6 +62,8 @@ _STRAYED = 0.461
 """∫(W − mean W)² dt over a Brownian bridge's or a random walk's unit time exceeds this in 5 of 100:
 Cramér's and von Mises' statistic."""
 _NEEDED, _MOVING = ("motor_torque_nm",), ("motor_speed_rad_s", "motor_angle_rad")
+_DERIVATIVES = {"motor_speed_rad_s": 1, "motor_angle_rad": 2}
+"""Of a signal in the balance."""
 
 
 @dataclass(frozen=True)
@@ -466,7 +468,10 @@ def prepare(name: str, series: Mapping[str, Series], unexplained_nm: float = 0.0
     t_ns = np.arange(n, dtype=np.int64) * 1_000_000
     start = min(int(one.t_ns[0]) for one in used.values())
     raw = {name: on_grid(one, origin, t_ns) for name, one in used.items()}
-    noise = {name: noise_at_1_khz(one, moving=name in _MOVING) for name, one in used.items()}
+    noise = {
+        name: noise_at_1_khz(one, moving=name in _MOVING, derivatives=_DERIVATIVES.get(name, 0))
+        for name, one in used.items()
+    }
     bands = {name: half_rate_hz(one) for name, one in used.items()}
     if derived:
         bands["motor_speed_rad_s"] = bands["motor_angle_rad"]

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.data.noise import segments
+
 Floats = npt.NDArray[np.float64]
 
 _SEGMENT_S, _SLOW_HZ = 4.0, 1.0
@@ -54,15 +56,8 @@ def _spectra(speed: Floats, rate: Floats, count: int) -> tuple[Floats, Floats, F
     """|speed|², the real part of speed times rate, and the variance of that by noise of the rate
     (frequencies,): sums over half overlapping segments without their mean.
     """
-    one, other = (_segments(signal, count) for signal in (speed, rate))
+    one, other = (segments(signal, count) for signal in (speed, rate))
     own, witness = (np.sum(np.abs(x) ** 2, axis=0) for x in (one, other))
     both = np.sum((one * np.conj(other)).real, axis=0)
     independent = 0.5 * (len(one) + 1) / _WINDOW
     return own, both, own * witness / (2.0 * independent)
-
-
-def _segments(signal: Floats, count: int) -> npt.NDArray[np.complex128]:
-    """Spectra of half overlapping segments without their mean, (segments, frequencies)."""
-    parts = np.lib.stride_tricks.sliding_window_view(signal, count)[:: count // 2]
-    parts = parts - np.mean(parts, axis=1, keepdims=True)
-    return np.asarray(np.fft.rfft(parts * np.hanning(count), axis=1))
