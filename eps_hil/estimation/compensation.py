@@ -4,7 +4,7 @@ import math
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation import acting
-from eps_hil.estimation.gap import still_unknown
+from eps_hil.estimation.gap import NOISE_SIGMA, still_unknown
 from eps_hil.estimation.levels import adapted_level_nm, approach
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import Moment, Rig
@@ -19,6 +19,10 @@ LEAST_OF_LOAD = 0.1
 """Share of the rack force that arrives at the rotor, below which no law of it is believed."""
 CREEP_SIGMA = 3.0
 """Half width of the gap in which a resting rotor's angle is taken as noise."""
+_FORGOTTEN_PERIODS = 1.1
+"""Of a hole in speed or angle, as the low-pass forgets it: what is drawn in it is no bias."""
+_ASTRAY_N = 100.0
+"""Rack force by which a biased angle may put the friction wrong, from which on it is unknown."""
 
 
 @kernel
@@ -98,6 +102,8 @@ def friction_step(
         acting.advance(x.effects, now, c.step_s)
     s.unknown_nm = still_unknown(s.unknown_nm, slip, level, x.law.sigma0_nm_per_rad)
     s.unknown_n = s.unknown_nm * c.ratio * s.local
+    if s.bias_slid != s.bias:
+        _count_bias(c, s, slip, level, x.law.sigma0_nm_per_rad)
     before = abs(s.bristle)
     s.bristle = bristle_step(s.bristle, travel, slip, level, x.law.sigma0_nm_per_rad)
     if resting:  # no further than it can bend; but a noisy level must not ratchet it back
@@ -194,13 +200,31 @@ def _follow(c: Constants, s: Moment, u: Inputs, travel: float, resting: bool) ->
     if not resting:
         s.angle += travel
     s.angle += c.angle_low_pass * (angle - s.angle)
+    apart, noise = angle - s.angle, math.sqrt(s.angle_noise)
+    if max(s.angle_periods, s.speed_periods) < _FORGOTTEN_PERIODS:
+        s.bias = min(max(s.bias, apart - NOISE_SIGMA * noise), apart + NOISE_SIGMA * noise)
     if resting:
         left = c.angle_low_pass / (2.0 - c.angle_low_pass)  # variance that the low-pass leaves
-        gap = CREEP_SIGMA * math.sqrt(_noise_gain(left, s.angle_periods) * s.angle_noise)
+        gap = CREEP_SIGMA * math.sqrt(_noise_gain(left, s.angle_periods)) * noise
         s.held = min(max(s.held, s.angle - gap), s.angle + gap)
         return s.held - before
     s.held = s.angle
     return s.held - before
+
+
+@kernel
+def _count_bias(c: Constants, s: Moment, slip: float, level: float, sigma0: float) -> None:
+    """A speed that is off draws the filtered angle away; its way back bends the bristle.
+
+    Sliding forgets the way out. So what counts is by how much the angle's bias has changed since;
+    a bristle that is bent the other way follows by up to twice as much (eq. 2a).
+    """
+    off = s.bias_slid - s.bias
+    left_nm = still_unknown(sigma0 * abs(off), slip, level, sigma0)
+    s.bias_slid = s.bias + math.copysign(left_nm / sigma0, off)
+    astray_n = 2.0 * left_nm * c.ratio * s.local
+    if astray_n > _ASTRAY_N:
+        s.unknown_n = max(s.unknown_n, astray_n)
 
 
 @kernel

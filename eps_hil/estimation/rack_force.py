@@ -72,7 +72,7 @@ def start(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
     neg = adapted_level_nm(x, r, -1.0, s.local * load)
     bridge(c, s, u, torque, pos, neg, way, law.sigma0_nm_per_rad)
     s.drive = s.drive_before = torque
-    s.acceleration = s.slope = s.path = 0.0
+    s.acceleration = s.slope = s.path = s.bias = s.bias_slid = 0.0
     if s.running == NEVER_RAN:  # a rotor at rest balances its torque with the rack
         s.speed_noise, s.drive_noise = c.first_noise, c.first_drive_noise
         s.angle_noise = c.first_angle_noise

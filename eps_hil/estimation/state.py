@@ -87,6 +87,10 @@ class Moment:
     angle_noise: float
     angle_periods: float
     held: float
+    # By how much the speed draws the filtered angle away, beyond noise, and what that was while the
+    # bristle slid (rad).
+    bias: float
+    bias_slid: float
     # dφ/dx over i_APA where the rack is: ``force`` is as it would be in mid travel.
     local: float
     # Outputs, and the line in which the friction waits for the filtered force.

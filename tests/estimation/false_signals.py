@@ -36,6 +36,11 @@ def wrong_and_valid_ms(trace: Trace, right: Trace) -> int:
     return max(int(s[-1] - s[0]) + 1 if len(s) else 0 for s in spells)
 
 
+def most_off_n(trace: Trace, right: Trace) -> float:
+    """By how much the estimates differ at most, valid or not."""
+    return float(np.abs(trace.rack_force_n - right.rack_force_n).max())
+
+
 def holed(series: dict[str, Series], at_ms: int, lost_ms: int) -> dict[str, Series]:
     """The same without the samples of all signals from ``at_ms`` on."""
     t_ns = series[NAMES[0]].t_ns
