@@ -31,7 +31,7 @@ from eps_hil import within
 _KEPT_FOLDERS = 4
 _LONGEST_WAIT_S, _LOOK_S, _LATE_S = 300.0, 0.02, 1.0
 _BACKGROUND_NICE = 5
-"""For code that another process compiles: then it is compiled here too."""
+"""From here on others do not wait for what a process compiles, and compile it too."""
 _SECOND_NS = 1_000_000_000
 _PACKAGE = Path(__file__).resolve().parent
 _COMPILED = b"eps_hil.compiled import", b"# frozen into compiled code"
@@ -282,7 +282,8 @@ class _Kept:
     """A function's code on disk: of several processes that want it at once, one compiles.
 
     The others wait for it; a process that dies lets go. A folder that knows no locks has none.
-    Nobody waits for a process in the background, which may stand still on a busy machine.
+    For a process in the background, which may stand still on a busy machine, only those wait that
+    are just as nice.
     """
 
     def __init__(self, cache: Any, place: Path) -> None:
@@ -300,10 +301,14 @@ class _Kept:
         with contextlib.suppress(OSError, ImportError):
             self._lock = _locked(self._place)
         found = self._cache.load_overload(signature, context)
+        niceness = os.nice(0)
+        if found is None and niceness >= _BACKGROUND_NICE:
+            self.let_go()
+            with contextlib.suppress(OSError, ImportError):
+                self._lock = _locked(self._place.with_name(f"{self._place.name}.nice{niceness}"))
+            found = self._cache.load_overload(signature, context)
         if found is None:
             _tell(COMPILING)
-            if os.nice(0) >= _BACKGROUND_NICE:
-                self.let_go()
         return found
 
     def save_overload(self, signature: Any, compiled: Any) -> None:

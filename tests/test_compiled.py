@@ -310,6 +310,15 @@ def test_nobody_waits_for_a_process_in_the_background(
                 behind.kill()
 
 
+@pytest.mark.slow
+def test_processes_that_are_as_nice_wait_for_each_other(
+    read_only_install: Path, tmp_path: Path
+) -> None:
+    together = [started(read_only_install, tmp_path, "behind") for _ in range(2)]
+    said = [one.communicate(timeout=120)[0] for one in together]
+    assert sorted(said) == ["compiles\ndone\n", "done\n"]
+
+
 def test_code_goes_to_disk_one_process_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """numba numbers its files by what it read before: two at once would name different code."""
     saved: list[object] = []
