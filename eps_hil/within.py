@@ -22,7 +22,7 @@ from typing import Any
 
 import numba
 
-_TRIED = {"0.60", "0.68"}
+_TRIED = {f"0.{series}" for series in range(60, 69)}
 """Series of numba's versions."""
 _RELIES_ON: dict[str, tuple[str, ...] | None] = {
     "codegen.JITCodeLibrary._optimize_final_module": ("self",),

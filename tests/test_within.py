@@ -294,9 +294,7 @@ def test_numba_compiles_as_always_where_somebody_else_keeps_its_code(
     assert compiled_as_always()
 
 
-@pytest.mark.parametrize(
-    "version", ["0.59.1", "0.64.0", "0.69.0", "1.60.0", "0.69.0dev0+12.gabc", "unknown"]
-)
+@pytest.mark.parametrize("version", ["0.59.1", "0.69.0", "1.60.0", "0.69.0dev0+12.gabc", "unknown"])
 def test_numba_compiles_as_always_in_a_version_that_was_not_tried(
     version: str, monkeypatch: pytest.MonkeyPatch, asked_anew: None
 ) -> None:
@@ -306,7 +304,7 @@ def test_numba_compiles_as_always_in_a_version_that_was_not_tried(
     assert compiled_as_always()
 
 
-@pytest.mark.parametrize("version", ["0.60.0", "0.68.1", "0.68.2rc1"])
+@pytest.mark.parametrize("version", ["0.60.0", "0.61.2", "0.64.0", "0.67.0", "0.68.1", "0.68.2rc1"])
 def test_versions_that_were_tried(
     version: str, monkeypatch: pytest.MonkeyPatch, asked_anew: None
 ) -> None:
