@@ -19,6 +19,7 @@ from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.far_off import ELSEWHERE, FARTHEST_S, NEAREST_S
 from eps_hil.diagnosis.data.intake import RecordingError
 from eps_hil.diagnosis.data.prepare import STEP_S, THIN, Prepared
+from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -43,7 +44,8 @@ _ROUNDS = 4
 
 def late_channels(recordings: Sequence[Prepared], model: Model, *, trusted: bool) -> list[str]:
     """A sentence for every such channel; :class:`RecordingError` unless they are ``trusted``."""
-    told = [said for one in recordings if (said := _said(one, model)) is not None]
+    every = each(lambda one: _said(one, model), recordings)
+    told = [said for said in every if said is not None]
     if told and not trusted:
         name, words = told[0]
         raise RecordingError(name, f"{words}: put all channels on one clock")
@@ -77,7 +79,7 @@ def late_channel(one: Prepared, model: Model) -> tuple[str, float] | None:
     inside = slice(far, len(residual) - far)
     own = np.column_stack([own_column(problem, name) for name in (*ALL, SPRING)])
     own = own * problem.scale[:, None]
-    columns = np.column_stack([_averaged(each) for each in own.T]) * weight[:, None]
+    columns = np.column_stack([_averaged(one) for one in own.T]) * weight[:, None]
     refit = _Refit(columns[inside])
 
     def moved(k: int, by: int) -> Floats:
@@ -86,15 +88,15 @@ def late_channel(one: Prepared, model: Model) -> tuple[str, float] | None:
 
     shifts = range(-far + 1, far)
     lags = [(k, by) for k in range(len(names)) for by in shifts if abs(by) * step_s >= NEAREST_S]
-    before, recorded = refit.believed(moved(0, 0))
-    nats = np.array([refit.believed(moved(*lag))[0] for lag in lags])
+    (before,), (recorded,) = refit.believed(moved(0, 0)[None, :])
+    nats, _ = refit.believed(np.array([moved(*lag) for lag in lags]))
     if before - nats.min() < NATS + np.log(len(lags)):
         return None
     alike = [lag for lag, one in zip(lags, nats, strict=True) if one < nats.min() + ALIKE]
     k, near = min(alike, key=lambda lag: abs(lag[1]))  # periodic motion: a period later, too
     about = [lag for lag in lags if lag[0] == k and abs(lag[1] - near) < ABOUT]
     k, by = min(about, key=lambda lag: nats[lags.index(lag)])
-    _, left = refit.believed(moved(k, by))
+    _, (left,) = refit.believed(moved(k, by)[None, :])
     half = len(left) // 2
     for part in (slice(None, half), slice(half, None)):  # or it explains one event by chance
         if np.sum(left[part] ** 2) > ELSEWHERE * np.sum(recorded[part] ** 2):
@@ -109,16 +111,19 @@ class _Refit:
         self.columns = columns
         self.gram = columns.T @ columns
 
-    def believed(self, values: Floats) -> tuple[float, Floats]:
-        """(minus the log evidence, residual) by the numbers that are likeliest."""
-        variance, slope = 1.0, self.columns.T @ values
+    def believed(self, values: Floats) -> tuple[Floats, Floats]:
+        """(minus the log evidence (k,), residual (k, n)) by the numbers that are likeliest.
+
+        Of each row of ``values`` (k, n): all lags at once.
+        """
+        variance, slope = np.ones(len(values)), values @ self.columns
         for _ in range(_ROUNDS):
-            prior = variance * TOGETHER * np.eye(len(slope))
-            errors = np.linalg.solve(self.gram + prior, slope)
-            left = values - self.columns @ errors
-            variance = max(float(np.mean(left**2)), 1.0)
-        nats = 0.5 * len(values) / TOGETHER * np.log(variance) + 0.5 * float(errors @ errors)
-        return float(nats), left
+            prior = (variance * TOGETHER)[:, None, None] * np.eye(slope.shape[1])
+            errors = np.linalg.solve(self.gram + prior, slope[:, :, None])[:, :, 0]
+            left = values - errors @ self.columns.T
+            variance = np.maximum(np.mean(left**2, axis=1), 1.0)
+        evidence = 0.5 * values.shape[1] / TOGETHER * np.log(variance)
+        return evidence + 0.5 * np.sum(errors**2, axis=1), left
 
 
 def _part(problem: Problem, model: Model, name: str) -> Floats:
