@@ -36,9 +36,10 @@ def wrong_and_valid_ms(trace: Trace, right: Trace) -> int:
     return max(int(s[-1] - s[0]) + 1 if len(s) else 0 for s in spells)
 
 
-def most_off_n(trace: Trace, right: Trace) -> float:
-    """By how much the estimates differ at most, valid or not."""
-    return float(np.abs(trace.rack_force_n - right.rack_force_n).max())
+def wrong_ms(trace: Trace, right: Trace) -> int:
+    """For how many milliseconds an estimate is more than 100 N off, valid or not."""
+    wrong = np.abs(trace.rack_force_n - right.rack_force_n) > 100.0
+    return int(np.count_nonzero(wrong & right.valid))
 
 
 def holed(series: dict[str, Series], at_ms: int, lost_ms: int) -> dict[str, Series]:
