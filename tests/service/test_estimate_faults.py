@@ -1,5 +1,6 @@
 """A quick selection of ``scripts/estimate_faults``, and its judge judged."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -48,11 +49,13 @@ _copy = World.copy
 
 
 def _that_believes_values(world: World, core: ServiceCore) -> ServiceCore:
+    """Nor does it look whether the friction is known, which a false speed leaves unknown."""
     made = _copy(world, core)
     estimator = made.estimator
     assert isinstance(estimator, StreamEstimator)
     limits = estimator.timing.limits._replace(on=False)
     estimator.timing = estimator.timing._replace(limits=limits)
+    estimator.constants = estimator.constants._replace(unknown_limit_n=math.inf)
     return made
 
 
