@@ -201,7 +201,7 @@ def _follow(c: Constants, s: Moment, u: Inputs, travel: float, resting: bool) ->
         s.angle += travel
     s.angle += c.angle_low_pass * (angle - s.angle)
     apart, noise = angle - s.angle, math.sqrt(s.angle_noise)
-    if max(s.angle_periods, s.speed_periods) < _FORGOTTEN_PERIODS:
+    if c.speed_seen and max(s.angle_periods, s.speed_periods) < _FORGOTTEN_PERIODS:
         s.bias = min(max(s.bias, apart - NOISE_SIGMA * noise), apart + NOISE_SIGMA * noise)
     if resting:
         left = c.angle_low_pass / (2.0 - c.angle_low_pass)  # variance that the low-pass leaves

@@ -51,6 +51,7 @@ class Constants(NamedTuple):
     level_step: float
     use_dead_zone: bool
     angle_seen: bool
+    speed_seen: bool
     largest_acceleration: float
     largest_turn: float
     limiter_speed: float
@@ -102,8 +103,13 @@ class Inputs(NamedTuple):
     angle_periods: float = 1.0
 
 
-def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = False) -> Constants:
-    """Observer gain, filters and thresholds for a model (reads nothing, remembers nothing)."""
+def constants(
+    model: Model, settings: EstimatorSettings, angle_seen: bool = False, speed_seen: bool = True
+) -> Constants:
+    """Observer gain, filters and thresholds for a model (reads nothing, remembers nothing).
+
+    ``speed_seen``: the speed is measured, not derived from the angle.
+    """
     measured, step_s = settings.position == "measured", settings.step_s
     obs = observer_design.design(model, settings, angle=measured, speed=True, dt=step_s)
     pole = math.exp(-2 * math.pi * settings.output_low_pass_hz * step_s)
@@ -142,6 +148,7 @@ def constants(model: Model, settings: EstimatorSettings, angle_seen: bool = Fals
         level_step=step_s * settings.level_slew_nm_per_s,
         use_dead_zone=settings.dead_zone,
         angle_seen=angle_seen,
+        speed_seen=speed_seen,
         largest_acceleration=settings.plausibility.largest_acceleration_rad_s2(
             model.rack_to_rotor_ratio_rad_per_m, model.inertia_kg_m2
         ),

@@ -122,7 +122,8 @@ class StreamEstimator:
         self.settings = settings
         model = with_model_effects(model)
         angle_seen = "motor_angle_rad" in periods_s
-        self.constants = setup.constants(model, settings, angle_seen)
+        speed_seen = "motor_speed_rad_s" in periods_s
+        self.constants = setup.constants(model, settings, angle_seen, speed_seen)
         self.physics = setup.physics_of(model)
         if settings.kind == "bristle_filter":
             self.physics = physics_inside(model, settings, self.physics, angle_seen)

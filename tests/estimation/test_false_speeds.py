@@ -9,6 +9,7 @@ from eps_hil.estimation.batch import estimate
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.model import Model
+from eps_hil.series import Series
 
 from .false_signals import (
     NAMES,
@@ -86,6 +87,23 @@ def test_a_speed_that_is_off_until_the_rotor_rests_leaves_no_false_way(
     assert len(off) > 4
     assert max(spells) <= 20
     assert max(off) > 100, "nothing to tell"
+
+
+def test_a_coarse_angle_alone_has_no_speed_beside_it_that_is_off(
+    reference_model: Model, steps_truth: Any
+) -> None:
+    """Its speed is derived from it: what steps of 0.01 rad leave between them is no bias."""
+    whole = series_of(steps_truth)
+    angle = whole.pop(NAMES[3])
+    del whole[NAMES[2]]
+    coarse = Series(angle.t_ns[::20], np.round(angle.value[::20] / 0.01) * 0.01)
+    unknown = [
+        float(np.mean(trace.reason & Reason.FRICTION_UNKNOWN > 0))
+        for trace in (
+            estimate({**whole, NAMES[3]: one}, reference_model) for one in (angle, coarse)
+        )
+    ]
+    assert unknown[1] == pytest.approx(unknown[0], abs=0.01)
 
 
 @pytest.mark.parametrize("gain", [0.85, 1.0, 1.2])
