@@ -25,6 +25,12 @@ from eps_hil.diagnosis.accept.holdout_support import (
 )
 from eps_hil.diagnosis.accept.improvement import Judged, improvement, only_if_clear
 from eps_hil.diagnosis.accept.measured_ratio import settled
+from eps_hil.diagnosis.accept.other_times import (
+    gone,
+    only_at_one_time,
+    or_a_time,
+    places_in_time,
+)
 from eps_hil.diagnosis.accept.placebo import placebos
 from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
@@ -460,6 +466,9 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     if left is not None and (force is not None or not left.words) and EMPIRICAL not in without:
         now = modelled(problem, now, first, judged, look, force, others, say)
         selection, findings, left, extra = now.as_told
+    places = places_in_time(problem, selection.found, findings, judged)
+    if gone(places):
+        return case.again({*without, *gone(places)})
     written = with_remainder(augmented_by(problem, selection.found, findings, others), extra)
     beside_load = augmented_by(problem, selection.found, findings) if extra is None else written
     if worse(problem, beside_load, judged):
@@ -470,7 +479,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     )
     if wrong is not None:
         content = with_channel_fault(content, wrong.finding(model))
-    content["findings"] = doubted(content["findings"], load)
+    content["findings"] = or_a_time(doubted(content["findings"], load), places, without)
     content["fit"]["placebo"] = placebos(now.weighed, now.told, findings, judged)
     as_read: list[Holdout] = []
     ready_to_write = look.in_model(written)
@@ -512,6 +521,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         *unjudged(now.told.found, findings, judged, now.weighed),
         *worse_force(content["fit"]["holdout"]),
         *disagreement(content["fit"]["holdout"], as_read or judged, model, ready_to_write),
+        *only_at_one_time({one: places[one] for one in places if findings}),
         *left_open(content["findings"], problem.size),
         *more_masses(content["findings"], ready_to_write),
         *small_ratio(content),

@@ -99,7 +99,7 @@ def _late(values: Array, seconds: float) -> Array:
 def record(
     effects: Effects, manoeuvre: str, seed: int, noise: float = 1.0, seconds: float = 30.0
 ) -> dict[str, Array]:
-    """One recording (1 kHz) of a manoeuvre: sweep, weave, slow, free or steps."""
+    """One recording (1 kHz) of a manoeuvre: sweep, weave, slow, free, once, twice or steps."""
     rng = np.random.default_rng(seed)
     p = np.array(_BASE, dtype=np.float64)
     for place, value in effects.plant.items():
@@ -160,6 +160,11 @@ def _excitation(
     if manoeuvre.startswith("free"):  # no load on the rack: hands alone
         swing = 7.0 * np.sin(two_pi * 0.23 * a * t) + 4.0 * np.sin(two_pi * 0.61 * b * t + 1)
         return np.zeros(len(t)), swing, 0.9, 1.5e-3
+    if manoeuvre.startswith(("once", "twice")):  # away from where it begins; back; and again
+        turns = 0.25 if manoeuvre.startswith("once") else 1.0
+        way = 1 - np.abs(1 - 4 * ((turns * t / t[-1]) % 0.5))
+        wave = 60 * np.sin(two_pi * 1.3 * a * t) + 40 * np.sin(two_pi * 0.41 * b * t)
+        return wave - 1600 * way, np.zeros(len(t)), 0.6, 4e-3
     levels = rng.uniform(-1200, 1200, int(t[-1] / 1.5) + 2)
     raw = levels[(t / 1.5).astype(int)]
     kernel = np.ones(150) / 150

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis.balance.baseline import GRAVITY, OFFSET, SPRING
 from eps_hil.diagnosis.balance.load_written import SpringLoad, written
 from eps_hil.diagnosis.balance.problem import sliding
+from eps_hil.diagnosis.data.entry import also
 from eps_hil.diagnosis.data.prepare import CUTOFF_HZ, SLOW_HZ, TAKEN_UP, Prepared
 from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.physics.effects.catalogue import catalogue
@@ -166,11 +167,8 @@ def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[di
         other = _RATIO if one["effect"] == _LIKE_A_RATIO else ""
         if sprung and one["effect"] == _LIKE_FRICTION_OF_A_SPRING:
             other = _OF_LOAD
-        if other and other not in one["confusable_with"]:
-            one["confusable_with"] = [*one["confusable_with"], other]
-            one["confidence"] = round(0.5 * float(one["confidence"]), 3)
-            settle = f"against {other}: record the rack force"
-            one["next_experiment"] = "; ".join(filter(None, [one["next_experiment"], settle]))
+        if other:
+            also(one, other, "record the rack force")
     return told
 
 

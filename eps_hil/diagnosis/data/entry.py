@@ -68,6 +68,19 @@ def unknown(
     }
 
 
+def also(one: dict[str, Any], other: str, settle: str) -> None:
+    """Say of a finding that it may be the effect ``other``, which the experiment ``settle`` tells.
+
+    As likely as what it is called: half as sure.
+    """
+    if other in one["confusable_with"]:
+        return
+    one["confusable_with"] = [*one["confusable_with"], other]
+    one["confidence"] = round(0.5 * float(one["confidence"]), 3)
+    told = f"against {other}: {settle}"
+    one["next_experiment"] = "; ".join(filter(None, [one["next_experiment"], told]))
+
+
 def place(
     signal: str, low: float, high: float, share: float, time: float | None = None
 ) -> dict[str, Any]:
