@@ -12,10 +12,13 @@ from eps_hil.errors import EpsHilError, InputError
 
 
 def check_readable(path: Path) -> None:
-    """Refuse a missing, unreadable or empty file and a folder, each with its remedy."""
+    """Refuse a missing, unreadable or empty file, a folder and a pipe, each with its remedy."""
     with refused_by_system(path):
         if path.is_dir():
             raise InputError(path, "", "is a folder, a recording was expected", "name the file")
+        if path.is_fifo():
+            problem = "is a pipe, and a recording is read more than once"
+            raise InputError(path, "", problem, "write it to a file, and name that")
         with path.open("rb") as file:
             if not file.read(1):
                 raise InputError(path, "", "is empty (0 bytes)", "record it again")

@@ -4,7 +4,8 @@ Whole or not at all, and never a NaN that looks like a number.
 """
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,6 +24,8 @@ from eps_hil.signals import TIME
 TABLE_SUFFIXES = (".csv", ".parquet", ".mf4")
 SERIES_SUFFIXES = (*TABLE_SUFFIXES, ".mcap")
 _ROWS = 50_000
+_AHEAD = 3
+"""Pieces of so many rows for each core whose text may wait for a slow disk, or be in the making."""
 _WORTH_ARROW = 20_000
 """Rows from which it is worth while to load pyarrow."""
 _DIGITS = 19
@@ -159,8 +162,6 @@ def _write_by_arrow(file: IO[bytes], columns: Columns, t_ns: Stamps | None) -> N
 
     On all cores: pyarrow writes a table on one.
     """
-    from concurrent.futures import ThreadPoolExecutor
-
     import pyarrow
     import pyarrow.csv
 
@@ -179,9 +180,23 @@ def _write_by_arrow(file: IO[bytes], columns: Columns, t_ns: Stamps | None) -> N
         return out.getvalue()
 
     starts = range(0, len(columns[TIME]), _ROWS)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for part in pool.map(text, (slice(start, start + _ROWS) for start in starts)):
-            file.write(part)
+    for part in _side_by_side(text, (slice(start, start + _ROWS) for start in starts)):
+        file.write(part)
+
+
+def _side_by_side(work: Callable[[slice], Any], pieces: Iterable[slice]) -> Iterator[Any]:
+    """``work`` of every piece, on all cores and in order, but no more ahead than ``_AHEAD``."""
+    from concurrent.futures import Future, ThreadPoolExecutor
+
+    cores = os.cpu_count() or 1
+    begun: deque[Future[Any]] = deque()
+    with ThreadPoolExecutor(cores) as pool:
+        for piece in pieces:
+            if len(begun) == _AHEAD * cores:
+                yield begun.popleft().result()
+            begun.append(pool.submit(work, piece))
+        while begun:
+            yield begun.popleft().result()
 
 
 def _decimals(t_ns: Stamps) -> Any:

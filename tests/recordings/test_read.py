@@ -1,4 +1,5 @@
 import builtins
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,14 @@ def test_missing_file_folder_and_empty_file(tmp_path: Path, suffix: str) -> None
     path.unlink()
     path.mkdir()
     assert "is a folder" in _refused(path, dbc=[DBC], signals=SIGNALS)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    os.mkfifo(path)
+    said = _refused(path, dbc=[DBC], signals=SIGNALS)
+    assert "is a pipe, and a recording is read more than once; write it to a file" in said
 
 
 def test_unreadable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

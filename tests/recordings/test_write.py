@@ -1,7 +1,12 @@
 import errno
+import io
+import os
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow.csv
 import pyarrow.parquet
 import pytest
 from hypothesis import given, settings
@@ -122,6 +127,31 @@ def test_many_rows_are_written_as_few_are(
     )
     few, many = ((tmp_path / f"{name}.csv").read_text().split() for name in ("few", "many"))
     assert [one.split(",")[0] for one in few] == [one.split(",")[0] for one in many]
+
+
+def test_no_more_text_waits_for_a_slow_disk_than_a_few_pieces(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made, written, waiting = [], bytearray(), []
+    by_arrow = pyarrow.csv.write_csv
+
+    def counted(*given: Any) -> None:
+        by_arrow(*given)
+        made.append(1)
+
+    class Slow(io.BytesIO):
+        def write(self, text: Any) -> int:
+            time.sleep(0.01)
+            waiting.append(len(made))
+            written.extend(text)
+            return len(text)
+
+    monkeypatch.setattr(pyarrow.csv, "write_csv", counted)
+    monkeypatch.setattr(write, "_ROWS", 10)
+    write._write_by_arrow(Slow(), {"time_s": np.arange(1_000) / 4}, None)
+    assert [float(line) for line in written.split()] == [k / 4 for k in range(1_000)]
+    most = max(count - k for k, count in enumerate(waiting))
+    assert 1 < most <= write._AHEAD * (os.cpu_count() or 1)
 
 
 def test_union_of_stamps_holds_every_sample(tmp_path: Path) -> None:
