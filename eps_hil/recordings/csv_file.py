@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from eps_hil.errors import InputError
+from eps_hil.recordings.arrow_numbers import numbers
 from eps_hil.recordings.files import first_line_and_rest
 from eps_hil.recordings.table import (
     EPOCH_S,
@@ -308,13 +309,7 @@ def _by_arrow(
                 return None
             cells[:, k] = stamps / 10.0 ** exact[1]
             continue
-        parts = [
-            np.from_dlpack(chunk)  # pyarrow's own way loads pandas, where that is there
-            if not chunk.null_count
-            else chunk.to_numpy(zero_copy_only=False)
-            for chunk in table[name].chunks
-        ]
-        np.concatenate(parts, out=cells[:, k])
+        numbers(table[name], cells[:, k])
     return cells, stamps
 
 

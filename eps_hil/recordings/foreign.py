@@ -24,6 +24,7 @@ from pydantic_core import PydanticCustomError
 
 from eps_hil import yaml_file
 from eps_hil.errors import InputError
+from eps_hil.recordings.arrow_numbers import numbers
 from eps_hil.recordings.files import needs_extra, read_bytes
 from eps_hil.recordings.read import is_can_log, read_recording
 from eps_hil.recordings.recording import Recording
@@ -245,7 +246,7 @@ def _parquet(path: Path) -> dict[str, Floats]:
     for name in table.column_names:
         kind = table.column(name).type
         if pyarrow.types.is_floating(kind) or pyarrow.types.is_integer(kind):
-            found[name] = np.asarray(table.column(name).to_numpy(), dtype=np.float64)
+            found[name] = numbers(table.column(name).cast(pyarrow.float64(), safe=False))
     return found
 
 

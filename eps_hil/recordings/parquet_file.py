@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.errors import InputError
+from eps_hil.recordings.arrow_numbers import numbers
 from eps_hil.recordings.files import check_readable, needs_extra
 from eps_hil.recordings.table import (
     TIME_NS,
@@ -103,10 +104,10 @@ def _floats(path: Path, name: str, column: Any) -> Floats:
     ):
         place = f"column {name}"
         raise InputError(path, place, f"holds {kind}, not numbers", "export it as numbers")
-    valid = column.is_valid().to_numpy()
-    plain = column.cast(pyarrow.float64(), safe=False)
-    values: Floats = plain.to_numpy().astype(np.float64)  # a copy of our own; null is NaN here
-    values[valid & ~np.isfinite(values)] = np.inf
+    values = numbers(column.cast(pyarrow.float64(), safe=False))
+    bad = ~np.isfinite(values)
+    if bad.any():
+        values[bad & (numbers(column.is_valid().cast(pyarrow.int8())) != 0)] = np.inf
     return values
 
 
@@ -116,6 +117,6 @@ def _stamps(path: Path, content: Any) -> Stamps:
     name = TIME_NS if TIME_NS in content.column_names else TIME
     column = content.column(name)
     if name == TIME_NS and pyarrow.types.is_integer(column.type) and not column.null_count:
-        return np.asarray(column.to_numpy(), dtype=np.int64)
+        return numbers(column).astype(np.int64, copy=False)
     seconds = _floats(path, name, column) * (1e-9 if name == TIME_NS else 1.0)
     return stamps_from_seconds(path, seconds, _row, column=f"column {name}")

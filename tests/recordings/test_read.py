@@ -1,5 +1,7 @@
 import builtins
 import os
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -175,3 +177,19 @@ def test_truncated_table_is_read_or_refused(
         return
     assert suffix == ".csv" or cut > 0.5  # Parquet and MF4 end with their index
     assert 0 < len(series["rack_force_n"].t_ns) <= 300
+
+
+def test_no_table_loads_pandas(tmp_path: Path) -> None:
+    """Where pyarrow is asked the wrong way it loads pandas: 40 MB for the whole run."""
+    path = _parquet(tmp_path / "a.parquet", {"time_s": [0.0, 0.1, 0.2], "rack_force_n": [1, 2, 3]})
+    rows = "".join(f"{k / 1000},{k / 7}\n" for k in range(10_000))
+    (tmp_path / "a.csv").write_text(f"time_s,rack_force_n\n{rows}")
+    program = (
+        "import sys\n"
+        "from eps_hil.recordings.read import read_recording\n"
+        "for name in sys.argv[1:]:\n"
+        "    read_recording(name)\n"
+        "sys.exit('pandas' in sys.modules)\n"
+    )
+    words = [sys.executable, "-c", program, str(path), str(tmp_path / "a.csv")]
+    subprocess.run(words, check=True)
