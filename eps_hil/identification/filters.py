@@ -54,14 +54,16 @@ def _read_off(
 ) -> None:
     """Four samples from ``whole`` − 1 on under their weights; the first and last value held."""
     n = len(values)
-    inside = max(0, 1 - whole), min(n, n - whole - 2)
-    for k in range(n):
-        at = k + whole
-        if inside[0] <= k < inside[1]:
-            out[k] = (
-                w0 * values[at - 1] + w1 * values[at] + w2 * values[at + 1] + w3 * values[at + 2]
-            )
-        else:
+    first, last = max(0, 1 - whole), min(n, n - whole - 2)
+    if first < last:
+        at = first + whole
+        a, b, c, d = values[at - 1 :], values[at:], values[at + 1 :], values[at + 2 :]
+        inside = out[first:last]
+        for k in range(len(inside)):  # plain enough to take several samples at once
+            inside[k] = w0 * a[k] + w1 * b[k] + w2 * c[k] + w3 * d[k]
+    for begin, end in ((0, min(first, n)), (max(first, last), n)):
+        for k in range(begin, end):
+            at = k + whole
             out[k] = (
                 w0 * values[min(max(at - 1, 0), n - 1)]
                 + w1 * values[min(max(at, 0), n - 1)]

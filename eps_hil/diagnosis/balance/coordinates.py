@@ -27,5 +27,5 @@ def coordinates_of(recordings: Sequence[Prepared], model: Model) -> Mapping[str,
             "time_s": recording.time_s,
         }
         for name, values in signals.items():
-            rows.setdefault(name, []).append(values[take])
+            rows.setdefault(name, []).append(values[take].copy())  # a view holds all of it
     return {name: np.concatenate(parts) for name, parts in rows.items()}

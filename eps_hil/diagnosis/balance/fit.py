@@ -122,8 +122,7 @@ def fit(
         found = [known[term_of(work[k]), n] for k, n in names]
         jacobian = np.column_stack([columns, *found])
         fresh_now, fresh = len(wanted) == len(names), False
-        weighted = jacobian * huber(residual, at)[:, None]
-        normal, slope = weighted.T @ jacobian, weighted.T @ residual
+        normal, slope = _normal(jacobian, residual, at)
         normal[knobs.diagonal] += 1.0
         slope[: len(knobs.names)] += knobs.vector
         size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
@@ -150,6 +149,12 @@ def fit(
         fresh = before - cost < _TRUSTED * promised
     groups = problem.block, problem.stretch
     return Fit(tuple(work), residual, names, jacobian, knobs.values, cost, at, groups)
+
+
+def _normal(jacobian: Floats, residual: Floats, at: float) -> tuple[Floats, Floats]:
+    """Normal matrix and slope under Huber's weights."""
+    weighted = jacobian * huber(residual, at)[:, None]
+    return weighted.T @ jacobian, weighted.T @ residual
 
 
 class _Knobs:

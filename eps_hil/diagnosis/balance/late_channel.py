@@ -71,7 +71,7 @@ def late_channel(one: Prepared, model: Model) -> tuple[str, float] | None:
     far = round(FARTHEST_S / step_s)
     if len(one.thin_time_s) // BLOCK - 2 * far < _FEWEST:
         return None
-    problem = Problem([one], model)
+    problem = Problem([one.alone()], model)
     names = [name for name in LOADS if name in one.raw and np.any(one.raw[name])]
     residual = _averaged(problem.residual(model) * problem.scale)
     weight = 1.0 / _averaged(problem.scale)

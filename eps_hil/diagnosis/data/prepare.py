@@ -51,10 +51,10 @@ FEWEST_STEPS = 2.0
 EDGE_S = 0.25
 """Left out at both ends of a recording, where a filter without phase has only one side."""
 
-_MOST_SHIFTED, _LEAST_SHIFTED = 40, 8
+_MOST_SHIFTED, _LEAST_SHIFTED = 40, 11
 _MOST_SHIFTED_BYTES = 200_000_000
-"""Of all recordings together. An hour's signals are 29 MB each: what is remembered of them has to
-end somewhere. No motion needs more than eight at once."""
+"""Of all recordings together: an hour's signals are 29 MB each. Where there is no room for the
+eleven that one motion may need, none is remembered: they would only push each other out."""
 _SAMPLED = 3e-4
 """Of the motor torque's rms: what the balance of a sampled recording leaves without any noise. A
 torque that steps, or friction that turns, between samples of 1 ms leaves nearly as much."""
@@ -99,7 +99,7 @@ class Prepared:
     """Whether a speed was measured, but mostly noise, so that the angle's rate took its place."""
     among: int = 1
     """Recordings that are looked at together, and share what may be remembered of them."""
-    _shifted: dict[tuple[int, float, int], Floats] = field(default_factory=dict)
+    _shifted: dict[tuple[int, float, int, bool], Floats] = field(default_factory=dict)
 
     def changed(self, **values: Any) -> "Prepared":
         """A copy with fields changed; what is remembered of the signals goes with them."""
@@ -111,6 +111,13 @@ class Prepared:
         copy.__dict__["_kinematics"] = self._kinematics
         if "_without_noise" in self.__dict__:
             copy.__dict__["_without_noise"] = self._without_noise
+        return copy
+
+    def alone(self) -> "Prepared":
+        """The same, looked at by itself: what is remembered of its signals goes with it."""
+        copy = replace(self, among=1, _shifted={})
+        for name in ("_kinematics", "_without_noise"):
+            copy.__dict__[name] = getattr(self, name)
         return copy
 
     def by_angle(self) -> "Prepared":
@@ -133,8 +140,7 @@ class Prepared:
         smooth = low_pass(self.raw["motor_speed_rad_s"], SMOOTH_HZ)
         travel = _moved(smooth)
         copy = replace(self, _shifted={})
-        moving = {"speed": smooth, "travel": travel, "slip": np.abs(travel)}
-        copy.__dict__["_kinematics"] = {**self._kinematics, **moving}
+        copy.__dict__["_kinematics"] = {**self._kinematics, "speed": smooth, "travel": travel}
         return copy
 
     def as_measured(self) -> "Prepared":
@@ -183,7 +189,7 @@ class Prepared:
             self._at(kinematics["speed"], late, every),
             angle,
             self._at(kinematics["travel"], late, every, summed=True),
-            self._at(kinematics["slip"], late, every, summed=True),
+            self._at(kinematics["travel"], late, every, summed=True, size=True),
             self._at(kinematics["acceleration"], late, every),
         )
 
@@ -355,25 +361,35 @@ class Prepared:
         return self._at(self.raw[name], delay_s, every)
 
     def _at(
-        self, values: Floats, delay_s: float, every: int = 1, *, summed: bool = False
+        self,
+        values: Floats,
+        delay_s: float,
+        every: int = 1,
+        *,
+        summed: bool = False,
+        size: bool = False,
     ) -> Floats:
+        """A signal, or its ``size``, at physical instants."""
         if delay_s == 0.0 and every == 1:
-            return values
-        key = (id(values), delay_s, every)
+            return np.abs(values) if size else values
+        key = (id(values), delay_s, every, size)
         found = self._shifted.pop(key, None)  # other threads may take one away at any time
         if found is None:
-            most = _MOST_SHIFTED_BYTES // (values.nbytes * self.among)
-            for old in [*self._shifted][: -min(_MOST_SHIFTED, max(most, _LEAST_SHIFTED)) + 1]:
-                self._shifted.pop(old, None)  # what was wanted last stands last
             first = round(EDGE_S / STEP_S) % every  # the first thinned sample is one of them
             # straight lines would take noise off between the samples, and a delay would gain by it
-            found = every_so_many(shifted(values, delay_s), every, first, summed=summed)
+            late = shifted(np.abs(values) if size else values, delay_s)
+            found = every_so_many(late, every, first, summed=summed)
+            most = min(_MOST_SHIFTED, _MOST_SHIFTED_BYTES // (values.nbytes * self.among))
+            if most < _LEAST_SHIFTED:
+                return found
+            for old in [*self._shifted][: -most + 1]:
+                self._shifted.pop(old, None)  # what was wanted last stands last
         self._shifted[key] = found
         return found
 
     @cached_property
     def _kinematics(self) -> Mapping[str, Floats]:
-        """Smoothed speed (zero at rest), travel, slip and raw acceleration at report stamps."""
+        """Smoothed speed (zero at rest), travel and raw acceleration at report stamps."""
         speed = self.raw["motor_speed_rad_s"]
         smooth = low_pass(speed, SMOOTH_HZ)
         resting = self._resting(speed)
@@ -390,7 +406,6 @@ class Prepared:
             "speed": np.where(resting, 0.0, smooth),
             "angle": angle,
             "travel": travel,
-            "slip": np.abs(travel),
             "acceleration": np.gradient(self._of_motion(speed), STEP_S)
             + (0.0 if self.slack_rad_s2 is None else self.slack_rad_s2),
         }

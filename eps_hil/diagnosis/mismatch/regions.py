@@ -19,7 +19,8 @@ from eps_hil.diagnosis.data.prepare import STEP_S, THIN
 from eps_hil.diagnosis.mismatch.locate import coordinates
 
 Floats = npt.NDArray[np.float64]
-Axis = tuple[Floats, npt.NDArray[np.int64]]
+Axis = tuple[Floats, npt.NDArray[np.int8]]
+"""Edges of a coordinate's parts, and the part that each sample is in."""
 
 CELLS_1D, CELLS_2D = 12, 6
 FALSE_DISCOVERIES = 0.01
@@ -148,10 +149,10 @@ def _telling(cell: Cell) -> float:
 
 
 def _divided(values: Floats, count: int) -> Axis:
-    """A coordinate in ``count`` parts that hold as many samples each: edges, each sample's part."""
+    """A coordinate in ``count`` parts that hold as many samples each."""
     edges = np.unique(np.quantile(values, np.linspace(0, 1, count + 1)))
     place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-    return edges, place
+    return edges, place.astype(np.int8)
 
 
 def _map(

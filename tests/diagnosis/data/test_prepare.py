@@ -72,13 +72,29 @@ def test_recordings_looked_at_together_share_what_may_be_remembered(
         for late_s in np.linspace(1e-3, 4e-3, 20):
             one._at(one.raw["motor_speed_rad_s"], float(late_s))
         kept.append(len(one._shifted))
-    assert kept[1] <= 10 < kept[0]
+    assert kept == [20, 0]
+
+
+def test_what_is_not_remembered_is_the_same(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    """Of an hour nothing is: whoever looks at one recording for long looks at it alone."""
+    (series,) = record({}, ("weave",), seconds=5.0).values()
+    few = prepare("weave", series)
+    many = few.changed(among=10_000)
+    alone = many.alone()
+    before = few.left_over(reference_model)
+    for one in (many, alone):
+        np.testing.assert_array_equal(one.left_over(reference_model), before)
+    assert not many._shifted
+    assert alone._shifted
+    assert alone._kinematics is many._kinematics
 
 
 def test_what_was_wanted_last_is_remembered(record: Callable[..., Any]) -> None:
     """A delay that is tried takes the place of one that was tried before, not of one in use."""
     (series,) = record({}, ("weave",), seconds=5.0).values()
-    one = prepare("weave", series).changed(among=10_000)
+    one = prepare("weave", series).changed(among=400)
     in_use = [one._at(one.raw["motor_speed_rad_s"], 1e-3 * k) for k in range(1, 5)]
     for late_s in np.linspace(5e-3, 9e-3, 20):
         one._at(one.raw["motor_torque_nm"], float(late_s))
