@@ -15,6 +15,7 @@ import hashlib
 import importlib.util
 import inspect
 import os
+import re
 import shutil
 import stat
 import sys
@@ -279,7 +280,7 @@ class Locator:
 
 
 class _Kept:
-    """A function's code on disk: of several processes that want it at once, one compiles.
+    """A function's code on disk: of several that want it for the same types at once, one compiles.
 
     The others wait for it; a process that dies lets go. A folder that knows no locks has none.
     For a process in the background, which may stand still on a busy machine, only those wait that
@@ -288,7 +289,7 @@ class _Kept:
 
     def __init__(self, cache: Any, place: Path) -> None:
         self._cache, self._place = cache, place
-        self._lock: Any = None
+        self._locks: dict[Any, Any] = {}
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._cache, name)
@@ -296,16 +297,17 @@ class _Kept:
     def load_overload(self, signature: Any, context: Any) -> Any:
         """The code from disk; None: compile it, and :meth:`let_go` when it is there."""
         found = self._cache.load_overload(signature, context)
-        if found is not None or self._lock is not None:
+        if found is not None or signature in self._locks:
             return found
+        place = self._place.with_name(f"{self._place.name}.{_types(signature)}")
         with contextlib.suppress(OSError, ImportError):
-            self._lock = _locked(self._place)
+            self._locks[signature] = _locked(place)
         found = self._cache.load_overload(signature, context)
         niceness = os.nice(0)
         if found is None and niceness >= _BACKGROUND_NICE:
-            self.let_go()
+            self.let_go(signature)
             with contextlib.suppress(OSError, ImportError):
-                self._lock = _locked(self._place.with_name(f"{self._place.name}.nice{niceness}"))
+                self._locks[signature] = _locked(place.with_name(f"{place.name}.nice{niceness}"))
             found = self._cache.load_overload(signature, context)
         if found is None:
             _tell(COMPILING)
@@ -322,11 +324,16 @@ class _Kept:
             if lock is not None:
                 lock.close()
 
-    def let_go(self) -> None:
+    def let_go(self, signature: Any) -> None:
         """Let others in."""
-        if self._lock is not None:
-            self._lock.close()
-            self._lock = None
+        lock = self._locks.pop(signature, None)
+        if lock is not None:
+            lock.close()
+
+
+def _types(signature: Any) -> str:
+    """A name of the types, in all processes the same."""
+    return hashlib.sha256(re.sub("0x[0-9a-f]+", "", repr(signature)).encode()).hexdigest()[:16]
 
 
 _logs_too: list[bool] = []
@@ -378,7 +385,7 @@ def _compile_once(function: Any, folder: Path, digest: str | None) -> None:
         try:
             return compile_for(signature)
         finally:
-            kept.let_go()
+            kept.let_go(signature)
 
     function._cache, function.compile = kept, compiled
 

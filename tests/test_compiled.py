@@ -343,6 +343,31 @@ def test_code_goes_to_disk_one_process_at_a_time(monkeypatch: pytest.MonkeyPatch
     assert len(saved) == 1
 
 
+def test_only_who_wants_it_for_the_same_types_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FunctionCache, "load_overload", lambda *_: None)
+    monkeypatch.setattr(FunctionCache, "save_overload", lambda *_: None)
+
+    @kernel
+    def fourth(value: float) -> float:
+        return 0.25 * value
+
+    place: Path = vars(fourth)["_cache"]._place
+    place.parent.mkdir(parents=True, exist_ok=True)
+    waits = threading.Thread(target=fourth, args=(16.0,))
+    name = f"{place.name}.{compiled._types((numba.float64,))}"
+    with place.with_name(name).open("wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        other = threading.Thread(target=fourth, args=(16,))
+        other.start()
+        other.join(60.0)
+        assert not other.is_alive()
+        waits.start()
+        waits.join(0.5)
+        assert waits.is_alive()
+    waits.join(60.0)
+    assert not waits.is_alive()
+
+
 @pytest.mark.parametrize("logs_too", [False, True])
 def test_who_waits_for_another_process_says_so_once(
     tmp_path: Path,
