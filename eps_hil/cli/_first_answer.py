@@ -29,9 +29,10 @@ def _is_compiled(effects: bool) -> bool:
 
     if compiled.FOLDER is None:
         return False
-    place = compiled.FOLDER / "functions" / "estimation" / "stream_steps"
     table = b"Added" if effects else b"Nothing"  # the type by which it was compiled
-    return any(table in index.read_bytes() for index in place.glob("*.run-*.nbi"))
+    # in which folder depends on numba's version
+    found = compiled.FOLDER.rglob("stream_steps.run-*.nbi")
+    return any(table in index.read_bytes() for index in found)
 
 
 def prepare(series: "Mapping[str, Series]", recordings: int, *, effects: bool) -> None:

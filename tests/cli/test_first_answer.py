@@ -5,7 +5,6 @@ import pickle
 import subprocess
 import sys
 import threading
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -65,64 +64,115 @@ def test_it_is_interpreted_and_the_same(tmp_path: Path) -> None:
     assert (tmp_path / "first.csv").read_bytes() == (tmp_path / "later.csv").read_bytes()
 
 
+@pytest.mark.parametrize(
+    "folder",
+    ["functions/estimation/stream_steps", "estimation_0f3a"],
+    ids=["by our locator", "by numba's own, before 0.62"],
+)
+def test_what_is_compiled_already_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    monkeypatch.setattr(compiled, "FOLDER", tmp_path)
+    place = tmp_path / folder
+    place.mkdir(parents=True)
+    (place / "stream_steps.merge-395.py311.nbi").write_bytes(b"Nothing")
+    assert not _first_answer._is_compiled(effects=False)
+    (place / "stream_steps.run-369.py311.nbi").write_bytes(b"a record, Nothing, an array")
+    assert _first_answer._is_compiled(effects=False)
+    assert not _first_answer._is_compiled(effects=True)
+
+
+class Clock:
+    """Time in which nothing happens but what the test does; timers go off as it passes."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.timers: list[tuple[float, Timer]] = []
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+        due = [timer for when, timer in self.timers if when <= self.now]
+        self.timers = [(when, timer) for when, timer in self.timers if when > self.now]
+        for timer in due:
+            if not timer.finished.is_set():  # nobody cancelled it
+                timer.function()
+
+
+class Timer(threading.Timer):
+    clock: Clock
+
+    def start(self) -> None:
+        self.clock.timers.append((self.clock.now + self.interval, self))
+
+
 @pytest.fixture
-def late(monkeypatch: pytest.MonkeyPatch) -> Iterator[float]:
-    """Seconds of compiling after which a process says so; what listens is gone afterwards."""
+def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Clock]:
+    """The clock of what listens, which is gone afterwards."""
+    clock = Clock()
+    monkeypatch.setattr(Timer, "clock", clock, raising=False)
+    monkeypatch.setattr(threading, "Timer", Timer)
+    monkeypatch.setattr(_first_answer, "time", SimpleNamespace(monotonic=lambda: clock.now))
     monkeypatch.setattr(event, "_registered", defaultdict(list))
-    monkeypatch.setattr(_first_answer, "LATE_S", 0.2)
+    monkeypatch.setattr(_first_answer, "LATE_S", LATE_S)
     _first_answer.say_if_it_compiles.cache_clear()
-    yield 0.2
+    yield clock
     _first_answer.say_if_it_compiles.cache_clear()
 
 
-def _compile(seconds: float, within: float = 0.0) -> None:
+LATE_S = 0.25
+"""Seconds of compiling after which a process says so."""
+
+
+def _compile(clock: Clock, seconds: float, within: float = 0.0) -> None:
     """As numba tells of a kernel, and of one that it calls."""
     with event.trigger_event("numba:compile", data={}):
         if within:
-            _compile(within)
-        time.sleep(seconds)
+            _compile(clock, within)
+        clock.sleep(seconds)
 
 
 @pytest.mark.parametrize(
     ("kernels", "lines"),
     [
-        ([(0.4, 0.0)], 1),
-        ([(0.02, 0.0)] * 3, 0),
-        ([(0.06, 0.0)] * 6, 1),  # none of them takes long
-        ([(0.0, 0.4), (0.4, 0.0)], 1),
+        ([(0.5, 0.0)], 1),
+        ([(0.0625, 0.0)] * 3, 0),
+        ([(0.0625, 0.0)] * 6, 1),  # none of them takes long
+        ([(0.0, 0.5), (0.5, 0.0)], 1),
     ],
 )
 def test_a_process_that_compiles_for_long_says_so_once(
-    late: float,
+    clock: Clock,
     capsys: pytest.CaptureFixture[str],
     kernels: list[tuple[float, float]],
     lines: int,
 ) -> None:
     _first_answer.say_if_it_compiles()
     for seconds, within in kernels:
-        _compile(seconds, within)
-        time.sleep(late)  # in which nothing is compiled
+        _compile(clock, seconds, within)
+        clock.sleep(LATE_S)  # in which nothing is compiled
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err == f"{COMPILING}\n" * lines
 
 
+def test_it_is_said_while_it_compiles(clock: Clock, capsys: pytest.CaptureFixture[str]) -> None:
+    _first_answer.say_if_it_compiles()
+    with event.trigger_event("numba:compile", data={}):
+        clock.sleep(0.2)
+        assert capsys.readouterr().err == ""
+        clock.sleep(0.2)
+        assert capsys.readouterr().err == f"{COMPILING}\n"
+
+
 def test_a_compilation_that_ends_as_the_time_is_up_is_said(
-    late: float, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    clock: Clock, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The timer was cancelled a moment before, and no later one was set: nobody was told."""
-    monkeypatch.setattr(threading, "Timer", Idle)
+    monkeypatch.setattr(Timer, "start", lambda self: None)  # as if each were late
     _first_answer.say_if_it_compiles()
     for _ in range(2):
-        _compile(late)
+        _compile(clock, LATE_S)
     assert capsys.readouterr().err == f"{COMPILING}\n"
-
-
-class Idle(threading.Timer):
-    """As if each were late."""
-
-    def start(self) -> None:
-        pass
 
 
 @pytest.mark.parametrize(
@@ -154,8 +204,8 @@ class Idle(threading.Timer):
         ),
     ],
 )
-@pytest.mark.usefixtures("late")
 def test_verbs_that_compile_say_so(
+    clock: Clock,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -167,7 +217,7 @@ def test_verbs_that_compile_say_so(
     write_table(drive, {"motor_torque_nm": np.zeros(9)}, t_ns=np.arange(9) * 1_000_000)
 
     def compiles(*_: object, **__: object) -> NoReturn:
-        _compile(0.4)
+        _compile(clock, 0.5)
         raise OSError(5, "enough")
 
     monkeypatch.setattr(works, compiles)
@@ -179,12 +229,14 @@ def test_verbs_that_compile_say_so(
     assert said.err.count("\n") == 2
 
 
-@pytest.mark.usefixtures("late")
 def test_golden_check_and_a_proof_say_that_they_compile(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    clock: Clock,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def compiles(*_: object) -> NoReturn:
-        _compile(0.4)
+        _compile(clock, 0.5)
         raise OSError(5, "enough")
 
     kept = SimpleNamespace(log=tmp_path, config=tmp_path, files={"log": "a"})
@@ -204,12 +256,11 @@ def test_golden_check_and_a_proof_say_that_they_compile(
     assert capsys.readouterr().err.splitlines()[0] == COMPILING
 
 
-@pytest.mark.usefixtures("late")
 def test_monitor_says_that_it_compiles(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def compiles(_: object) -> NoReturn:
-        _compile(0.4)
+        _compile(clock, 0.5)
         raise OSError(5, "enough")
 
     monkeypatch.setattr("eps_hil.monitor.view_model.warm_up", compiles)
