@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import functools
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -91,8 +92,9 @@ def _refuse_fields_beside(
 
 def validate(path: str | Path, content: Any, kind: type[T], *, section: str = "") -> T:
     """Validate parsed content as ``kind``; the file is named in errors, with the line."""
+    asked: Any = kind  # hashable, which its type does not say
     try:
-        return TypeAdapter(kind).validate_python(content)
+        return _adapter(asked).validate_python(content)
     except ValidationError as error:
         problems = error.errors(include_url=False)
         prefix = (section,) if section else ()
@@ -102,6 +104,12 @@ def validate(path: str | Path, content: Any, kind: type[T], *, section: str = ""
         )
         more = f" (and {len(problems) - _MAX_SHOWN} more)" if len(problems) > _MAX_SHOWN else ""
         raise InputError(path, first, shown + more, "correct the field") from None
+
+
+@functools.cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    """Making one takes tens of milliseconds for the larger configurations."""
+    return TypeAdapter(kind)
 
 
 def _said(problem: Any) -> str:
