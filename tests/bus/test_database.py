@@ -69,6 +69,16 @@ def test_several_files_read_as_one(tmp_path: Path) -> None:
     assert find_message(database, "M3") is None
 
 
+def test_a_file_is_parsed_again_when_it_has_changed(tmp_path: Path) -> None:
+    path = tmp_path / "a.dbc"
+    path.write_text(GOOD.format(id=1, name="A"))
+    first = load_database([path])
+    assert load_database([path]).messages[0] is first.messages[0]
+    path.write_text(GOOD.format(id=1, name="B"))
+    assert [m.name for m in load_database([path]).messages] == ["B"]
+    assert [m.name for m in first.messages] == ["A"]
+
+
 def two(tmp_path: Path, first: str, second: str) -> list[Path]:
     paths = [tmp_path / "a.dbc", tmp_path / "b.dbc"]
     for path, text in zip(paths, (first, second), strict=True):
