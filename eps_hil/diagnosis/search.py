@@ -7,6 +7,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from eps_hil.diagnosis.accept.as_name import as_name
+from eps_hil.diagnosis.accept.as_one_law import as_one_law
 from eps_hil.diagnosis.accept.beside_law import beside_law
 from eps_hil.diagnosis.accept.holdout_support import augmented_by, holdout_support
 from eps_hil.diagnosis.accept.measured_ratio import settled
@@ -230,10 +231,15 @@ def modelled(
         now = replace(now, findings=findings, extra=extra)
         # where a load was measured, names have had their turn beside laws
         return _by_name(problem, now, judged, tied) if tied and extra is not None else now
-    shown, findings = found.selection, found.findings
-    extra = simulated_too(problem, shown, findings, found.remainder, judged)
+    shown, findings, extra = found.selection, found.findings, found.remainder
+    weighed, told = found.weighed, found.told
+    whole = as_one_law(problem, shown, findings, extra, judged)
+    if whole is not None:
+        shown, findings, extra = whole.selection, whole.findings, whole.law
+        weighed, told = problem, shown
+    extra = simulated_too(problem, shown, findings, extra, judged)
     left = force or left_of(problem, shown, judged) or now.left
-    return Names(found.weighed, found.told, shown, findings, left, extra)
+    return Names(weighed, told, shown, findings, left, extra)
 
 
 def _by_name(

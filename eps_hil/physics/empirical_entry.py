@@ -42,6 +42,7 @@ INPUTS = (
 )
 """Signals of CONTRACT 2, their sizes (abs_…), whether a torque drives (1) or brakes (-1), and the
 motor's power."""
+SIGNS = tuple(one for one in INPUTS if one.endswith("_power_sign"))
 SHAPES = (
     "one",
     "linear",

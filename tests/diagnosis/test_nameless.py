@@ -40,6 +40,17 @@ def test_a_loss_that_looks_like_a_ratio_is_modelled(reference_model: Model) -> N
 
 
 @pytest.mark.slow
+def test_a_loss_where_the_load_drives_is_one_law_and_no_friction(reference_model: Model) -> None:
+    """|F| where the load drives: half of it is friction that grows with the load, half a gain."""
+    told = diagnosed(reference_model, "late_nut_loss", seed=12)
+    (found,) = told.content["findings"]
+    assert found["resembles"][0]["what"] == "mesh efficiency, driving against driven"
+    assert found["where"][0]["signal"] == "rack_force_n"
+    assert found["model"]["holdout_share_removed"] == pytest.approx(1.0, abs=0.03)
+    assert [one["effect"] for one in told.model.effects] == ["empirical"]
+
+
+@pytest.mark.slow
 def test_friction_that_follows_the_load_late_is_found_beside_what_follows_at_once(
     reference_model: Model,
 ) -> None:

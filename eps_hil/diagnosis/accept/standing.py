@@ -20,6 +20,7 @@ from eps_hil.diagnosis.balance.baseline import ALL
 from eps_hil.diagnosis.balance.problem import BLOCK_S, Problem
 from eps_hil.diagnosis.remainder.as_effect import numbers_of
 from eps_hil.diagnosis.remainder.find import Remainder
+from eps_hil.physics.empirical_entry import SIGNS
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -69,11 +70,19 @@ def price(
 
     Numbers are those of the findings, of laws, the knots of tables, and what was fitted beside.
     """
+    energy = float(np.sum(_energies(problem, written, judged)))
+    numbers = number_count(selection, findings, extra)
+    return energy + numbers * price_of_one(problem, judged)
+
+
+def number_count(
+    selection: Selection, findings: Sequence[int], extra: Remainder | None = None
+) -> int:
+    """How many numbers the findings and what has no name have, see :func:`price`."""
     numbers = sum(k in findings for k, _ in selection.found.names)
     if extra is not None:
         numbers += len(ALL) * extra.refitted + sum(_numbers(one) for one in extra.entries)
-    energy = float(np.sum(_energies(problem, written, judged)))
-    return energy + numbers * price_of_one(problem, judged)
+    return numbers
 
 
 def price_of_one(problem: Problem, judged: Sequence[Holdout]) -> float:
@@ -93,7 +102,7 @@ def _samples(problem: Problem, judged: Sequence[Holdout]) -> int:
 def _numbers(entry: Mapping[str, Any]) -> int:
     if "values" in entry:
         return int(np.size(entry["values"]))
-    fixed = [f"centre_{i}" for i, one in enumerate(entry["inputs"], 1) if one.endswith("_sign")]
+    fixed = [f"centre_{i}" for i, one in enumerate(entry["inputs"], 1) if one in SIGNS]
     return len(numbers_of(entry).keys() - fixed)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 from eps_hil.diagnosis.data.size import ORDINARY, Size
-from eps_hil.physics.empirical_entry import NUMBERS
+from eps_hil.physics.empirical_entry import NUMBERS, SIGNS
 from eps_hil.physics.model import Friction, Model
 
 Width = Callable[[Model, Size], float]
@@ -200,13 +200,15 @@ def is_free(own: Mapping[str, float]) -> bool:
 def law_knobs(model: Model, first: int) -> dict[str, float]:
     """Knobs of the numbers of learnt laws among the model's effects, from place ``first`` on.
 
-    Of a curve or map the size alone. Like ``tied`` numbers they are free in every fit: a name is
-    worth what it gains beside a law that is fitted again.
+    Of a curve or map the size alone, and no centre of a sign, which is -1 or 1. Like ``tied``
+    numbers they are free in every fit: a name is worth what it gains beside a law that is fitted
+    again.
     """
     names = []
     for k, entry in enumerate(model.effects):
         if k >= first and entry["effect"] == _LEARNT:
-            keys = [key for key in entry if key.rpartition("_")[0] in NUMBERS]
+            signs = {f"centre_{i}" for i, one in enumerate(entry["inputs"], 1) if one in SIGNS}
+            keys = [key for key in entry if key.rpartition("_")[0] in NUMBERS and key not in signs]
             names += [f"{_LAW}.{k}.{key}" for key in ("size", *keys)]
     return dict.fromkeys(names, 0.0)
 

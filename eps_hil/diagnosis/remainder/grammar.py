@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.remainder.sight import Sight
+from eps_hil.physics.empirical_entry import SIGNS
 
 Floats = npt.NDArray[np.float64]
 
@@ -40,7 +41,6 @@ _WAYED = ("motor_angle_rad", "rack_force_n", "motor_torque_nm", "torque_sensor_n
 _FADING = ("exponential", "saturating", "rational")
 _AMOUNTS = ("abs_motor_speed_rad_s", "abs_motor_torque_nm", "abs_rack_force_n")
 """With which the strength of a sine may fade."""
-_SIGNS = ("motor_power_sign", "load_power_sign", "torque_sensor_power_sign")
 PLACES = (
     ("rotor", "sum"),
     ("friction", "sum"),
@@ -188,7 +188,7 @@ def rank(law: Law) -> tuple[int, int]:
 
 def _says_nothing(where: str, how: str, one: Input) -> bool:
     """What the baseline's own numbers are, or what is the same as at another place."""
-    if one.name in _SIGNS and where != "friction":  # |T| times it is friction
+    if one.name in SIGNS and where != "friction":  # |T| times it is friction
         return True
     if where == "friction" and how == "sum" and one.memory == "none":
         return one.shape == "linear" and one.name in ("motor_speed_rad_s", "motor_angle_rad")
@@ -199,7 +199,7 @@ def _factors(sight: Sight) -> Iterator[list[Input]]:
     """Every input, remembered or not, through every shape."""
     use = sight.use
     for name, values in sight.inputs.items():
-        if name in _SIGNS:
+        if name in SIGNS:
             yield [
                 Input(name, "linear"),
                 Input(name, "above", numbers={"centre": 0.0}),

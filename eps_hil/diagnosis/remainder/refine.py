@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.problem import Problem, huber, knee
 from eps_hil.diagnosis.remainder.grammar import Law
+from eps_hil.physics.empirical_entry import SIGNS
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -51,7 +52,7 @@ def refine(
         (i, name)
         for i, one in enumerate(law.inputs)
         for name in one.numbers
-        if not (name == "centre" and one.name.endswith("_power_sign"))
+        if not (name == "centre" and one.name in SIGNS)
     ]
     basis = np.zeros((len(zero), 0)) if beside is None else orthonormal(beside * weight[:, None])
 

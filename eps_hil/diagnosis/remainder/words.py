@@ -38,6 +38,12 @@ PLAIN: Mapping[str, str] = {
     "load": "what the rack force is worth at the rotor",
     "torsion_bar": "the torsion bar's torque",
 }
+_POWERS: Mapping[str, tuple[str, str]] = {
+    "motor_power_sign": ("[T_em·ω > 0]", "[T_em·ω < 0]"),
+    "load_power_sign": ("[F·ω < 0]", "[F·ω > 0]"),
+    "torque_sensor_power_sign": ("[T_sen·ω > 0]", "[T_sen·ω < 0]"),
+}
+"""One where a power has that sign, else nothing (Iverson's brackets): shapes above and below 0."""
 Entry = Mapping[str, Any]
 
 
@@ -54,7 +60,10 @@ def formula(entry: Entry) -> str | None:
             kept = f"h{i}" if len(entry["inputs"]) > 1 else "h"
             memories.append(_memory(memory, kept, seen, float(entry[f"memory_{i}"])))
             seen = kept
-        factors.append(_shape(shape, seen, entry, i))
+        if name in _POWERS and shape in ("above", "below") and entry[f"centre_{i}"] == 0.0:
+            factors.append(_POWERS[name][shape == "below"])
+        else:
+            factors.append(_shape(shape, seen, entry, i))
     size = f"{entry['size']:.4g}"
     whole = _PLACES[entry["where"], entry["how"]].format(" · ".join([size, *filter(None, factors)]))
     return ", ".join([whole, *memories])
@@ -134,6 +143,17 @@ def _warms(entry: Entry) -> bool:
     return any(slow) and entry["shapes"][-1] in ("linear", "saturating") and entry["size"] < 0.0
 
 
+def _signed(entry: Entry) -> bool:
+    """Whether a torque, or the load, times the sign of its own power: its size times the speed's
+    sign, where it drives or where it brakes."""
+    of = {
+        "motor_power_sign": _TORQUE,
+        "load_power_sign": _FORCE,
+        "torque_sensor_power_sign": _SENSOR,
+    }
+    return any(of.get(one) in entry["inputs"] for one in entry["inputs"])
+
+
 _KNOWN: Sequence[tuple[str, str, Callable[[Entry], bool]]] = (
     ("load cell that reads too much or too little", "the rack force is worth another share",
      lambda e: _at(e, "load") and e.get("shapes") == ["one"]),
@@ -144,7 +164,8 @@ _KNOWN: Sequence[tuple[str, str, Callable[[Entry], bool]]] = (
     ("field weakening", "motor torque falls with speed",
      lambda e: _at(e, "motor") and e.get("how") == "factor" and _has(e, _SPEED, _FALLING)),
     ("mesh efficiency, driving against driven", "flanks rub by torque and by who drives whom",
-     lambda e: _at(e, "friction") and any(n.endswith("_power_sign") for n in e["inputs"])),
+     lambda e: any(n in _POWERS for n in e["inputs"])
+     and (_at(e, "friction") or (_at(e, "rotor") and _signed(e)))),
     ("unbalance", "a torque once a turn that grows with speed squared",
      lambda e: _at(e, "rotor") and _has(e, _SPEED, ("square",)) and _has(e, _ANGLE, ("sine",))),
     ("rack-guide friction", "friction grows with the torque at the pinion, which lifts the rack",

@@ -21,10 +21,18 @@ DEAD_TIME = law(
     where="motor", inputs=["motor_torque_nm"], shapes=["saturating"], size=-0.02, width_1=0.05
 )
 
+LOST_WHERE_LOAD_DRIVES = law(
+    where="rotor", inputs=["rack_force_n", "load_power_sign"], memory=["none", "none"],
+    shapes=["linear", "above"], size=-5.3e-05, centre_2=0.0,
+)  # fmt: skip
+
 
 def test_a_law_is_written_out() -> None:
     assert formula(FOLD_BACK) == "T_em · (1 + -0.31 · h), 21 s · dh/dt = T_em² − h"
     assert formula(DEAD_TIME) == "T_em + (-0.02 · tanh(T_em/0.05))"
+    assert formula(LOST_WHERE_LOAD_DRIVES) == "T_f + (-5.3e-05 · F · [F·ω < 0])"
+    braking = {**LOST_WHERE_LOAD_DRIVES, "shapes": ["linear", "below"]}
+    assert formula(braking) == "T_f + (-5.3e-05 · F · [F·ω > 0])"
 
 
 def test_a_map_has_no_law() -> None:
@@ -61,6 +69,10 @@ def test_a_map_over_two_signals_is_like_nothing() -> None:
         (law(where="rotor", inputs=["rack_position_m", "motor_angle_rad"],
              memory=["none", "none"], shapes=["gaussian", "sine"], size=0.02, centre_1=0.0,
              width_1=0.004, order_2=5.0, phase_2=0.0), "damage in one place"),
+        (LOST_WHERE_LOAD_DRIVES, "mesh efficiency, driving against driven"),
+        (law(where="friction", inputs=["abs_rack_force_n", "load_power_sign"],
+             memory=["none", "none"], shapes=["linear", "above"], size=5e-5, centre_2=0.0),
+         "mesh efficiency, driving against driven"),
     ],
 )  # fmt: skip
 def test_known_families_get_their_name(entry: dict[str, Any], what: str) -> None:

@@ -1,0 +1,37 @@
+"""Names beside laws, and one law in their place."""
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from eps_hil.diagnosis.accept.as_one_law import as_one_law
+from eps_hil.diagnosis.accept.beside_law import beside_law
+from eps_hil.diagnosis.accept.holdout_support import holdout_support
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout
+from eps_hil.diagnosis.attribute.select import select
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.physics.model import Model
+
+
+@pytest.mark.slow
+def test_a_name_that_no_law_holds_stays_beside_it(
+    record: Callable[..., Any], reference_model: Model, other_rig: ModuleType
+) -> None:
+    """A spring beside an eddy-current brake that leaves many times as much."""
+    plant = {other_rig.EDDY: 0.05, other_rig.EDDY_W: 30.0, other_rig.SPRING: 4e-4}
+    fitted, kept = (
+        [(prepare(name, one), one) for name, one in record(plant, programme, seed).items()]
+        for programme, seed in ((("sweep", "weave"), 1), (("weave",), 2))
+    )
+    problem = Problem([one for one, _ in fitted], reference_model)
+    judged = [Holdout(*one) for one in kept]
+    selection = select(problem)
+    findings = holdout_support(problem, selection, judged)
+    found = beside_law(problem, ((selection, ()), (selection, findings)), judged, measured=True)
+    assert found is not None
+    assert found.findings
+    alone = as_one_law(problem, found.selection, found.findings, found.remainder, judged)
+    assert alone is None
