@@ -54,6 +54,8 @@ from eps_hil.diagnosis.balance.fit import BRISTLE, matters
 from eps_hil.diagnosis.balance.late_channel import late_channels
 from eps_hil.diagnosis.balance.load import (
     FREE,
+    NAMED,
+    NUMBERS,
     Load,
     doubted,
     load_knobs,
@@ -217,6 +219,34 @@ def _found(
 
 
 def _under_load(
+    load: Load,
+    model: Model,
+    ready: Sequence[tuple[Prepared, Mapping[str, Series]]],
+    spare: Sequence[tuple[Prepared, Mapping[str, Series]]],
+    say: Say | None,
+    without: Collection[str],
+) -> Diagnosis:
+    """Under the load that follows from the one that fits beside nothing else; or none, with names.
+
+    Numbers that stand for a load hold whatever follows the motion as it does. Where they leave
+    nothing to find, there may be no load, and names cost less of the hold-outs (``standing.py``),
+    it is the rig's own: a load that is written has three numbers, and one that is not leaves what
+    they held.
+    """
+    told = _under_likely_load(load, model, ready, spare, say, without)
+    every = [one for one, _ in (*ready, *spare)]
+    silent = all(one["effect"] in told.elsewhere for one in told.content["findings"])
+    if load.form == "arbitrary" or not silent or not may_be_free(load, every, model):
+        return told
+    named = _under(NAMED, model, ready, spare, say, without)
+    if not named.content["findings"]:
+        return told
+    written = told.beside_load is not None and told.beside_load != told.model
+    cost = told.price + written * NUMBERS * price_of_one(told.problem, told.judged)
+    return named if named.price < cost else told
+
+
+def _under_likely_load(
     load: Load,
     model: Model,
     ready: Sequence[tuple[Prepared, Mapping[str, Series]]],
@@ -473,7 +503,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     beside_load = augmented_by(problem, selection.found, findings) if extra is None else written
     if worse(problem, beside_load, judged):
         extra, findings, written = None, [], problem.model
-    final = load is None or load == FREE  # else judged again once the load is written
+    final = load is None or load.form == "free"  # else judged again once the load is written
     content = look.added_to(
         content_of(problem, selection, findings, left, judged, extra, written, simulated=final)
     )

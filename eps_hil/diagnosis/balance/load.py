@@ -79,6 +79,8 @@ class Load:
     """Of the rotor's angle, at the rotor: a weight, in the place of a spring."""
     drag_nm_s_per_rad: float = 0.0
     """What the model's own drag is more than in its file, either way, in place of a damper."""
+    named: bool = False
+    """Of no force: whether what follows the motion is the rig's own, and gets its names."""
 
     @property
     def hangs(self) -> bool:
@@ -110,6 +112,12 @@ class Load:
                 "The rack force was not measured and follows no spring and damper: only ripples "
                 f"({', '.join(RIPPLES)}) can be told from it. Record rack_force_n to find more."
             )
+        if self.named:
+            return (
+                "The rack force was not measured; it is taken as none (a free rack): what was "
+                "found explains more by fewer numbers than a load would. A load that follows the "
+                f"motion would look like {', '.join(LIKE_LOAD)}: such a name is half as sure."
+            )
         if self.form == "free":
             return (
                 "The rack force was not measured; it is taken as none (a free rack): that explains "
@@ -133,6 +141,10 @@ class Load:
 
 FREE = Load("free", 0.0, 0.0, 0.0)
 """No force at all: friction that grows with load has nothing to grow with then."""
+NUMBERS = 3
+"""Of a load that is written: stiffness, damping and constant; or sine, cosine and damping."""
+NAMED = replace(FREE, named=True)
+"""The same, with nothing that stands for a load that may be there after all."""
 
 
 def missing(recordings: Iterable[Prepared]) -> bool:
@@ -144,6 +156,8 @@ def not_told_apart(load: Load) -> Collection[str]:
     """Ids of effects that such a load hides."""
     if load.form == "arbitrary":
         return [name for name in catalogue() if name not in RIPPLES]
+    if load.named:
+        return ()
     return (*LIKE_LOAD, *LIKE_ANY_LOAD) if load.doubtful else LIKE_LOAD
 
 
@@ -157,13 +171,18 @@ def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[di
     """Findings (CONTRACT 7) with what they may be instead, where nobody measured the load.
 
     A spring's force follows the position, and so does friction that grows with it. And with no
-    rack force, the ratio only scales what the torsion bar brings to the rotor.
+    rack force, the ratio only scales what the torsion bar brings to the rotor. What a load does,
+    too, is half as sure where it was taken that there is none.
     """
     told = [dict(one) for one in findings]
     if load is None:
         return told
     sprung = load.form == "spring" and load.stiffness_n_per_m != 0.0
     for one in told:
+        if load.named and one["effect"] in LIKE_LOAD:
+            one["confidence"] = round(0.5 * float(one["confidence"]), 3)
+            settle = "against a load at the rack: record the rack force"
+            one["next_experiment"] = "; ".join(filter(None, [one["next_experiment"], settle]))
         other = _RATIO if one["effect"] == _LIKE_A_RATIO else ""
         if sprung and one["effect"] == _LIKE_FRICTION_OF_A_SPRING:
             other = _OF_LOAD
@@ -174,7 +193,7 @@ def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[di
 
 def load_knobs(load: Load | None) -> Mapping[str, float]:
     """The model's own numbers that stand for the load's, always free: spring or weight, damper."""
-    if load is None:
+    if load is None or load.named:
         return {}
     return {
         **dict.fromkeys(GRAVITY if load.hangs else (SPRING,), 0.0),

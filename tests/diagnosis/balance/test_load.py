@@ -6,7 +6,17 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.balance.load import Load, doubted, load_of, not_told_apart, own_drag
+from eps_hil.diagnosis.balance.load import (
+    FREE,
+    LIKE_LOAD,
+    NAMED,
+    Load,
+    doubted,
+    load_knobs,
+    load_of,
+    not_told_apart,
+    own_drag,
+)
 from eps_hil.diagnosis.data.prepare import Prepared, prepare
 from eps_hil.diagnosis.data.size import size_of
 from eps_hil.diagnosis.diagnose import diagnose
@@ -49,6 +59,20 @@ def test_with_no_rack_force_a_sensor_s_gain_may_be_the_ratio(load: Load) -> None
     assert one["confidence"] == 0.45
     (measured,) = doubted([finding("torque_sensor_gain")], None)
     assert measured["confusable_with"] == []
+
+
+def test_what_a_load_could_do_is_half_as_sure_of_a_rack_that_is_taken_as_free() -> None:
+    asymmetry, ripple = doubted([finding("friction_asymmetry"), finding("torque_ripple")], NAMED)
+    assert asymmetry["confidence"] == 0.45
+    assert "record the rack force" in str(asymmetry["next_experiment"])
+    assert ripple == finding("torque_ripple")
+
+
+def test_nothing_stands_for_the_load_of_a_rack_that_is_taken_as_free() -> None:
+    assert not load_knobs(NAMED)
+    assert not not_told_apart(NAMED)
+    assert set(not_told_apart(FREE)) == set(LIKE_LOAD)
+    assert load_knobs(FREE)
 
 
 def test_the_written_model_pulls_as_the_load_did(reference_model: Model) -> None:
@@ -225,6 +249,42 @@ def test_a_free_rack_is_none_where_a_load_explains_less(reference_model: Model) 
     value = finding_["parameters"]["coefficient_nm_s2_per_rad2"]["value"]
     assert value == pytest.approx(5e-5, rel=0.1)
     assert any("free rack" in one for one in told["limits"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("hidden", "effect"),
+    [
+        ({"half_difference_nm": 0.008}, "friction_asymmetry"),
+        ({"spring": 1.5e-3}, "unmodelled_spring"),
+    ],
+)
+def test_what_a_load_could_do_is_named_of_a_free_rack(
+    reference_model: Model, hidden: dict[str, float], effect: str
+) -> None:
+    """Numbers that stand for a load would hold it, and the verdict would be that nothing is off.
+
+    While sliding an asymmetry is a constant torque.
+    """
+    first, second, kept = driven("free_rack", hidden, 6)
+    told = diagnose(reference_model, {"a": first, "b": second}, {"kept": kept}).content
+    (finding_,) = told["findings"]
+    assert effect in (finding_["effect"], *finding_["confusable_with"])
+    assert finding_["confidence"] <= 0.5
+    (found,), (true,) = finding_["parameters"].values(), hidden.values()
+    assert abs(found["value"]) == pytest.approx(true, rel=0.1)
+    before, after = (
+        told["fit"]["holdout"][one]["torque_nrmse"] for one in ("baseline", "augmented")
+    )
+    assert after < 0.7 * before
+
+
+@pytest.mark.slow
+def test_a_free_rack_with_nothing_missing_gets_no_name(reference_model: Model) -> None:
+    first, second, kept = driven("free_rack", {}, 7)
+    told = diagnose(reference_model, {"a": first, "b": second}, {"kept": kept}).content
+    assert told["verdict"] == "no_mismatch"
+    assert told["findings"] == []
 
 
 @pytest.mark.slow
