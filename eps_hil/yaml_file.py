@@ -1,5 +1,6 @@
 """YAML file -> validated value. Every error names file, line, field and what was expected."""
 
+import contextlib
 import dataclasses
 import difflib
 import functools
@@ -16,23 +17,32 @@ T = TypeVar("T")
 _MAX_SHOWN = 3
 _NEARLY = 0.85
 """Alike enough to be meant: effect and effects; not friction_map and friction."""
+_QUICK: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""libyaml, where PyYAML was built with it. What is wrong with a text, PyYAML itself says."""
 
 
 def read(path: str | Path) -> Any:
     """Parse one YAML file into plain values; :class:`InputError` if missing or broken."""
     text = _text(Path(path))
+    if "\t" not in text:  # libyaml lets some of them pass
+        with contextlib.suppress(yaml.YAMLError):
+            return _parsed(text, _QUICK)
     try:
-        loader = yaml.SafeLoader(text)
-        node = loader.get_single_node()
-        if node is None:
-            return None
-        _refuse_twice(node, set())
-        return loader.construct_document(node)
+        return _parsed(text, yaml.SafeLoader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not readable"
         raise InputError(path, place, f"not valid YAML: {problem}", "mend the syntax") from None
+
+
+def _parsed(text: str, kind: Any) -> Any:
+    loader = kind(text)
+    node = loader.get_single_node()
+    if node is None:
+        return None
+    _refuse_twice(node, set())
+    return loader.construct_document(node)
 
 
 def _refuse_twice(node: yaml.Node, known: set[int]) -> None:

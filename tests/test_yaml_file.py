@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import yaml
 
 from eps_hil import yaml_file
 from eps_hil.cli.main import main
@@ -43,4 +44,20 @@ def test_what_is_no_yaml_is_one_line(text: str, tmp_path: Path) -> None:
     file = tmp_path / "c.yaml"
     file.write_text(text)
     with pytest.raises(InputError, match="not valid YAML"):
+        yaml_file.read(file)
+
+
+def test_a_quick_parser_reads_the_same_and_refuses_tabs_as_ever(tmp_path: Path) -> None:
+    files = sorted((ROOT / "configs").rglob("*.yaml"))
+    assert len(files) > 10
+    for file in files:
+        assert yaml_file.read(file) == yaml.safe_load(file.read_text())
+    file = tmp_path / "c.yaml"
+    file.write_text("a: 1\nb: \t2\n")
+    with pytest.raises(InputError, match=r"c\.yaml: line 2, column 4: not valid YAML: found char"):
+        yaml_file.read(file)
+    file.write_text("a: 1\nb: c: 2\n")
+    with pytest.raises(
+        InputError, match=r"line 2, column 5: .*mapping values are not allowed here"
+    ):
         yaml_file.read(file)
