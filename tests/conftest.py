@@ -1,5 +1,6 @@
 """What many tests share: the reference rig, and recordings of a rig of other code."""
 
+import functools
 import gc
 import importlib.util
 import os
@@ -99,6 +100,16 @@ def _compiled_without_a_word() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("eps_hil.cli._first_answer.LATE_S", 1e6)
         patch.setattr("eps_hil.compiled._LATE_S", 1e6)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _verbs_are_built_once() -> Iterator[None]:
+    """typer makes the parsers of all verbs anew for each call of its app, as no process does."""
+    import typer.main
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", functools.cache(typer.main.get_command))
         yield
 
 
