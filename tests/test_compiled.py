@@ -60,7 +60,9 @@ def read_only_install(tmp_path: Path) -> Path:
     return package.parent
 
 
-@pytest.mark.parametrize("first", ["eps_hil.compiled", "eps_hil.kernel"])
+@pytest.mark.parametrize(
+    "first", ["eps_hil.compiled", pytest.param("eps_hil.kernel", marks=pytest.mark.slow)]
+)
 def test_two_changes_within_a_second_leave_no_stale_machine_code(
     read_only_install: Path, tmp_path: Path, first: str
 ) -> None:
@@ -136,6 +138,7 @@ def test_at_a_terminal_it_says_once_why_it_takes_so_long(
         assert said.count(b"compiling") == said.count(when) == (0 if again and kept else 1)
 
 
+@pytest.mark.slow
 def test_another_install_of_the_same_source_compiles_nothing(
     read_only_install: Path, tmp_path: Path
 ) -> None:
@@ -169,6 +172,7 @@ a, b = (through(through(first, 1), k) for k in (10.0, 100.0))
 """
 
 
+@pytest.mark.slow
 def test_what_a_closure_holds_names_its_code_for_the_next_process(
     read_only_install: Path, tmp_path: Path
 ) -> None:

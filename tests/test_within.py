@@ -348,7 +348,7 @@ def ninth(value):
 """
 
 
-@pytest.mark.parametrize("first", ["parts", "as always"])
+@pytest.mark.parametrize("first", [pytest.param("parts", marks=pytest.mark.slow), "as always"])
 def test_processes_with_and_without_parts_share_a_folder(
     first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -242,6 +242,7 @@ class TestChains:
             spring = force / self.LOAD.stiffness_n_per_m
             assert abs(found["rack_position_m"][0]) == pytest.approx(spring, rel=0.05)
 
+    @pytest.mark.slow
     def test_the_rigs_own_chain_agrees_and_the_single_mass_does_not(
         self, model: Model, chain: ChainParameters
     ) -> None:

@@ -89,7 +89,10 @@ class Live(NamedTuple):
     load_cell: list[tuple[int, float]]
 
 
-@pytest.fixture(scope="module", params=[1_000, 4_000, pytest.param(2_000, marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module",
+    params=[*(pytest.param(hertz, marks=pytest.mark.slow) for hertz in (1_000, 2_000)), 4_000],
+)
 def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Drive:
     folder = tmp_path_factory.mktemp("drive")
     seconds = min(6.0, 16_000 / request.param)
