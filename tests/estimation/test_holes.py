@@ -1,5 +1,6 @@
 """Holes while the load swings: what is only the guess's own error is waited for, not doubted."""
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from eps_hil.series import Series
 
 NAMES = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "motor_angle_rad")
 AT = 1000
+reasons = functools.cache(Reason)
 PHASES = np.arange(0.0, 2.0 * np.pi, 0.3)
 
 
@@ -35,7 +37,7 @@ def told(model: Model, phase: float, holes: str, jump_nm: float = 0.0) -> list[R
         now = holes[k - AT] if 0 <= k - AT < len(holes) else " "
         u = Inputs(torque[k], 0.0, speed[k], angle[k], 0.0, 1e-6, 1e-3, 1e-7)
         missing = int(Reason.BAD_SAMPLE) if now == "m" else 0
-        said.append(Reason(judge_step(watch, limits, u, now != "u", missing, True)[0]))
+        said.append(reasons(judge_step(watch, limits, u, now != "u", missing, True)[0]))
     return said
 
 

@@ -170,13 +170,25 @@ def test_a_case_can_be_made_again() -> None:
 
 
 def test_the_written_folder_gives_nothing_away(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    decoy_case: Case,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    asked: list[Plan] = []
+
+    def made(plan: Plan) -> Case:
+        asked.append(plan)
+        return decoy_case
+
+    monkeypatch.setattr("eps_hil.proof.write.make", made)
     out = tmp_path / "cases"
     arguments = [str(out), "--kind", "decoys", "--seed", "2", "--count", "1", "--simple"]
     assert main(arguments) == 0
+    assert asked == list(plans("decoys", 2, 1, simple=True))
     said = capsys.readouterr().out
     cases = open_answers(out / "answers.json")
+    assert len(cases) == 1
     assert (out / "answers.json.sha256").read_text().strip() in said
     for id in cases:
         files = {path.name for path in (out / id).iterdir()}
