@@ -114,8 +114,10 @@ def test_a_message_that_two_files_define_alike_is_there_once(tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     "other",
-    [GOOD.format(id=2, name="A"), GOOD.format(id=1, name="A").replace("(1,0)", "(0.5,0)")],
-    ids=["another id", "another scale"],
+    [
+        pytest.param(GOOD.format(id=2, name="A"), id="another id", marks=pytest.mark.slow),
+        pytest.param(GOOD.format(id=1, name="A").replace("(1,0)", "(0.5,0)"), id="another scale"),
+    ],
 )
 def test_a_name_for_different_messages_is_refused_where_it_is_used(
     tmp_path: Path, other: str

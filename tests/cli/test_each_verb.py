@@ -109,6 +109,7 @@ def test_investigate_runs_one_experiment_of_its_budget(
     assert "Round by round" in (out / "investigation.html").read_text()
 
 
+@pytest.mark.slow
 def test_prove_concealed_hides_seals_and_judges(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
