@@ -172,6 +172,10 @@ LABELS: Mapping[str, str] = {
     "dwell_s": "length of the last rest in s",
     "motor_temperature_degc": "motor temperature in °C",
     "time_s": "time in s",
+    "motor_power_w": "motor power in W",
+    "motor_power_sign": "whether the motor drives or brakes",
+    "load_power_sign": "whether the load drives or brakes",
+    "torque_sensor_power_sign": "whether the torsion bar drives or brakes",
 }
 _DIRECTIONS = {"right": ", turning positive", "left": ", turning negative"}
 

@@ -375,6 +375,8 @@ def test_two_orders_of_one_effect_are_told_apart(other_rig: ModuleType) -> None:
 def test_sentences_name_signals_as_people_do() -> None:
     said = diagnosis_page.plain("against motor_torque_offset: follows abs_motor_speed_rad_s")
     assert said == "against motor torque offset: follows rotor speed either way"
+    said = diagnosis_page.plain("over abs_rack_force_n and load_power_sign")
+    assert said == "over size of rack force and whether the load drives or brakes"
 
 
 def test_ticks_are_round_and_inside() -> None:

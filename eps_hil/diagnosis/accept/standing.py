@@ -18,9 +18,8 @@ from eps_hil.diagnosis.attribute.scoring import LEAST_GAIN
 from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.baseline import ALL
 from eps_hil.diagnosis.balance.problem import BLOCK_S, Problem
-from eps_hil.diagnosis.remainder.as_effect import numbers_of
+from eps_hil.diagnosis.remainder.as_effect import free_numbers
 from eps_hil.diagnosis.remainder.find import Remainder
-from eps_hil.physics.empirical_entry import SIGNS
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -102,8 +101,7 @@ def _samples(problem: Problem, judged: Sequence[Holdout]) -> int:
 def _numbers(entry: Mapping[str, Any]) -> int:
     if "values" in entry:
         return int(np.size(entry["values"]))
-    fixed = [f"centre_{i}" for i, one in enumerate(entry["inputs"], 1) if one in SIGNS]
-    return len(numbers_of(entry).keys() - fixed)
+    return len(free_numbers(entry))
 
 
 def _loss(problem: Problem, before: Model, after: Model, judged: Sequence[Holdout]) -> float:

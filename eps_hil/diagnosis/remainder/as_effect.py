@@ -12,7 +12,7 @@ from typing import Any
 from eps_hil.diagnosis.remainder.words import formula, sentence
 from eps_hil.physics.effects.effect import Slot
 from eps_hil.physics.effects.empirical import FADE
-from eps_hil.physics.empirical_entry import NUMBERS, OF_SHAPE, WHERE
+from eps_hil.physics.empirical_entry import NUMBERS, OF_SHAPE, SIGNS, WHERE
 
 Entry = Mapping[str, Any]
 
@@ -140,8 +140,9 @@ def as_effect(entry: Entry, name: str) -> str:
     law = formula(entry)
     if law is None:
         raise ValueError("what was found is a curve or map, no law: the model file holds it")
-    numbers = numbers_of(entry)
-    place = {key: f"p[{k}]" for k, key in enumerate(numbers)}
+    numbers = free_numbers(entry)
+    place = {key: repr(value) for key, value in numbers_of(entry).items()}
+    place |= {key: f"p[{k}]" for k, key in enumerate(numbers)}
     kernel, remembers = _kernel(entry, place)
     body = "".join(remembers)
     advance = ""
@@ -154,7 +155,7 @@ def as_effect(entry: Entry, name: str) -> str:
     phase = next((key for key in numbers if key.startswith("phase")), None)
     shapes = {k: v for k, v in numbers.items() if k != "size" and not k.startswith("phase")}
     return _MODULE.format(
-        sentence=sentence(entry).split(":")[0].capitalize(),
+        sentence=_capital(sentence(entry).split(":")[0]),
         law=law,
         helpers=helpers,
         resolved="    resolved,\n" if "resolved(" in used else "",
@@ -165,13 +166,18 @@ def as_effect(entry: Entry, name: str) -> str:
         id=name,
         slot=_slot(entry),
         parameters="\n".join(_parameter(entry, key, value) for key, value in numbers.items()),
-        plain=sentence(entry).split(":")[0].capitalize(),
+        plain=_capital(sentence(entry).split(":")[0]),
         advances="    advance=_advance,\n" if body else "",
         unit=_unit(entry),
         step=0.1 * abs(numbers["size"]),
         shapes=", ".join(f'"{key}": {value!r}' for key, value in shapes.items()),
         phase=f', phase="{phase}"' if phase else "",
     )
+
+
+def _capital(words: str) -> str:
+    """With a capital letter first; symbols stay as they are."""
+    return words[:1].upper() + words[1:]
 
 
 def _slot(entry: Entry) -> str:
@@ -185,6 +191,12 @@ def numbers_of(entry: Entry) -> dict[str, float]:
         wanted = [*OF_SHAPE[shape], *(["memory"] if memory != "none" else [])]
         found |= {f"{one}_{i}": float(entry[f"{one}_{i}"]) for one in NUMBERS if one in wanted}
     return found
+
+
+def free_numbers(entry: Entry) -> dict[str, float]:
+    """The same without the centres of signs, which are -1 or 1."""
+    fixed = [f"centre_{i}" for i, one in enumerate(entry["inputs"], 1) if one in SIGNS]
+    return {key: value for key, value in numbers_of(entry).items() if key not in fixed}
 
 
 def _kernel(entry: Entry, place: Mapping[str, str]) -> tuple[str, list[str]]:

@@ -276,7 +276,7 @@ def _law(fitted: Sight, kept: Sight, law: Law, ranges: Ranges, own: Own) -> _Tri
     law = refine(fitted.problem, fitted.model, law, ranges, own.columns, fitted.residual)
     if not np.isfinite(law.size) or law.size == 0.0 or _is_a_clock(law, fitted):
         return None
-    entry = _rounded(law.entry(ranges))
+    entry = rounded(law.entry(ranges))
     trial = _table(fitted, kept, entry, own)
     return replace(trial, term=Term(entry, law), worth=trial.worth - law.price * abs(trial.worth))
 
@@ -287,7 +287,7 @@ def _is_a_clock(law: Law, sight: Sight) -> bool:
 
 
 def _table(fitted: Sight, kept: Sight, entry: Entry, own: Own) -> _Trial:
-    entry = _rounded(entry)
+    entry = rounded(entry)
     model = own.moved(entry)
     here, there = (one.problem.residual(_with(model, [entry])) for one in (fitted, kept))
     worth = min(_share(fitted, here), _share(kept, there))
@@ -348,7 +348,7 @@ def _with(model: Model, entries: Sequence[Mapping[str, Any]]) -> Model:
     return replace(model, effects=(*model.effects, *entries))
 
 
-def _rounded(entry: Entry) -> Entry:
+def rounded(entry: Mapping[str, Any]) -> Entry:
     """Numbers with the digits that a model file is written with."""
 
     def short(value: Any) -> Any:

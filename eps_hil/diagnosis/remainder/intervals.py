@@ -9,7 +9,7 @@ import numpy as np
 
 from eps_hil.diagnosis.balance.problem import Problem, huber, knee
 from eps_hil.diagnosis.balance.spread import half_widths
-from eps_hil.diagnosis.remainder.as_effect import numbers_of, unit_of
+from eps_hil.diagnosis.remainder.as_effect import free_numbers, unit_of
 from eps_hil.physics.model import Model
 
 Entry = Mapping[str, Any]
@@ -31,7 +31,7 @@ def parameters(
     for k, entry in enumerate(entries):
         if "values" in entry:
             continue
-        for name, value in numbers_of(entry).items():
+        for name, value in free_numbers(entry).items():
             step = _STEP * max(abs(value), 1.0 if name.startswith("phase") else 1e-6)
             moved = {**entry, name: value + step}
             effects = tuple(moved if one == entry else one for one in model.effects)

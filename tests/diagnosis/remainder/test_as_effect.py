@@ -126,6 +126,15 @@ def test_the_catalogue_takes_the_file(
     assert "{size" in effect.wording(values)[0]
 
 
+def test_a_sign_has_no_centre_to_fit(tmp_path: Path) -> None:
+    """It is -1 or 1: a centre between them is the size in other words."""
+    one = entry("friction", "sum", ("abs_rack_force_n", "linear", "none"),
+                ("load_power_sign", "above", "none"))  # fmt: skip
+    text = as_effect({**one, "centre_2": 0.0}, "my_effect")
+    assert [p.name for p in loaded(text, tmp_path).parameters] == ["size"]
+    assert text.startswith('"""Friction changes with |F| and sign(-F·ω).')
+
+
 def test_a_map_is_no_law() -> None:
     table = {"effect": "empirical", "form": "curve", "where": "rotor", "how": "sum",
              "inputs": ["motor_speed_rad_s"], "memory": ["none"], "values": [0.0, 1.0]}  # fmt: skip
