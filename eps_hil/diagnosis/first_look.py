@@ -222,5 +222,5 @@ def first_look(
         seen.left,
         zero,
         tuple(remarks),
-        tuple(notes),
+        (*notes, *quality.remarks(looks)),
     )

@@ -31,6 +31,9 @@ GAP_S = 0.02
 """…if it is also longer than this."""
 _SURE = 4.0
 """Deviations of what jitter adds up to: there are many channels."""
+_HOLES, _IN_STEP = 20, 3.1
+"""After so many holes frames that keep no clock show: the cosines of where their stamps lie between
+two beats have a mean of 0, its deviation 1/√(2n). More than so many of these: one in 1,000."""
 LOST = 1.5
 """A step of so many usual ones is no jitter."""
 CLIPPED_SAMPLES = 8
@@ -70,6 +73,8 @@ class Channel:
     quantum: float
     noise: float
     bad_samples: int
+    uneven: bool = False
+    """Long steps are there, but no whole numbers of a clock's."""
 
     @property
     def flags(self) -> list[str]:
@@ -77,6 +82,8 @@ class Channel:
         said = [name for name in ("clipped", "stuck", "gaps") if getattr(self, name)]
         if self.lost_frames:
             said.append("lost_frames")
+        if self.uneven:
+            said.append("uneven")
         if self.bad_samples:
             said.append("bad_samples")
         if self.noise > 0 and self.quantum > 4.0 * self.noise:
@@ -206,11 +213,12 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
     jitter = float(np.std(regular)) if len(regular) else 0.0
     runs = _equal_runs(value)
     quantum = _quantum(value)
+    lost, uneven = _surely_lost(seconds, _beat(steps, usual), jitter) if usual > 0 else (0, False)
     return Channel(
         signal=signal,
         rate_hz=1.0 / usual if usual > 0 else 0.0,
         jitter_s=jitter,
-        lost_frames=_surely_lost(seconds, _beat(steps, usual), jitter) if usual > 0 else 0,
+        lost_frames=lost,
         frames=len(steps) + 1,
         gaps=_gaps(seconds, good),
         clipped=_clipped(value, at, runs, quantum),
@@ -218,6 +226,7 @@ def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series])
         quantum=quantum,
         noise=noise_of(value) if len(value) > 10 else 0.0,
         bad_samples=int(np.sum(~good)),
+        uneven=uneven,
     )
 
 
@@ -226,28 +235,41 @@ def _beat(steps: Floats, usual: float) -> float:
     return max(usual, float(np.mean(steps[steps <= _ROUNDED * usual])))
 
 
-def _surely_lost(seconds: Floats, usual: float, jitter: float) -> int:
-    """Frames that are missing, where more are than jitter of every step by itself may add up to."""
-    lost = _lost(seconds, usual)
-    return lost if lost > _SURE * jitter / usual * np.sqrt(len(seconds)) else 0
+def _surely_lost(seconds: Floats, usual: float, jitter: float) -> tuple[int, bool]:
+    """Frames that are missing, where more are than jitter of every step by itself may add up to.
+
+    And whether they are none, since what comes after the holes keeps no clock: such a logger is
+    uneven. Frames lost of a regular clock leave whole steps.
+    """
+    lost, holes, cosines = _lost(seconds, usual)
+    if lost <= _SURE * jitter / usual * np.sqrt(len(seconds)):
+        return 0, False
+    uneven = holes >= _HOLES and cosines < _IN_STEP * np.sqrt(holes / 2.0)
+    return (0, True) if uneven else (lost, False)
 
 
 @njit
-def _lost(seconds: Floats, usual: float) -> int:
+def _lost(seconds: Floats, usual: float) -> tuple[int, int, float]:
     """Frames that are missing beside the signal's own beat, which follows the stamps slowly.
+
+    Also the stamps that are whole steps off, and the sum of the cosines of their phases.
 
     A stamp that is late for once is jitter; some that are held up and then come all at once are
     counted while they are late, and given back when they come.
     """
     beat, step, lost = seconds[0], usual, 0.0
+    holes, cosines = 0, 0.0
     for k in range(1, len(seconds)):
         late = (seconds[k] - beat) / step - 1.0
         missing = np.rint(late)
         lost += missing
         beside = late - missing
+        if missing != 0.0:
+            holes += 1
+            cosines += np.cos(2.0 * np.pi * beside)
         beat += step * (1.0 + missing + _FOLLOWED * beside)
         step *= 1.0 + 0.25 * _FOLLOWED**2 * beside
-    return max(int(lost), 0)
+    return max(int(lost), 0), holes, cosines
 
 
 def _shared(first: Gaps, second: Gaps) -> Gaps:
@@ -369,3 +391,16 @@ def finding(qualities: list[Quality]) -> dict[str, Any] | None:
         "time stamps",
         where=places[:2],
     )
+
+
+def remarks(qualities: list[Quality]) -> list[str]:
+    """Which recordings were logged unevenly: the instants are known, so nothing is wrong."""
+    found = {
+        one.recording: [channel.signal for channel in one.inputs if channel.uneven]
+        for one in qualities
+    }
+    return [
+        f"{name}: logged unevenly, by no regular clock ({', '.join(signals)}): no lost frames"
+        for name, signals in found.items()
+        if signals
+    ]

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from eps_hil.diagnosis.data.prepare import prepare
-from eps_hil.diagnosis.data.quality import Channel, finding, look_at
+from eps_hil.diagnosis.data.quality import Channel, finding, look_at, remarks
 from eps_hil.series import Series
 
 T = np.arange(0.0, 20.0, 1e-3)
@@ -115,6 +115,32 @@ def test_stamps_that_stand_twice_are_looked_at_too() -> None:
     t_ns = np.round(np.floor(T * 250.0) / 250.0 * 1e9).astype(np.int64)
     one = look_at("r", {"motor_torque_nm": Series(t_ns, torque())}).channels[0]
     assert one.lost_frames == 0
+
+
+@pytest.mark.parametrize("kind", ["each step its own", "two or three of a fast clock's"])
+def test_an_uneven_logger_lost_no_frames(kind: str) -> None:
+    rng = np.random.default_rng(3)
+    if kind == "each step its own":
+        steps = 1e-3 * (0.7 + rng.exponential(0.6, 20_000))
+    else:
+        steps = 1e-3 * rng.choice([2, 3, 4, 5], 20_000, p=[0.68, 0.29, 0.02, 0.01])
+    t_ns = np.round(np.cumsum(steps) * 1e9).astype(np.int64)
+    look = look_at("r", {"motor_torque_nm": Series(t_ns, np.sin(1e-9 * t_ns))})
+    assert look.channels[0].lost_frames == 0
+    assert finding([look]) is None
+    assert remarks([look]) == [
+        "r: logged unevenly, by no regular clock (motor_torque_nm): no lost frames"
+    ]
+
+
+def test_a_few_holes_of_a_regular_clock_are_counted_and_not_uneven() -> None:
+    keep = np.ones(len(T), dtype=bool)
+    for first in range(500, len(T), 700):
+        keep[first : first + 20] = False
+    t_ns = np.round(T * 1e9).astype(np.int64)[keep]
+    look = look_at("r", {"motor_torque_nm": Series(t_ns, torque()[keep])})
+    assert look.channels[0].lost_frames == pytest.approx(np.sum(~keep), abs=20)
+    assert remarks([look]) == []
 
 
 def test_jitter_is_measured() -> None:
