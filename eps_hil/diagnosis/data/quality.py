@@ -252,21 +252,30 @@ def _surely_lost(seconds: Floats, usual: float, jitter: float) -> tuple[int, boo
 def _lost(seconds: Floats, usual: float) -> tuple[int, int, float]:
     """Frames that are missing beside the signal's own beat, which follows the stamps slowly.
 
-    Also the stamps that are whole steps off, and the sum of the cosines of their phases.
+    Also the holes, and the sum of the cosines of the phases after them. What the next stamp gives
+    back, or the one before took ahead, is jitter of more than half a step and no hole.
 
     A stamp that is late for once is jitter; some that are held up and then come all at once are
     counted while they are late, and given back when they come.
     """
     beat, step, lost = seconds[0], usual, 0.0
     holes, cosines = 0, 0.0
+    last, hole, ahead = 0.0, False, 0.0
     for k in range(1, len(seconds)):
         late = (seconds[k] - beat) / step - 1.0
         missing = np.rint(late)
         lost += missing
         beside = late - missing
-        if missing != 0.0:
+        if missing > ahead:
+            last, hole, ahead = np.cos(2.0 * np.pi * beside), True, 0.0
             holes += 1
-            cosines += np.cos(2.0 * np.pi * beside)
+            cosines += last
+        elif missing < 0.0 and hole:
+            holes -= 1
+            cosines -= last
+            hole, ahead = False, 0.0
+        else:
+            hole, ahead = False, max(-missing, 0.0)
         beat += step * (1.0 + missing + _FOLLOWED * beside)
         step *= 1.0 + 0.25 * _FOLLOWED**2 * beside
     return max(int(lost), 0), holes, cosines
@@ -400,7 +409,8 @@ def remarks(qualities: list[Quality]) -> list[str]:
         for one in qualities
     }
     return [
-        f"{name}: logged unevenly, by no regular clock ({', '.join(signals)}): no lost frames"
+        f"{name}: logged unevenly, by no regular clock ({', '.join(signals)}): "
+        "frames lost cannot be counted"
         for name, signals in found.items()
         if signals
     ]

@@ -129,8 +129,20 @@ def test_an_uneven_logger_lost_no_frames(kind: str) -> None:
     assert look.channels[0].lost_frames == 0
     assert finding([look]) is None
     assert remarks([look]) == [
-        "r: logged unevenly, by no regular clock (motor_torque_nm): no lost frames"
+        "r: logged unevenly, by no regular clock (motor_torque_nm): frames lost cannot be counted"
     ]
+
+
+@pytest.mark.parametrize("jitter", [0.1, 0.2])
+def test_frames_lost_beside_heavy_jitter_are_counted(jitter: float) -> None:
+    """A stamp that is late by more than half a step is given back by the next: no hole."""
+    rng = np.random.default_rng(4)
+    number = np.flatnonzero(rng.uniform(size=60_000) > 0.01)
+    stamps = np.sort(number + jitter * rng.standard_normal(len(number)))
+    t_ns = np.round(1e6 * stamps).astype(np.int64) + 10**9
+    look = look_at("r", {"motor_torque_nm": Series(t_ns, np.sin(1e-9 * t_ns))})
+    assert look.channels[0].lost_frames == pytest.approx(60_000 - len(number), rel=0.05)
+    assert remarks([look]) == []
 
 
 def test_a_few_holes_of_a_regular_clock_are_counted_and_not_uneven() -> None:
