@@ -166,7 +166,7 @@ def page(told: list[Told], quick: bool) -> str:
         f"eps_hil {VERSION}, Python {platform.python_version()}, {os.cpu_count()} cores "
         f"({_processor()}), load {load:.1f} a core at the end"
         + (": **the machine was busy**." if load > _BUSY else ".")
-        + f" Ten million additions took {_additions_s():.2f} s there.",
+        + f" Ten million additions: {_additions_s():.2f} s.",
         *(["", "**Small inputs: this says only that every row works.**"] if quick else []),
         "",
         "| what | peer | figure | goal | reached; else in the way |",
