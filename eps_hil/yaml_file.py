@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import difflib
 import functools
+import io
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,32 +18,117 @@ T = TypeVar("T")
 _MAX_SHOWN = 3
 _NEARLY = 0.85
 """Alike enough to be meant: effect and effects; not friction_map and friction."""
-_QUICK: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""libyaml, where PyYAML was built with it. What is wrong with a text, PyYAML itself says."""
+_LARGEST_BYTES, _DEEPEST, _MOST_VALUES = 1_000_000, 100, 1_000_000
+"""What nobody writes by hand; the last one with each alias written out. Beyond, the parser would
+run out of stack, memory or time."""
+_LONGEST_SHOWN = 100
+_ANOTHER_FILE = "check that this is the file you meant"
+
+
+class _RefusedError(yaml.MarkedYAMLError):
+    """Good syntax that is not read all the same; with what to do."""
+
+    def __init__(self, problem: str, mark: Any, remedy: str = _ANOTHER_FILE) -> None:
+        super().__init__(problem=problem, problem_mark=mark)
+        self.remedy = remedy
+
+
+class _Telling:
+    """A loader that names the place of a scalar which is not what it looks like (month 13)."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """As the loader does it."""
+        above: Any = super()
+        try:
+            return above.construct_object(node, deep=deep)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
+            kind = node.tag.rpartition(":")[2]
+            found = f": {_shown(node.value)}" if isinstance(node, yaml.ScalarNode) else ""
+            problem = f"cannot be read as {kind}{found}"
+            remedy = "correct it, or put it in quotes"
+            raise _RefusedError(problem, node.start_mark, remedy) from None
+
+
+class _Exact(_Telling, yaml.SafeLoader):
+    """PyYAML itself: says best what is wrong with a text."""
+
+
+class _Quick(_Telling, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """libyaml, where PyYAML was built with it."""
 
 
 def read(path: str | Path) -> Any:
     """Parse one YAML file into plain values; :class:`InputError` if missing or broken."""
     text = _text(Path(path))
-    if "\t" not in text:  # libyaml lets some of them pass
-        with contextlib.suppress(yaml.YAMLError):
-            return _parsed(text, _QUICK)
     try:
-        return _parsed(text, yaml.SafeLoader)
+        return parse(text)
+    except _RefusedError as error:
+        raise InputError(path, _where(error), str(error.problem), error.remedy) from None
+    except yaml.reader.ReaderError as error:
+        line = f"line {text.count(chr(10), 0, error.position) + 1}"
+        problem = f"not valid YAML: holds the character #x{error.character:04x}"
+        raise InputError(path, line, problem, "take it out") from None
     except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "not readable"
-        raise InputError(path, place, f"not valid YAML: {problem}", "mend the syntax") from None
+        problem = f"not valid YAML: {getattr(error, 'problem', None) or 'not readable'}"
+        raise InputError(path, _where(error), problem, "mend the syntax") from None
+
+
+def parse(text: str) -> Any:
+    """Plain values of a text; :class:`yaml.YAMLError` if there are none in it."""
+    if "\t" not in text:  # libyaml lets some of them pass
+        try:
+            return _parsed(text, _Quick)
+        except _RefusedError:
+            raise
+        except yaml.YAMLError:
+            pass
+    return _parsed(text, _Exact)
+
+
+def _where(error: yaml.YAMLError) -> str:
+    mark = getattr(error, "problem_mark", None)
+    return f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
 
 
 def _parsed(text: str, kind: Any) -> Any:
+    _refuse_deep(kind(text))
     loader = kind(text)
     node = loader.get_single_node()
     if node is None:
         return None
     _refuse_twice(node, set())
+    _count(node, {})
     return loader.construct_document(node)
+
+
+def _refuse_deep(loader: Any) -> None:
+    """Before anything that descends does: lists and mappings within each other."""
+    depth = 0
+    while loader.check_event():
+        event = loader.get_event()
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST:
+            problem = f"nested deeper than {_DEEPEST} levels; a YAML file of settings was expected"
+            raise _RefusedError(problem, event.start_mark)
+
+
+def _count(node: yaml.Node, known: dict[int, int]) -> int:
+    """How many values stand in ``node``, each alias written out; 0 in ``known``: being counted."""
+    if not isinstance(node, yaml.CollectionNode):
+        return 1
+    if id(node) in known:
+        if not known[id(node)]:
+            raise _RefusedError("holds itself through an alias", node.start_mark, "write it out")
+        return known[id(node)]
+    known[id(node)] = 0
+    pairs = isinstance(node, yaml.MappingNode)
+    parts = [part for pair in node.value for part in pair] if pairs else node.value
+    known[id(node)] = total = 1 + sum(_count(part, known) for part in parts)
+    if total > _MOST_VALUES:
+        problem = f"aliases make more than {_MOST_VALUES:,} values of it"
+        raise _RefusedError(problem, node.start_mark, "write out what is needed of them")
+    return total
 
 
 def _refuse_twice(node: yaml.Node, known: set[int]) -> None:
@@ -126,12 +212,20 @@ def _said(problem: Any) -> str:
     message = str(problem["msg"])
     if problem["type"] in {"missing", "unexpected_keyword_argument", "extra_forbidden"}:
         return {"missing": "is missing"}.get(problem["type"], "is not a known field")
-    return f"{message} (found {problem['input']!r})"
+    return f"{message} (found {_shown(problem['input'])})"
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 1]}…"
 
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(_LARGEST_BYTES + 1)
+        if len(content) <= _LARGEST_BYTES:
+            return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8").read()
     except FileNotFoundError:
         raise InputError(path, "", "no such file", "check the path") from None
     except IsADirectoryError:
@@ -140,6 +234,9 @@ def _text(path: Path) -> str:
         raise InputError(path, "", "is not UTF-8 text, a YAML file was expected") from None
     except OSError as error:
         raise InputError(path, "", f"cannot be read: {error.strerror}") from None
+    largest = f"{_LARGEST_BYTES / 1e6:g} MB"
+    problem = f"is larger than {largest}, a YAML file of settings was expected"
+    raise InputError(path, "", problem, _ANOTHER_FILE)
 
 
 def _dotted(loc: tuple[int | str, ...]) -> str:
@@ -147,9 +244,15 @@ def _dotted(loc: tuple[int | str, ...]) -> str:
     return ".".join(str(part) for part in loc if part != "[key]") or "top level"
 
 
+def _composed(text: str) -> yaml.Node | None:
+    with contextlib.suppress(yaml.YAMLError):
+        return yaml.compose(text, Loader=_Quick)
+    return yaml.compose(text, Loader=_Exact)
+
+
 def _place(path: Path, loc: tuple[int | str, ...]) -> str:
     """The line of the deepest node of ``loc`` that exists."""
-    node = yaml.compose(_text(path), Loader=yaml.SafeLoader)
+    node = _composed(_text(path))
     line = node.start_mark.line + 1 if node else 1
     for part in loc:
         child = None

@@ -4,7 +4,6 @@ Sizes are standard deviations. The defaults are those of a rig that was calibrat
 (docs/howto-error-budget.md says where each comes from).
 """
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, with_config
 
-from eps_hil import yaml_file
+from eps_hil import json_text, yaml_file
 from eps_hil.budget.sources import DELAYED, SIGNALS, Group, Source, model_parameters, unit_of
 from eps_hil.errors import InputError
 from eps_hil.physics.model import Model
@@ -99,7 +98,7 @@ def load_uncertainty(path: Path, model: Model) -> Uncertainty:
 
 def _from_identification(path: Path, model: Model) -> Uncertainty:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json_text.parse(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise InputError(path, "", f"cannot be read as JSON: {error}", "give the file of "
                          "eps-hil identify --json") from None  # fmt: skip

@@ -66,13 +66,15 @@ def parse_options(words: Sequence[str]) -> dict[str, Any]:
     """``port=43113`` and the like -> keyword arguments of the interface."""
     import yaml
 
+    from eps_hil import yaml_file
+
     options: dict[str, Any] = {}
     for word in words:
         key, equals, value = word.partition("=")
         if not equals or not key.isidentifier():
             raise InputError("--option", word, "is not an option", "write KEY=VALUE")
         try:
-            options[key] = yaml.safe_load(value)
+            options[key] = yaml_file.parse(value)
         except yaml.YAMLError:
             options[key] = value
     return options

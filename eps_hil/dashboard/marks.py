@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from eps_hil import json_text
 from eps_hil.errors import InputError
 
 _LONGEST, _MOST = 200, 2000
@@ -63,7 +64,7 @@ class Marks:
 
 def _read(path: Path, number: int, line: str) -> Mark:
     try:
-        found = json.loads(line)
+        found = json_text.parse(line)
         return Mark(int(found["t_ns"]), str(found["text"])[:_LONGEST])
     except (ValueError, TypeError, KeyError):
         raise InputError(

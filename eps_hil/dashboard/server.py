@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from eps_hil import json_text
 from eps_hil.dashboard.diagnosis import Diagnoses, Subject
 from eps_hil.dashboard.events import Events
 from eps_hil.dashboard.feed import Feed, answer
@@ -334,7 +335,7 @@ class Page:
     def _hear(self, text: str) -> None:
         """What a page says; what makes no sense is left out."""
         try:
-            said = json.loads(text)
+            said = json_text.parse(text)
             if "drawn" in said:
                 self._feed.drawn(int(said["drawn"]))
             if "view" in said:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from eps_hil import json_text
 from eps_hil.fleet.job import Row
 from eps_hil.recordings.files import needs_extra, replacing
 
@@ -22,7 +23,7 @@ class Store:
     def known(self, key: str) -> Row | None:
         """The row of that key from an earlier run; None where there is none, or half of one."""
         try:
-            row = json.loads((self._rows / f"{key}.json").read_text(encoding="utf-8"))
+            row = json_text.parse((self._rows / f"{key}.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
         whole = isinstance(row, dict) and row.get("key") == key

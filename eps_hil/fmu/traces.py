@@ -1,11 +1,10 @@
 """Recordings through somebody's FMU, as the traces that a diagnosis compares them with."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from eps_hil import yaml_file
+from eps_hil import json_text, yaml_file
 from eps_hil.errors import InputError
 from eps_hil.fmu.described import Described
 from eps_hil.fmu.drive import Signals, Simulator, opened
@@ -66,7 +65,7 @@ def read_values(path: Path) -> dict[str, float]:
     content: Any
     if path.suffix == ".json":
         try:
-            content = json.loads(read_bytes(path), object_pairs_hook=_each_once)
+            content = json_text.parse(read_bytes(path), pairs=_each_once)
         except ValueError as error:
             raise InputError(path, "", str(error), "write it with identify --json") from None
     else:

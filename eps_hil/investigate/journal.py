@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from eps_hil import json_text
 from eps_hil.errors import InputError
 from eps_hil.investigate.experiment import Experiment, Kind
 from eps_hil.physics.model import Model, dump_model
@@ -93,7 +94,7 @@ class Journal:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
+        return dict(json_text.parse(path.read_text(encoding="utf-8")))
     except (OSError, ValueError) as error:
         raise InputError(path, "", f"cannot be read: {error}", "use another folder") from None
 

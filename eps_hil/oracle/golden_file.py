@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eps_hil import json_text
 from eps_hil.errors import InputError
 from eps_hil.oracle.golden import DEFAULT_TOLERANCES, SIGNALS, Estimates, Provenance
 from eps_hil.recordings.files import read_bytes, replacing
@@ -66,7 +67,7 @@ def read_golden(path: Path) -> Golden:
 
 def _head(path: Path, text: str) -> tuple[Provenance, dict[str, float]]:
     try:
-        head = json.loads(text)
+        head = json_text.parse(text)
         tolerances = {**DEFAULT_TOLERANCES, **head.pop("tolerances")}
         return Provenance(**head), {name: float(value) for name, value in tolerances.items()}
     except (ValueError, TypeError, KeyError, AttributeError) as error:

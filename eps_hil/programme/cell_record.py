@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from eps_hil import json_text
 from eps_hil.bus.message_decoder import Sample
 from eps_hil.errors import InputError
 from eps_hil.identification.constant_speed import Cell, reading
@@ -123,7 +124,7 @@ def read(cell: PlannedCell, folder: Path) -> CellResult | None:
     if not path.exists():
         return None
     try:
-        content: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        content: Mapping[str, Any] = json_text.parse(path.read_text(encoding="utf-8"))
         told = PlannedCell(
             *(content[key] for key in ("number", "speed_rad_s", "preload_n", "repetition"))
         )

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from eps_hil import json_text
 from eps_hil.bus.config import BusSetup
 from eps_hil.bus.record import open_log
 from eps_hil.errors import EpsHilError, InputError
@@ -55,7 +56,7 @@ def prepare_folder(folder: Path, plan: Plan, *, resume: bool) -> list[CellResult
     content = {"schema": SCHEMA, "programme": plan.content()}
     if resume and file.exists():
         try:
-            same = json.loads(file.read_text(encoding="utf-8")) == content
+            same = json_text.parse(file.read_text(encoding="utf-8")) == content
         except (OSError, ValueError) as error:
             raise InputError(file, "", f"cannot be read: {error}", "use another folder") from None
         if not same:

@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from eps_hil import json_text
 from eps_hil.errors import EpsHilError, InputError
 from eps_hil.proof.judge import Judgement, failed, judge
 from eps_hil.proof.seal import open_answers
@@ -194,7 +195,7 @@ def _read(path: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        return dict(json.loads(path.read_text()))
+        return dict(json_text.parse(path.read_text()))
     except ValueError as error:
         raise InputError(path, "", f"is no JSON: {error}", "diagnose the case again") from None
 

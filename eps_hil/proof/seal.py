@@ -10,6 +10,7 @@ import secrets
 from pathlib import Path
 from typing import Any
 
+from eps_hil import json_text
 from eps_hil.errors import InputError
 
 SCHEMA = "eps-hil/proof-answers/1"
@@ -39,7 +40,7 @@ def open_answers(path: Path, published: str | None = None) -> dict[str, Any]:
     which shows accidents but not a forger who changes both.
     """
     try:
-        content = json.loads(path.read_text())
+        content = json_text.parse(path.read_text())
         salt, cases = content["salt"], content["cases"]
         expected = published or _beside(path).read_text().strip()
     except OSError as error:

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from eps_hil import json_text
 from eps_hil.errors import InputError
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.service.guard import Trip
@@ -43,7 +44,7 @@ def level_changes(path: Path) -> list[LevelChange]:
         raise InputError(path, "", f"cannot be read: {error}", "name a journal of run") from None
     for number, line in enumerate(lines, start=1):
         try:
-            event = json.loads(line)
+            event = json_text.parse(line)
             if event.get("levels") == "taken":
                 levels = float(event["offset_pos_nm"]), float(event["offset_neg_nm"])
                 found.append(LevelChange(int(event["t_ns"]), *levels))
