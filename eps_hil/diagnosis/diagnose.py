@@ -31,7 +31,7 @@ from eps_hil.diagnosis.accept.other_times import (
     or_a_time,
     places_in_time,
 )
-from eps_hil.diagnosis.accept.placebo import placebos
+from eps_hil.diagnosis.accept.placebo import as_lucky, placebos
 from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
     beside_a_gap,
@@ -497,8 +497,10 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         now = modelled(problem, now, first, judged, look, force, others, say)
         selection, findings, left, extra = now.as_told
     places = places_in_time(problem, selection.found, findings, judged)
-    if gone(places):
-        return case.again({*without, *gone(places)})
+    placebo = placebos(now.weighed, now.told, findings, judged)
+    unfounded = {*gone(places), *as_lucky(placebo, now.weighed, now.told, findings, judged)}
+    if unfounded:
+        return case.again({*without, *unfounded})
     written = with_remainder(augmented_by(problem, selection.found, findings, others), extra)
     beside_load = augmented_by(problem, selection.found, findings) if extra is None else written
     if worse(problem, beside_load, judged):
@@ -510,7 +512,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     if wrong is not None:
         content = with_channel_fault(content, wrong.finding(model))
     content["findings"] = or_a_time(doubted(content["findings"], load), places, without)
-    content["fit"]["placebo"] = placebos(now.weighed, now.told, findings, judged)
+    content["fit"]["placebo"] = placebo if findings else []
     as_read: list[Holdout] = []
     ready_to_write = look.in_model(written)
     if look.model is not model or look.put_right or look.entries or wrong is not None:

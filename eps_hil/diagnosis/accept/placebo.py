@@ -3,18 +3,19 @@
 A finding changes the torque balance by some torque over time. A placebo has that torque's size and
 shape but not its place: shifted round in time inside each recording, or with its sign drawn anew
 every tenth of a second. Its amplitude is fitted to the fitted recordings and judged on the
-hold-outs, as the finding is. If placebos gained as much, so could anything, and the finding would
-mean nothing. In a periodic manoeuvre a shift by whole periods is nearly the term again; quantiles
-bear that.
+hold-outs, as the finding is. If placebos gain as much, so could anything, and the finding does not
+stand. In a periodic manoeuvre a shift by whole periods is nearly the term again; quantiles bear
+that.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.accept.holdout_support import not_shown
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, term_of
@@ -27,6 +28,9 @@ DRAWS = 100
 SIGN_S = 0.1
 _CONSTANT = 0.5
 """Share of a term's energy in its mean from which it is an offset rather than a shape."""
+_LUCK = 2.0
+"""Times the placebos' 95 % quantile: the search took the luckiest of many effects, a placebo is one
+of one. Right names had three times it or more on development cases and real machines."""
 _LEAST_SHIFT = 0.1
 """Of a recording: a shorter shift would leave the term near its place."""
 
@@ -85,6 +89,26 @@ def placebos(
             }
         )
     return told
+
+
+def as_lucky(
+    told: Sequence[Mapping[str, Any]],
+    problem: Problem,
+    selection: Selection,
+    findings: Sequence[int],
+    judged: Sequence[Holdout],
+) -> list[str]:
+    """Effects (ids) among ``findings`` that gain what a placebo may gain, as :func:`placebos` told.
+
+    Not those that act in no hold-out: there is no gain to compare.
+    """
+    silent = not_shown(selection.found, findings, judged, problem)
+    lucky = []
+    for k, one in zip(findings, told, strict=True):
+        chance = [ends[-1] for ends in one["placebo_gain_5_50_95_percent"].values() if ends]
+        if k not in silent and one["gain"] <= _LUCK * max(0.0, *chance):
+            lucky.append(str(one["effect"]))
+    return lucky
 
 
 class _Term:
