@@ -26,7 +26,7 @@ import yaml
 
 from eps_hil.bus.config import load_bus_setup
 from eps_hil.bus.record import open_log
-from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.investigate.journal import Journal
 from eps_hil.investigate.lockstep import LockstepRig
 from eps_hil.investigate.possible import Menu, Possible

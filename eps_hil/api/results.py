@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from eps_hil.api import show
 from eps_hil.api.recording import Recording
-from eps_hil.diagnosis import diagnose as diagnosing
+from eps_hil.diagnosis import given_load
 from eps_hil.estimation.score import Score
 from eps_hil.estimation.stream import Trace
 from eps_hil.estimation.validity import Reason
@@ -236,7 +236,7 @@ class Finding:
 class Diagnosis:
     """What a model lacks; ``content`` is the JSON of ``eps-hil diagnose`` (CONTRACT 7)."""
 
-    result: diagnosing.Diagnosis
+    result: given_load.Diagnosis
     written: Model | None = None
     """The model to go on with, where it is not that of ``result``."""
 

@@ -10,7 +10,8 @@ from eps_hil.axis.emps import AxisRecord
 from eps_hil.axis.identify import identify
 from eps_hil.diagnosis.attribute.select import Say
 from eps_hil.diagnosis.data.prepare import prepare
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Model
 
 __all__ = ["Augmented", "Say", "augment"]

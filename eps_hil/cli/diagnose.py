@@ -19,7 +19,7 @@ from eps_hil.cli._inputs import (
 )
 
 if TYPE_CHECKING:
-    from eps_hil.diagnosis.diagnose import Diagnosis
+    from eps_hil.diagnosis.given_load import Diagnosis
     from eps_hil.series import Series
 
 _TOO_LONG_MIN = 60.0

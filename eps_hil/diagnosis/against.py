@@ -12,7 +12,8 @@ from eps_hil.diagnosis.balance.load import missing
 from eps_hil.diagnosis.data.channels import check_channels
 from eps_hil.diagnosis.data.intake import check_rates, measured, split
 from eps_hil.diagnosis.data.prepare import Prepared, prepare
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.simulator.differences import NUMBERS, Surplus, numbers, surplus, without
 from eps_hil.diagnosis.simulator.simulation import Simulated, explain, silent_on
 from eps_hil.diagnosis.simulator.traces import Signals

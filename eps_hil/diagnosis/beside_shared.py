@@ -23,7 +23,7 @@ from eps_hil.diagnosis.balance.both_states import BothStates, ModelOfBoth, one_s
 from eps_hil.diagnosis.balance.problem import Problem, clipped, huber, knee, plain, term_of
 from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.data.prepare import Prepared
-from eps_hil.diagnosis.diagnose import EMPIRICAL, Diagnosis
+from eps_hil.diagnosis.given_load import EMPIRICAL, Diagnosis
 from eps_hil.diagnosis.one_way import MORE, OneWay, Share
 from eps_hil.diagnosis.search import left_of
 from eps_hil.diagnosis.verdict.content import content_of, without_nan

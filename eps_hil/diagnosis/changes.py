@@ -15,8 +15,9 @@ from eps_hil.diagnosis.accept.improvement import only_if_clear
 from eps_hil.diagnosis.accept.proof_of_fit import measures
 from eps_hil.diagnosis.attribute.select import Say
 from eps_hil.diagnosis.beside_shared import alike, beside_shared, gain
-from eps_hil.diagnosis.diagnose import EMPIRICAL, Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.direct.already import MEASURED_WHOLE
+from eps_hil.diagnosis.given_load import EMPIRICAL, Diagnosis
 from eps_hil.diagnosis.one_way import UNKNOWN, Finding, OneWay, Recordings, against, part
 from eps_hil.diagnosis.verdict.content import without_nan
 from eps_hil.physics.model import Model

@@ -18,7 +18,8 @@ from eps_hil.diagnosis.accept.holdout_support import augmented_by
 from eps_hil.diagnosis.attribute.select import Say
 from eps_hil.diagnosis.balance.problem import Problem, huber, knee, plain, term_of
 from eps_hil.diagnosis.balance.spread import half_widths
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.remainder.find import with_remainder
 from eps_hil.physics.model import Model
 from eps_hil.series import Series

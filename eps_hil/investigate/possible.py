@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.problem import Problem, clipped, knee
-from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.investigate.experiment import Experiment
 from eps_hil.investigate.worth import (
     CLEAR,

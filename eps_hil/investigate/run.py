@@ -15,7 +15,8 @@ from eps_hil.bus.config import BusSetup
 from eps_hil.bus.record import open_log
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.errors import EpsHilError, SafetyStop
 from eps_hil.investigate.course import Course, Phase
 from eps_hil.investigate.decide import Decision, Stop, decide

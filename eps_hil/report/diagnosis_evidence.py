@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.problem import Problem
-from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.mismatch.regions import operating_region
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model

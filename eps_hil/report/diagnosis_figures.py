@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout, free_runs
 from eps_hil.diagnosis.data.prepare import STEP_S
-from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.estimation import batch
 from eps_hil.estimation.stream import Trace
 from eps_hil.physics.model import Model

@@ -14,10 +14,10 @@ import numpy.typing as npt
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.data.drift import IN_BALANCE
 from eps_hil.diagnosis.data.prepare import Prepared, prepare, with_play
-from eps_hil.diagnosis.diagnose import Diagnosis
 from eps_hil.diagnosis.direct.rotor_and_rack import Rows, has_rack
 from eps_hil.diagnosis.direct.speed_and_angle import SEEN_IN, compared, has_both
 from eps_hil.diagnosis.direct.torsion_bar import has_twist, twist_rad
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Model
 from eps_hil.report.plots import Line, Plot
 

@@ -13,7 +13,7 @@ from typing import Any
 from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, score, threshold
 from eps_hil.diagnosis.balance.problem import term_of
 from eps_hil.diagnosis.changes import in_words
-from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.remainder.ceiling import left_by_trees
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.report import (

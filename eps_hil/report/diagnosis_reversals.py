@@ -7,8 +7,8 @@ import numpy as np
 
 from eps_hil.diagnosis.balance.fit import BRISTLE
 from eps_hil.diagnosis.data.prepare import STEP_S, THIN, Floats, Prepared
-from eps_hil.diagnosis.diagnose import Diagnosis
 from eps_hil.diagnosis.direct.reversals import FEWEST_KEPT, HALF_WINDOW_S, about_reversals
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.report.plots import Line, Plot

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.report import diagnosis_evidence
 from eps_hil.report.diagnosis_evidence import Evidence
 from eps_hil.report.diagnosis_page import titled

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from eps_hil.diagnosis.diagnose import Diagnosis
 from eps_hil.diagnosis.direct.zero_reading import SENSORS, held_nm, motor_gain, windows_nm
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.report.plots import Line, Plot
 
 _WITH = {"torque_sensor_nm": "the hands off", "motor_torque_nm": "the motor off"}

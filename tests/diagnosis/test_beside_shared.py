@@ -12,7 +12,7 @@ from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.beside_shared import alike, beside_shared
 from eps_hil.diagnosis.data.prepare import prepare
-from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Model
 
 BRAKE_NM, SPRING = 0.05, 4e-4

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from eps_hil.diagnosis.balance.reference import torque_is_referenced
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Delays, Friction, Model
 from eps_hil.series import Series
 

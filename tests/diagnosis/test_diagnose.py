@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from eps_hil.cli.main import main
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.effects.catalogue import values_of
 from eps_hil.physics.model import Model, load_model
 from eps_hil.series import Series

@@ -12,7 +12,8 @@ import pytest
 
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout, measures
 from eps_hil.diagnosis.data.intake import prepared
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.estimation import batch
 from eps_hil.estimation.score import score
 from eps_hil.physics.forward import forward

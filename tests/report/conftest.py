@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Model
 from eps_hil.proof import sensors
 from eps_hil.proof.programmes import programme

@@ -14,7 +14,8 @@ from eps_hil.diagnosis.accept.proof_of_fit import free_runs
 from eps_hil.diagnosis.attribute.channel_fault import ChannelFault
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.quality import Channel, Quality
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Model, load_model
 from eps_hil.report import diagnosis_page
 from eps_hil.report.diagnosis_evidence import LABELS, held_out

@@ -9,12 +9,13 @@ kept from the fit, it stands there.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from eps_hil.diagnosis.accept.beside_law import names_first, without_laws
 from eps_hil.diagnosis.accept.holdout_support import augmented_by, refitted
 from eps_hil.diagnosis.accept.nameless import sensitivities
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.accept.standing import number_count, price, price_of_one
 from eps_hil.diagnosis.attribute.select import Selection
-from eps_hil.diagnosis.balance.baseline import SIDES, TIMING, is_free, law_knobs, of_law
+from eps_hil.diagnosis.balance.baseline import SIDES, TIMING, is_free, law_knobs
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.remainder.find import Remainder, find, rounded, share_removed
@@ -80,10 +81,9 @@ def _beside(
     found = fit(again, entries, own={**own, **knobs})
     model = augmented_by(again, found, range(len(entries)), moved=True)
     (term,), entry = law.terms, rounded(model.effects[first])
-    # names first, as without this step
-    model = replace(model, effects=(*problem.model.effects, *model.effects[first + 1 :], entry))
-    own = {name: value for name, value in found.own.items() if not of_law(name)}
-    alone = replace(fit(problem, found.entries, 0, own), told_half_width=found.half_width)
+    named = model.effects[first + 1 :]
+    model = names_first(problem, replace(model, effects=(*problem.model.effects, entry, *named)))
+    alone = without_laws(problem, found)
     fewer = replace(fewer, found=alone)
     places = list(range(len(entries)))
     start = augmented_by(problem, alone, places)

@@ -229,6 +229,21 @@ def _law_instead(problem: Problem, told: Selection, places: Sequence[int], kept:
     return by_law > better * by_name and both - by_law < _UNNEEDED * by_name
 
 
+def without_laws(problem: Problem, found: Fit) -> Fit:
+    """A fit beside laws in terms of the ``problem`` that has none, at the same numbers."""
+    own = {name: value for name, value in found.own.items() if not of_law(name)}
+    return replace(fit(problem, found.entries, 0, own), told_half_width=found.half_width)
+
+
+def names_first(problem: Problem, model: Model) -> Model:
+    """The model with its laws behind the names, as where names were found before any law."""
+    first = len(problem.model.effects)
+    given, rest = model.effects[:first], model.effects[first:]
+    names = tuple(one for one in rest if one["effect"] != _LEARNT)
+    learnt = tuple(one for one in rest if one["effect"] == _LEARNT)
+    return replace(model, effects=(*given, *names, *learnt))
+
+
 def _basis(columns: Floats) -> Floats:
     size = np.sqrt(np.sum(columns**2, axis=0))
     q, r = np.linalg.qr(columns[:, size > 0.0] / size[size > 0.0])
@@ -247,19 +262,13 @@ def _told(
 ) -> BesideLaw:
     """The same in terms of the problem that has no law in its model."""
     found = told.found
-    own = {name: value for name, value in found.own.items() if not of_law(name)}
-    alone = fit(problem, found.entries, 0, own)
-    alone = replace(alone, told_half_width=found.half_width)
+    alone = without_laws(problem, found)
     # a name is as sure as its gain is above what the law's own faults could be
     least = max(threshold(again, found.residual, FINAL_SHARE), _unexplained(again, found))
     shown = replace(told, null=before.null, part=before.part, found=alone, least=least)
     start = augmented_by(problem, alone, named)
     share, ends = share_removed(Sight(kept, start), kept.residual(model))
-    first = len(problem.model.effects)
-    given, rest = model.effects[:first], model.effects[first:]
-    names = tuple(one for one in rest if one["effect"] != _LEARNT)
-    learnt = tuple(one for one in rest if one["effect"] == _LEARNT)
-    model = replace(model, effects=(*given, *names, *learnt))  # as without this step: names first
+    model = names_first(problem, model)
     remainder = Remainder(
         tuple(Term(dict(one), None) for one in laws),
         model,

@@ -141,7 +141,7 @@ class Load:
 
 FREE = Load("free", 0.0, 0.0, 0.0)
 """No force at all: friction that grows with load has nothing to grow with then."""
-NUMBERS = 3
+LOAD_NUMBERS = 3
 """Of a load that is written: stiffness, damping and constant; or sine, cosine and damping."""
 NAMED = replace(FREE, named=True)
 """The same, with nothing that stands for a load that may be there after all."""

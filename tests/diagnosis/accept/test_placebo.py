@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from eps_hil.diagnosis.accept.placebo import DRAWS, placebos
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Model
 
 pytestmark = pytest.mark.slow

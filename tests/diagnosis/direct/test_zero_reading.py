@@ -10,13 +10,14 @@ import pytest
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
-from eps_hil.diagnosis.diagnose import Diagnosis, diagnose
+from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.direct.zero_reading import (
     ZeroReading,
     ZeroReadings,
     _together,
     zero_readings,
 )
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Model
 from eps_hil.proof import sensors
 from eps_hil.proof.programmes import programme

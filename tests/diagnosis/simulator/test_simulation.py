@@ -10,7 +10,7 @@ import pytest
 
 from eps_hil.cli.main import main
 from eps_hil.diagnosis.against import diagnose_against
-from eps_hil.diagnosis.diagnose import Diagnosis
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Model, load_model
 from eps_hil.series import Series
 
