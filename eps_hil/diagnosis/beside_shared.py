@@ -15,7 +15,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis.accept.holdout_support import augmented_by, holdout_support
 from eps_hil.diagnosis.accept.improvement import Judged, improvement, only_if_clear
 from eps_hil.diagnosis.accept.measured_ratio import settled
-from eps_hil.diagnosis.accept.placebo import placebos
+from eps_hil.diagnosis.accept.placebo import as_lucky, placebos
 from eps_hil.diagnosis.accept.standing import price, standing
 from eps_hil.diagnosis.attribute.beside import LEAST, not_whitened, selected_beside
 from eps_hil.diagnosis.attribute.select import Say, Selection, select
@@ -99,12 +99,18 @@ def beside_shared(known: Diagnosis, word: str, other: Diagnosis, say: Say | None
     findings = holdout_support(weighed, told, judged)
     findings = settled(weighed, told, findings, other.ratio_is_measured)[0]
     findings = standing(weighed, told, findings, judged)
+    placebo = placebos(weighed, told, findings, judged)
+    lucky = as_lucky(placebo, weighed, told, findings, judged)
+    if lucky:
+        kept = [k for k in findings if told.found.entries[k]["effect"] not in lucky]
+        findings = standing(weighed, told, kept, judged)
+        placebo = placebos(weighed, told, findings, judged)
     if weighed is not problem:
         shown = not_whitened(problem, told, selection)
     written = one_state(augmented_by(problem, shown.found, findings))
     left = left_of(problem, shown, judged) if _more_left(problem, shown) else None
     content = content_of(problem, shown, findings, left, judged, None, written)
-    content["fit"]["placebo"] = placebos(weighed, told, findings, judged)
+    content["fit"]["placebo"] = placebo
     content["fit"]["improvement"] = improvement(
         Judged(judged, base), Judged(judged, written), base, written
     )

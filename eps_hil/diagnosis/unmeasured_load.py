@@ -46,15 +46,13 @@ def under_load(
 ) -> Diagnosis:
     """Under the load that follows from the one that fits beside nothing else; or none, with names.
 
-    Numbers that stand for a load hold whatever follows the motion as it does. Where they leave
-    nothing to find, there may be no load, and names cost less of the hold-outs (``standing.py``),
-    it is the rig's own: a load that is written has three numbers, and one that is not leaves what
-    they held.
+    Numbers that stand for a load hold whatever follows the motion as it does. Where there may be
+    no load, and names cost less of the hold-outs (``standing.py``), it is the rig's own: a load
+    that is written has three numbers, and one that is not leaves what they held.
     """
     told = _under_likely_load(load, model, ready, spare, say, without)
     every = [one for one, _ in (*ready, *spare)]
-    silent = all(one["effect"] in told.elsewhere for one in told.content["findings"])
-    if load.form == "arbitrary" or not silent or not may_be_free(load, every, model):
+    if load.form == "arbitrary" or not may_be_free(load, every, model):
         return told
     named = under(NAMED, model, ready, spare, say, without)
     if not named.content["findings"]:

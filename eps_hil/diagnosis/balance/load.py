@@ -205,11 +205,11 @@ def load_knobs(load: Load | None) -> Mapping[str, float]:
 def own_drag(given: Model, written: Model) -> list[str]:
     """A sentence where the written model has another drag of its own beside an unknown load."""
     was, now = ([getattr(model.friction, name) for name in _DRAG] for model in (given, written))
-    if was == now:
+    old, new = (f"{sum(both) / 2.0:.3g}" for both in (was, now))
+    if old == new:
         return []
-    mean = [sum(both) / 2.0 for both in (was, now)]
     return [
-        f"Beside that load the model's own drag is {mean[1]:.3g} Nm s/rad, not {mean[0]:.3g}: that "
+        f"Beside that load the model's own drag is {new} Nm s/rad, not {old}: that "
         "explains more than a damper does. A written model holds it. Most of it could as well be "
         "the load's: it is no finding."
     ]

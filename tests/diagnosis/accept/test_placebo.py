@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from eps_hil.diagnosis.accept.placebo import DRAWS, placebos
+from eps_hil.diagnosis.accept.placebo import DRAWS, as_lucky, placebos
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Model
@@ -38,6 +38,16 @@ def test_an_offset_is_not_shifted(explained: Diagnosis) -> None:
     quantiles = offset["placebo_gain_5_50_95_percent"]
     assert quantiles["shifted"] == []
     assert abs(quantiles["random_signs"][1]) < 0.05 * offset["gain"]
+
+
+def test_a_name_that_gains_what_a_placebo_may_is_luck(explained: Diagnosis) -> None:
+    told = explained.content["fit"]["placebo"]
+    rest = (explained.problem, explained.selection, explained.accepted, explained.judged)
+    assert as_lucky(told, *rest) == []
+    chance = max(ends[-1] for ends in told[0]["placebo_gain_5_50_95_percent"].values() if ends)
+    for gain, lucky in ((-1.0, True), (1.9 * chance, True), (2.1 * chance, False)):
+        found = as_lucky([{**told[0], "gain": gain}, *told[1:]], *rest)
+        assert found == ([told[0]["effect"]] if lucky else [])
 
 
 def test_the_seed_decides(explained: Diagnosis) -> None:
