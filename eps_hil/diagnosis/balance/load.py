@@ -172,12 +172,14 @@ def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[di
 
     A spring's force follows the position, and so does friction that grows with it. And with no
     rack force, the ratio only scales what the torsion bar brings to the rotor. What a load does,
-    too, is half as sure where it was taken that there is none.
+    too, is half as sure where it was taken that there is none. And beside an arbitrary force an
+    effect is not asked for that may be what its twin is named for.
     """
     told = [dict(one) for one in findings]
     if load is None:
         return told
     sprung = load.form == "spring" and load.stiffness_n_per_m != 0.0
+    hidden = set(not_told_apart(load))
     for one in told:
         if load.named and one["effect"] in LIKE_LOAD:
             one["confidence"] = round(0.5 * float(one["confidence"]), 3)
@@ -188,6 +190,9 @@ def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[di
             other = _OF_LOAD
         if other:
             also(one, other, "record the rack force")
+        if load.form == "arbitrary" and one["effect"] in RIPPLES:
+            for twin in hidden & set(catalogue()[one["effect"]].twins):
+                also(one, twin, "record the rack force")
     return told
 
 

@@ -61,6 +61,15 @@ def test_with_no_rack_force_a_sensor_s_gain_may_be_the_ratio(load: Load) -> None
     assert measured["confusable_with"] == []
 
 
+def test_beside_any_force_a_twin_that_was_not_asked_for_is_told() -> None:
+    """A sensor's gain is hidden by such a force, and a joint that hardly turns looks like it."""
+    load = Load("arbitrary", 0.0, 0.0, 0.0)
+    joint, cogging = doubted([finding("cardan_joint"), finding("cogging_torque")], load)
+    assert joint["confusable_with"] == ["torque_sensor_gain"]
+    assert joint["confidence"] == 0.45
+    assert cogging["confusable_with"] == []  # its twin, torque_ripple, was asked for
+
+
 def test_what_a_load_could_do_is_half_as_sure_of_a_rack_that_is_taken_as_free() -> None:
     asymmetry, ripple = doubted([finding("friction_asymmetry"), finding("torque_ripple")], NAMED)
     assert asymmetry["confidence"] == 0.45
