@@ -11,6 +11,9 @@ def _change(model: Model, values: Mapping[str, float]) -> Model:
     return replace(model, inertia_kg_m2=model.inertia_kg_m2 * values["scale"])
 
 
+LEAST = 0.008
+"""Chains of five masses moved what a balance of one mass sees by up to 0.7 % on development cases."""
+
 EFFECT = Effect(
     id="inertia",
     title="Inertia error",
@@ -21,5 +24,5 @@ EFFECT = Effect(
     sentence="The inertia is {scale:.3g} times what the model says.",
     twins={"motor_torque_gain": "standstill under a known load"},
     change=_change,
-    probe=Probe("scale", 1.0, 5e-3, least=0.005),
+    probe=Probe("scale", 1.0, 5e-3, least=LEAST),
 )
