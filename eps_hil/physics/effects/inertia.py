@@ -12,7 +12,8 @@ def _change(model: Model, values: Mapping[str, float]) -> Model:
 
 
 LEAST = 0.008
-"""Chains of five masses moved what a balance of one mass sees by up to 0.7 % on development cases."""
+"""A chain of five masses moved a one-mass balance's by up to 0.7 % on development cases."""
+
 
 EFFECT = Effect(
     id="inertia",
