@@ -134,6 +134,47 @@ def test_whoever_waits_for_pip_sees_what_it_is_at(tmp_path: Path) -> None:
     assert (to_file.stdout, to_file.stderr) == ("there\n", "")
 
 
+_FAKE_PYTHON = """#!/bin/sh
+case "$*" in
+    *"config list"*) echo "global.index-url='https://mirror/simple'"
+                     echo "global.extra-index-url='https://a https://b'"
+                     echo ":env:.find-links='/x /y'" ;;
+    *) echo "pip $*" >>"$SAID" ;;
+esac
+"""
+_FAKE_UV = """#!/bin/sh
+echo "uv $* $UV_DEFAULT_INDEX $UV_INDEX $UV_FIND_LINKS" >>"$SAID"
+exit $STATUS
+"""
+
+
+@pytest.mark.parametrize("status", [0, 2])
+def test_uv_is_told_what_pip_was_told_and_where_it_fails_pip_installs(
+    status: int, tmp_path: Path
+) -> None:
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    for name, text in (("python", _FAKE_PYTHON), ("uv", _FAKE_UV)):
+        (folder / name).write_text(text)
+        (folder / name).chmod(0o755)
+    words = 'set -euo pipefail; source "$1"; VENV="$2"; _install dev digest'
+    script = str(ROOT / "scripts" / "_environment.sh")
+    told = {"SAID": str(tmp_path / "said"), "STATUS": str(status)}
+    env = {name: value for name, value in os.environ.items() if not name.startswith("UV_")}
+    env |= told | {"PATH": f"{folder}:{env['PATH']}", "PYTHONDONTWRITEBYTECODE": ""}
+    done = subprocess.run(
+        ["bash", "-c", words, "bash", script, str(tmp_path)],
+        env=env, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert "installed in" in done.stdout
+    first, *more = (tmp_path / "said").read_text().splitlines()
+    assert first.startswith("uv --no-progress pip install --python")
+    assert first.endswith(f"--editable {ROOT}[dev] https://mirror/simple https://a https://b /x,/y")
+    assert len(more) == (status != 0)
+    assert not more or (more[0].startswith("pip -m pip install") and f"{ROOT}[dev]" in more[0])
+    assert (tmp_path / ".eps_hil-dev").read_text() == "digest\n"
+
+
 @pytest.mark.slow
 def test_record_kill_measures_and_prints_a_row() -> None:
     words = [sys.executable, str(ROOT / "scripts" / "record_kill"), "--runs", "1"]
