@@ -73,9 +73,10 @@ def late_channel(one: Prepared, model: Model) -> tuple[str, float] | None:
         return None
     problem = Problem([one.alone()], model)
     names = [name for name in LOADS if name in one.raw and np.any(one.raw[name])]
-    residual = _averaged(problem.residual(model) * problem.scale)
+    recorded = problem.recordings[0].left_over(model)
+    residual = _averaged(recorded)
     weight = 1.0 / _averaged(problem.scale)
-    parts = [_averaged(_part(problem, model, name)) for name in names]
+    parts = [_averaged(_part(problem, model, name, recorded)) for name in names]
     inside = slice(far, len(residual) - far)
     own = np.column_stack([own_column(problem, name) for name in (*ALL, SPRING)])
     own = own * problem.scale[:, None]
@@ -88,7 +89,8 @@ def late_channel(one: Prepared, model: Model) -> tuple[str, float] | None:
 
     shifts = range(-far + 1, far)
     lags = [(k, by) for k in range(len(names)) for by in shifts if abs(by) * step_s >= NEAREST_S]
-    (before,), (recorded,) = refit.believed(moved(0, 0)[None, :])
+    as_it_is = moved(0, 0)
+    (before,), _ = refit.believed(as_it_is[None, :])
     nats, _ = refit.believed(np.array([moved(*lag) for lag in lags]))
     if before - nats.min() < NATS + np.log(len(lags)):
         return None
@@ -96,41 +98,52 @@ def late_channel(one: Prepared, model: Model) -> tuple[str, float] | None:
     k, near = min(alike, key=lambda lag: abs(lag[1]))  # periodic motion: a period later, too
     about = [lag for lag in lags if lag[0] == k and abs(lag[1] - near) < ABOUT]
     k, by = min(about, key=lambda lag: nats[lags.index(lag)])
-    _, (left,) = refit.believed(moved(k, by)[None, :])
+    left, beside = refit.left(moved(k, by)), refit.left(as_it_is)
     half = len(left) // 2
     for part in (slice(None, half), slice(half, None)):  # or it explains one event by chance
-        if np.sum(left[part] ** 2) > ELSEWHERE * np.sum(recorded[part] ** 2):
+        if np.sum(left[part] ** 2) > ELSEWHERE * np.sum(beside[part] ** 2):
             return None
     return names[k], by * step_s
 
 
 class _Refit:
-    """The model's own numbers refitted, each column what a usual error of one does."""
+    """The model's own numbers refitted, each column what a usual error of one does.
+
+    In the directions in which they do not depend on one another: what a refit leaves of many lags
+    then follows from sums, without a residual of each.
+    """
 
     def __init__(self, columns: Floats) -> None:
-        self.columns = columns
-        self.gram = columns.T @ columns
+        curvature, directions = np.linalg.eigh(columns.T @ columns)
+        self.curvature: Floats = np.maximum(curvature, 0.0)
+        self.columns: Floats = columns @ directions
 
     def believed(self, values: Floats) -> tuple[Floats, Floats]:
-        """(minus the log evidence (k,), residual (k, n)) by the numbers that are likeliest.
+        """(minus the log evidence (k,), errors (k, p)) by the numbers that are likeliest.
 
         Of each row of ``values`` (k, n): all lags at once.
         """
+        samples = values.shape[1]
         variance, slope = np.ones(len(values)), values @ self.columns
+        energy = np.einsum("ij,ij->i", values, values)
         for _ in range(_ROUNDS):
-            prior = (variance * TOGETHER)[:, None, None] * np.eye(slope.shape[1])
-            errors = np.linalg.solve(self.gram + prior, slope[:, :, None])[:, :, 0]
-            left = values - errors @ self.columns.T
-            variance = np.maximum(np.mean(left**2, axis=1), 1.0)
-        evidence = 0.5 * values.shape[1] / TOGETHER * np.log(variance)
-        return evidence + 0.5 * np.sum(errors**2, axis=1), left
+            errors = slope / (self.curvature + (variance * TOGETHER)[:, None])
+            taken = np.sum((2.0 * slope - self.curvature * errors) * errors, axis=1)
+            variance = np.maximum((energy - taken) / samples, 1.0)
+        evidence = 0.5 * samples / TOGETHER * np.log(variance)
+        return evidence + 0.5 * np.sum(errors**2, axis=1), errors
+
+    def left(self, values: Floats) -> Floats:
+        """What that leaves of one row (n,)."""
+        _, (errors,) = self.believed(values[None, :])
+        return np.asarray(values - self.columns @ errors)
 
 
-def _part(problem: Problem, model: Model, name: str) -> Floats:
-    """What a channel does to the residual, Nm, (n,)."""
+def _part(problem: Problem, model: Model, name: str, recorded: Floats) -> Floats:
+    """What a channel does to the residual, Nm, (n,), which is ``recorded`` as it is."""
     (one,) = problem.recordings
     more = one.changed(raw={**one.raw, name: (1.0 + _GAIN) * one.raw[name]})
-    return np.asarray((more.left_over(model) - one.left_over(model)) / _GAIN)
+    return np.asarray((more.left_over(model) - recorded) / _GAIN)
 
 
 def _averaged(values: Floats) -> Floats:

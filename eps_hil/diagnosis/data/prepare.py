@@ -103,13 +103,15 @@ class Prepared:
 
     def changed(self, **values: Any) -> "Prepared":
         """A copy with fields changed; what is remembered of the signals goes with them."""
-        if values.keys() - {"barred", "unexplained_nm", "interval_s"}:
+        more = values.keys() - {"barred", "unexplained_nm", "interval_s"}
+        if more - {"raw"} or "_kinematics" not in self.__dict__:
             return replace(self, _shifted={}, **values)
-        if "_kinematics" not in self.__dict__:
-            return replace(self, _shifted={}, **values)
-        copy = replace(self, **values)
-        copy.__dict__["_kinematics"] = self._kinematics
-        if "_without_noise" in self.__dict__:
+        raw = values.get("raw", self.raw)
+        same = {name for name in raw if raw[name] is self.raw.get(name)}
+        copy = replace(self, **values, _shifted={} if more else self._shifted)
+        if all(name in same for name in _MOVING if name in raw or name in self.raw):
+            copy.__dict__["_kinematics"] = self._kinematics
+        if "_without_noise" in self.__dict__ and "rack_force_n" in same:
             copy.__dict__["_without_noise"] = self._without_noise
         return copy
 
