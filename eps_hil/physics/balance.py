@@ -5,7 +5,8 @@ start within one presliding length. Same functions as the simulator, so an effec
 here too. Torques are at the rotor.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,8 @@ from eps_hil.physics.model import Model
 from eps_hil.physics.simulate import Drive, drive_of
 
 Floats = npt.NDArray[np.float64]
+Key = tuple[Any, ...]
+Once = Callable[[Key, bool, Callable[[], Floats]], Floats]
 
 
 class Motion(NamedTuple):
@@ -46,13 +49,27 @@ class Motion(NamedTuple):
     acceleration_rad_s2: Floats
 
 
+def _follows_from(drive: Drive) -> Key:
+    """What of a model its friction along a given motion follows from."""
+    if not drive.use.level:
+        return (*drive.law,)
+    rows = added.LEVEL_ROWS
+    effects = drive.effects.terms[rows].tobytes(), drive.effects.parameters[rows].tobytes()
+    return (*drive.law, drive.ratio, drive.sensor_to_rotor, *effects)
+
+
 def residual_nm(
-    model: Model, motion: Motion, rubbing_n: Floats | None = None
+    model: Model,
+    motion: Motion,
+    rubbing_n: Floats | None = None,
+    once: Once | None = None,
 ) -> tuple[Floats, Floats]:
     """(what the torques are short of the balance, friction plus added torque), both (n,), Nm.
 
     Residual = T_1m − F/i_APA − J ω̇ − T_f − added torques; zero for the right model.
     ``rubbing_n``: the rack force (n,) that friction grows with, where |F| is known with less noise.
+    ``once`` is handed what the friction follows from, whether more of the motion than speed and
+    rack force is part of that, and how it is worked out; it may know the result.
     """
     drive, out = drive_of(model), np.empty((len(motion.time_s), 2))
     use = drive.use
@@ -63,11 +80,18 @@ def residual_nm(
     motor = motor.copy() if use.motor else motor
     sensor = sensor.copy() if use.sensor else sensor
     more = np.zeros(len(out)) if use.torque else _NOTHING
-    levels = np.zeros((2, len(out))) if use.level else _NO_LEVELS
     load = motion.rack_force_n / drive.ratio
     if rubbing_n is not None:
         motion = motion._replace(rack_force_n=np.require(rubbing_n, requirements="W"))
-    _balance(drive, motion, motor, sensor, load, more, levels, out)
+
+    def rubbed() -> Floats:
+        friction = np.empty(len(out))
+        levels = np.zeros((2, len(out))) if use.level else _NO_LEVELS
+        _rub(drive, motion, levels, friction)
+        return friction
+
+    friction = rubbed() if once is None else once(_follows_from(drive), use.level, rubbed)
+    _balance(drive, motion, motor, sensor, load, more, friction, out)
     return out[:, 0], out[:, 1]
 
 
@@ -105,37 +129,19 @@ _BACKWARD = -1e-300
 
 
 @kernel
-def _balance(
-    drive: Drive,
-    m: Motion,
-    motor: Floats,
-    sensor: Floats,
-    load: Floats,
-    more: Floats,
-    levels: Floats,
-    out: Floats,
-) -> None:
-    """``motor``, ``sensor``, F/i_APA: as reported, changed in place by effects; ``more``: zeros, or
-    empty where nothing adds torque; ``levels``: (2, n), or (2, 0) where nothing adds to eq. 3.
+def _rub(drive: Drive, m: Motion, levels: Floats, friction: Floats) -> None:
+    """Friction along the motion; ``levels``: (2, n), or (2, 0) where nothing adds to eq. 3.
 
     The slots' functions are called in here because compiled code out of the disk cache may call
     closures, and Python may not: there, each process would compile them again.
     """
-    use, ratios = drive.use, Ratios(drive.sensor_to_rotor, drive.ratio)
-    if use.motor:
-        added.motor_along(drive.effects, m, ratios, motor)
-    if use.sensor:
-        added.sensor_along(drive.effects, m, ratios, sensor)
-    if use.load:
-        added.load_along(drive.effects, m, ratios, load)
-    if use.torque:
-        added.torque_along(drive.effects, m, ratios, more)
-    law = drive.law
+    law, use = drive.law, drive.use
     if use.level:
+        ratios = Ratios(drive.sensor_to_rotor, drive.ratio)
         _levels(m, law, levels)
         added.levels_along(drive.effects, m, ratios, levels[0], levels[1])
     bristle = 0.0
-    for k in range(len(m.time_s)):
+    for k in range(len(friction)):
         speed, force = m.speed_rad_s[k], m.rack_force_n[k]
         direction = speed if speed != 0.0 else m.travel_rad[k]
         way = 0
@@ -149,12 +155,39 @@ def _balance(
         bristle = bristle_step(
             bristle, m.travel_rad[k], m.slip_rad[k], level, law.sigma0_nm_per_rad
         )
-        friction = friction_torque_nm(bristle, speed, level, law)
+        friction[k] = friction_torque_nm(bristle, speed, level, law)
+
+
+@kernel
+def _balance(
+    drive: Drive,
+    m: Motion,
+    motor: Floats,
+    sensor: Floats,
+    load: Floats,
+    more: Floats,
+    friction: Floats,
+    out: Floats,
+) -> None:
+    """``motor``, ``sensor``, F/i_APA: as reported, changed in place by effects; ``more``: zeros, or
+    empty where nothing adds torque.
+    """
+    use, ratios = drive.use, Ratios(drive.sensor_to_rotor, drive.ratio)
+    if use.motor:
+        added.motor_along(drive.effects, m, ratios, motor)
+    if use.sensor:
+        added.sensor_along(drive.effects, m, ratios, sensor)
+    if use.load:
+        added.load_along(drive.effects, m, ratios, load)
+    if use.torque:
+        added.torque_along(drive.effects, m, ratios, more)
+    for k in range(len(friction)):
+        torque = friction[k]
         if use.torque:
-            friction += more[k]
+            torque += more[k]
         drive_torque = motor[k] + drive.sensor_to_rotor * sensor[k] - load[k]
-        out[k, 0] = drive_torque - drive.inertia * m.acceleration_rad_s2[k] - friction
-        out[k, 1] = friction + load[k]
+        out[k, 0] = drive_torque - drive.inertia * m.acceleration_rad_s2[k] - torque
+        out[k, 1] = torque + load[k]
 
 
 @kernel

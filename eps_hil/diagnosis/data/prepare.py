@@ -5,7 +5,7 @@ low-passed once, without phase, and thinned. The filter is linear, so residual a
 pass the same one.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -19,7 +19,7 @@ from eps_hil.diagnosis.data.seen_twice import motion_hz
 from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.identification.filters import every_so_many, on_grid, shifted
-from eps_hil.physics.balance import Motion, motor_torque_acting_nm, residual_nm
+from eps_hil.physics.balance import Key, Motion, motor_torque_acting_nm, residual_nm
 from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
 from eps_hil.physics.effects.effect import Slot
 from eps_hil.physics.model import Model
@@ -51,10 +51,10 @@ FEWEST_STEPS = 2.0
 EDGE_S = 0.25
 """Left out at both ends of a recording, where a filter without phase has only one side."""
 
-_MOST_SHIFTED, _LEAST_SHIFTED = 40, 11
+_MOST_SHIFTED, _LEAST_SHIFTED = 40, 12
 _MOST_SHIFTED_BYTES = 200_000_000
 """Of all recordings together: an hour's signals are 29 MB each. Where there is no room for the
-eleven that one motion may need, none is remembered: they would only push each other out."""
+twelve that one balance may need, none is remembered: they would only push each other out."""
 _SAMPLED = 3e-4
 """Of the motor torque's rms: what the balance of a sampled recording leaves without any noise. A
 torque that steps, or friction that turns, between samples of 1 ms leaves nearly as much."""
@@ -99,7 +99,8 @@ class Prepared:
     """Whether a speed was measured, but mostly noise, so that the angle's rate took its place."""
     among: int = 1
     """Recordings that are looked at together, and share what may be remembered of them."""
-    _shifted: dict[tuple[int, float, int, bool], Floats] = field(default_factory=dict)
+    _shifted: dict[tuple[Any, ...], Floats] = field(default_factory=dict)
+    """Signals at other instants, and what friction was along the motion."""
 
     def changed(self, **values: Any) -> "Prepared":
         """A copy with fields changed; what is remembered of the signals goes with them."""
@@ -209,7 +210,22 @@ class Prepared:
         return self._balance(model, 1)[0]
 
     def _balance(self, model: Model, every: int) -> tuple[Floats, Floats]:
-        return residual_nm(model, self._motion(model, every), self._rubbing_n(model, every))
+        def friction(follows: Key, whole: bool, work: Callable[[], Floats]) -> Floats:
+            """Worked out once for what it follows from: most of what a model may lack is none."""
+            delays = with_model_effects(model).delays_s
+            own = "motor_angle_rad" if self.speed_is_derived else "motor_speed_rad_s"
+            late = delays if whole else (delays.of(own), delays.of("rack_force_n"))
+            key = ("friction", every, late, *follows)
+            found = self._shifted.pop(key, None)
+            if found is None:
+                found = work()
+                self._remember(key, found, self.time_s.nbytes)
+            else:
+                self._shifted[key] = found
+            return found
+
+        motion = self._motion(model, every)
+        return residual_nm(model, motion, self._rubbing_n(model, every), friction)
 
     @cached_property
     def every(self) -> int:
@@ -381,13 +397,18 @@ class Prepared:
             # straight lines would take noise off between the samples, and a delay would gain by it
             late = shifted(np.abs(values) if size else values, delay_s)
             found = every_so_many(late, every, first, summed=summed)
-            most = min(_MOST_SHIFTED, _MOST_SHIFTED_BYTES // (values.nbytes * self.among))
-            if most < _LEAST_SHIFTED:
-                return found
-            for old in [*self._shifted][: -most + 1]:
-                self._shifted.pop(old, None)  # what was wanted last stands last
-        self._shifted[key] = found
+            self._remember(key, found, values.nbytes)
+        else:
+            self._shifted[key] = found
         return found
+
+    def _remember(self, key: tuple[Any, ...], found: Floats, size: int) -> None:
+        most = min(_MOST_SHIFTED, _MOST_SHIFTED_BYTES // (size * self.among))
+        if most < _LEAST_SHIFTED:
+            return
+        for old in [*self._shifted][: -most + 1]:
+            self._shifted.pop(old, None)  # what was wanted last stands last
+        self._shifted[key] = found
 
     @cached_property
     def _kinematics(self) -> Mapping[str, Floats]:

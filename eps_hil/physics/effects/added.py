@@ -346,6 +346,10 @@ _ROWS_OF_SLOTS = [
     )
 ]
 """In the order of :class:`InUse`."""
+LEVEL_ROWS = np.concatenate(
+    [_ROWS_OF_SLOTS[InUse._fields.index(one)] for one in ("level", "position")]
+)
+"""Rows of the table that act on the friction's level, or on the place that it may depend on."""
 WALK: dict[str, list[tuple[int, Callable[..., Any]]]] = {
     **{
         name: [(_ROW[effect.id], kernel) for effect, kernel in acting]

@@ -102,6 +102,36 @@ def test_what_was_wanted_last_is_remembered(record: Callable[..., Any]) -> None:
             assert one._at(one.raw["motor_speed_rad_s"], 1e-3 * k) is before
 
 
+def test_friction_is_worked_out_once_for_what_it_follows_from(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    """And anew for all else: the rack's place without its sensor follows from ratio and angle."""
+    (series,) = record({}, ("weave",), seconds=5.0).values()
+    series = {name: one for name, one in series.items() if name != "rack_position_m"}
+    known = prepare("weave", series)
+    there = {"effect": "position_dependent_friction", "centre_m": 0.0, "width_m": 0.01}
+    local = replace(reference_model, effects=({**there, "level_nm": 0.05},))
+    ratio = {"effect": "rack_ratio", "scale": 0.02, "slope_per_m": 0.5, "bend_per_m2": 0.0}
+    delays, rubbed = reference_model.delays_s, []
+    for model in (
+        reference_model,
+        replace(reference_model, inertia_kg_m2=2.0 * reference_model.inertia_kg_m2),
+        replace(reference_model, delays_s=replace(delays, motor_torque=3e-3)),
+        replace(reference_model, effects=({"effect": "motor_torque_offset", "offset_nm": 0.1},)),
+        replace(reference_model, delays_s=replace(delays, motor_speed=2e-3)),
+        replace(reference_model, friction=replace(reference_model.friction, sigma0_nm_per_rad=9.0)),
+        local,
+        replace(local, inertia_kg_m2=2.0 * reference_model.inertia_kg_m2),
+        replace(local, delays_s=replace(delays, motor_angle=2e-3)),
+        replace(local, effects=(*local.effects, ratio)),
+        replace(reference_model, effects=({**there, "level_nm": 0.04},)),
+    ):
+        anew = prepare("weave", series).left_over(model)
+        np.testing.assert_array_equal(known.left_over(model), anew)
+        rubbed.append(sum(key[0] == "friction" for key in known._shifted))
+    assert rubbed == [1, 1, 1, 1, 2, 3, 4, 4, 5, 6, 7]
+
+
 def _half(one: Series) -> Series:
     return Series(one.t_ns, 0.5 * one.value)
 
