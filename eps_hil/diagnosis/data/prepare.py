@@ -5,6 +5,7 @@ low-passed once, without phase, and thinned. The filter is linear, so residual a
 pass the same one.
 """
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -58,6 +59,7 @@ twelve that one balance may need, none is remembered: they would only push each 
 _SAMPLED = 3e-4
 """Of the motor torque's rms: what the balance of a sampled recording leaves without any noise. A
 torque that steps, or friction that turns, between samples of 1 ms leaves nearly as much."""
+_MOST_SHARES = 6
 _STRAYED = 0.461
 """∫(W − mean W)² dt over a Brownian bridge's or a random walk's unit time exceeds this in 5 of 100:
 Cramér's and von Mises' statistic."""
@@ -305,6 +307,19 @@ class Prepared:
         """
         if not any(_bends_motor_torque(entry) for entry in model.effects):
             return 1.0
+        for known, share in [*self._shares]:  # other threads may add to it at any time
+            if known is model or known == model:
+                return share
+        share = self._acting_share(model)
+        self._shares.append((model, share))
+        return share
+
+    @cached_property
+    def _shares(self) -> "deque[tuple[Model, float]]":
+        """What acted under the last few models: one residual asks four times, of two of them."""
+        return deque(maxlen=_MOST_SHARES)
+
+    def _acting_share(self, model: Model) -> float:
         motion = self._motion(model, self.every)
         torque = motion.motor_torque_nm
         size = max(self.noise["motor_torque_nm"], _SAMPLED * float(np.std(torque)), 1e-12)

@@ -132,6 +132,18 @@ def test_friction_is_worked_out_once_for_what_it_follows_from(
     assert rubbed == [1, 1, 1, 1, 2, 3, 4, 4, 5, 6, 7]
 
 
+def test_what_acts_of_a_torque_is_asked_of_the_same_model_once(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    (series,) = record({}, ("weave",), seconds=5.0).values()
+    known = prepare("weave", series)
+    for curvature in (*np.linspace(1e-3, 0.2, 9).tolist(), 1e-3):
+        bent = {"effect": "motor_torque_saturation", "curvature_per_nm2": curvature}
+        model, again = (replace(reference_model, effects=({**bent},)) for _ in range(2))
+        anew = prepare("weave", series).acting_share(model)
+        assert known.acting_share(model) == known.acting_share(again) == anew
+
+
 def _half(one: Series) -> Series:
     return Series(one.t_ns, 0.5 * one.value)
 
