@@ -68,8 +68,9 @@ def tables(fitted: Sight, kept: Sight, *, maps: bool = True) -> list[Table]:
         if name in kept.inputs and name not in _NO_AXIS and not name.endswith("_sign")
     ]
     places = [key for key in fitted.places if key in kept.places]
+    over_one = [_over(fitted, kept, places, (name,), KNOTS) for name in names]
     curves = sorted(
-        (_table(fitted, kept, key, (name,), KNOTS) for key in places for name in names),
+        (of_name[k] for k in range(len(places)) for of_name in over_one),
         key=lambda one: -one.judged - one.fitted,
     )
     if not maps:
@@ -77,7 +78,8 @@ def tables(fitted: Sight, kept: Sight, *, maps: bool = True) -> list[Table]:
     axes = list(dict.fromkeys(one.inputs[0] for one in curves if one.inputs[0] not in _PRODUCTS))
     axes = axes[:_BEST]
     best = list(dict.fromkeys((one.where, one.how) for one in curves))[:3]
-    over_two = [_table(fitted, kept, key, pair, SIDE) for key, pair in _pairs(best, axes)]
+    by_pair = [_over(fitted, kept, best, pair, SIDE) for pair in _pairs(axes)]
+    over_two = [of_pair[k] for k in range(len(best)) for of_pair in by_pair]
     found = [*curves[:1], *sorted(over_two, key=lambda one: -one.judged - one.fitted)[:1]]
     return sorted(found, key=lambda one: -one.judged)
 
@@ -108,23 +110,35 @@ def band(sight: Sight, entry: Mapping[str, Any]) -> list[Any]:
     return [told[k : k + sizes[1]] for k in range(0, len(told), sizes[1])]
 
 
-def _pairs(
-    places: Sequence[tuple[str, str]], axes: Sequence[str]
-) -> Iterator[tuple[tuple[str, str], tuple[str, str]]]:
-    for key in places:
-        for one, other in combinations(axes, 2):
-            if one.removeprefix("abs_") != other.removeprefix("abs_"):
-                yield key, (one, other)
+def _pairs(axes: Sequence[str]) -> Iterator[tuple[str, str]]:
+    for one, other in combinations(axes, 2):
+        if one.removeprefix("abs_") != other.removeprefix("abs_"):
+            yield one, other
+
+
+def _over(
+    fitted: Sight, kept: Sight, places: Sequence[tuple[str, str]], names: tuple[str, ...], most: int
+) -> list[Table]:
+    """The table over these inputs at each of the places."""
+    rows = fitted.rows
+    knots = tuple(_knots(fitted.inputs[name][rows], most) for name in names)
+    hats, others = (_products(sight, names, knots) for sight in (fitted, kept))
+    bends = _bends([len(axis) for axis in knots])
+    return [_table(fitted, kept, key, names, knots, (hats, others), bends) for key in places]
 
 
 def _table(
-    fitted: Sight, kept: Sight, key: tuple[str, str], names: tuple[str, ...], most: int
+    fitted: Sight,
+    kept: Sight,
+    key: tuple[str, str],
+    names: tuple[str, ...],
+    knots: tuple[tuple[float, ...], ...],
+    hats: tuple[Floats, Floats],
+    bends: Floats,
 ) -> Table:
     rows = fitted.rows
-    knots = tuple(_knots(fitted.inputs[name][rows], most) for name in names)
-    x, left = _columns(fitted, key, names, knots)
-    y, other = _columns(kept, key, names, knots)
-    bends = _bends([len(axis) for axis in knots])
+    x, left = _acting(fitted, key, hats[0])
+    y, other = _acting(kept, key, hats[1])
     even = fitted.block[rows] % 2 == 0
     gram = [x[half].T @ x[half] for half in (even, ~even)]
     slope = [x[half].T @ left[half] for half in (even, ~even)]
@@ -162,11 +176,21 @@ def _knots(values: Floats, most: int) -> tuple[float, ...]:
 def _columns(
     sight: Sight, key: tuple[str, str], names: Sequence[str], knots: Sequence[Sequence[float]]
 ) -> tuple[Floats, Floats]:
+    return _acting(sight, key, _products(sight, names, knots))
+
+
+def _products(sight: Sight, names: Sequence[str], knots: Sequence[Sequence[float]]) -> Floats:
+    """What each knot does at the rows, (k, knots), at a place where all acts alike."""
     rows = sight.rows
     hats = _hats(sight.inputs[names[0]][rows], knots[0])
     if len(names) == 2:
         second = _hats(sight.inputs[names[1]][rows], knots[1])
         hats = (hats[:, :, None] * second[:, None, :]).reshape(len(rows), -1)
+    return hats
+
+
+def _acting(sight: Sight, key: tuple[str, str], hats: Floats) -> tuple[Floats, Floats]:
+    rows = sight.rows
     effect = sight.places[key].effect * sight.weight / sight.scale
     return hats * effect[rows, None], (sight.residual * sight.weight)[rows]
 
