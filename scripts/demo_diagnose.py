@@ -309,6 +309,20 @@ def _rms_error_n(cell: Series, estimates: Path) -> float:
     return _rms(force[inside] - true)
 
 
+def say_stalls(out: Path, command: str) -> None:
+    """Where the machine stood still, the figures are its doing as well."""
+    sys.path.insert(0, str(Path(__file__).parent))
+    import demo_stalls
+
+    rig, rig2, log = (out / name for name in ("rig.txt", "rig2.txt", "given.csv"))
+    lines = demo_stalls.stalls(rig.read_text(encoding="utf-8"), None).lines(command)
+    if not lines and rig2.exists() and log.exists():
+        rows = demo_stalls.estimates(log, LIVE_S)
+        lines = demo_stalls.stalls(rig2.read_text(encoding="utf-8"), rows).lines(command)
+    for line in lines:
+        say(line)
+
+
 def main() -> int:
     """The demo; 0 if the hidden effect was named."""
     parser = argparse.ArgumentParser(prog="scripts/demo-diagnose")
@@ -319,7 +333,12 @@ def main() -> int:
     given = parser.parse_args()
     out, begun = given.out, time.monotonic()
     out.mkdir(parents=True, exist_ok=True)
-    entry = hidden(given.effect, secrets.randbits(32) if given.seed is None else given.seed)
+    seed = secrets.randbits(32) if given.seed is None else given.seed
+    entry = hidden(given.effect, seed)
+    chosen = f" --effect {given.effect}" if given.effect else ""
+    again = f"scripts/demo-diagnose{chosen} --seed {seed}"
+    for old in ("rig2.txt", "given.csv"):
+        (out / old).unlink(missing_ok=True)
     truth = out / "hidden.yaml"
     replace(load_model(MODEL), effects=(entry,)).save(truth)
     port = 40000 + os.getpid() % 20000
@@ -342,7 +361,10 @@ def main() -> int:
         "given": config(out, "service_given", MODEL, port, publish=False),
         "found": config(out, "service_found", out / "found.yaml", port, publish=True),
     }
-    errors = live(out, rig, configs, LIVE_S)
+    try:
+        errors = live(out, rig, configs, LIVE_S)
+    finally:
+        say_stalls(out, again)
     say(f"rack force, rms error against the load cell: model as given {errors['given']:.1f} N, "
         f"written model {errors['found']:.1f} N")  # fmt: skip
     say(f"done in {time.monotonic() - begun:.0f} s")
