@@ -38,7 +38,9 @@ def usual_handlers() -> Iterator[None]:
         signal.signal(number, handler)
 
 
-@pytest.mark.parametrize("number", ENDING)
+@pytest.mark.parametrize(
+    "number", [ENDING[0], *(pytest.param(one, marks=pytest.mark.slow) for one in ENDING[1:])]
+)
 def test_one_signal_ends_it_while_it_compiles(tmp_path: Path, number: signal.Signals) -> None:
     """The compiler goes on after a handler: only the signal's own effect ends it."""
     words = ["investigate", "--config", str(written(tmp_path)), "--budget", "1min", "--out", "out"]

@@ -88,11 +88,14 @@ def test_the_true_model_on_the_bus_is_better(folder: Path, config: ServiceConfig
 def test_the_command_says_both(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
+    """Of a model without effects, whose step is compiled already; the one above has effects."""
     given = ["prove", "loop", str(folder / "holdout.log"), "--config", str(folder / "service.yaml")]
     out = tmp_path / "loop.json"
-    assert main([*given, "--with", str(folder / "better.yaml"), "--json", str(out)]) == 0
+    other = folder / "other.yaml"
+    other.write_text(model_yaml(Drive(inertia_kg_m2=2.2e-4)))
+    assert main([*given, "--with", str(other), "--json", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "better.yaml" in said
+    assert "other.yaml" in said
     assert "moving" in said
     assert out.exists()
 

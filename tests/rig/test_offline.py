@@ -81,11 +81,10 @@ def test_equation_1d_holds_for_the_five_masses_below_their_resonances(
     [
         *(
             pytest.param(name, marks=pytest.mark.slow)
-            for name in ("constant_speed_preload", "demo", "multisine")
+            for name in ("constant_speed_preload", "demo", "multisine", "weave")
         ),
         "dwell",
         "steps",
-        "weave",
     ],
 )
 def test_every_manoeuvre_stays_within_the_travel_and_the_ranges_of_the_bus(
