@@ -60,17 +60,21 @@ def _difference(name: str, width: Width) -> Knob:
     return Knob(name, turn)
 
 
+def _times(value: float, log_width: float) -> float:
+    """What multiplies a positive number; a step of a fit may be as wild as it likes."""
+    return math.exp(max(-40.0, min(40.0, value)) * log_width)
+
+
 def _factor(name: str, log_width: float) -> Knob:
     def turn(model: Model, value: float, _size: Size) -> Model:
-        factor = math.exp(max(-40.0, min(40.0, value)) * log_width)
-        moved = getattr(model.friction, name) * factor
+        moved = getattr(model.friction, name) * _times(value, log_width)
         return replace(model, friction=replace(model.friction, **{name: moved}))
 
     return Knob(name, turn)
 
 
 def _inertia(model: Model, value: float, _size: Size) -> Model:
-    return replace(model, inertia_kg_m2=model.inertia_kg_m2 * math.exp(0.2 * value))
+    return replace(model, inertia_kg_m2=model.inertia_kg_m2 * _times(value, 0.2))
 
 
 def _raised(
@@ -230,7 +234,7 @@ def _law_moved(model: Model, name: str, value: float) -> Model:
     entry = dict(model.effects[int(place)])
     number, kind = float(entry.get(key, 1.0)), key.rpartition("_")[0]
     if kind in ("width", "memory"):
-        number *= math.exp(_LAW_WIDTH * value)
+        number *= _times(value, _LAW_WIDTH)
     elif kind == "phase":
         number += _LAW_WIDTH * value
     elif kind == "centre":

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,13 +16,13 @@ REFERENCE = load_model(Path(__file__).parents[3] / "configs" / "reference_rig.ya
 
 @given(
     st.dictionaries(
-        st.sampled_from([knob.name for knob in KNOBS if knob.name != HOLD]), st.floats(-8.0, 8.0)
+        st.sampled_from([knob.name for knob in KNOBS if knob.name != HOLD]), st.floats(-1e6, 1e6)
     )
 )
 def test_no_turn_makes_a_model_that_no_file_may_hold(values: dict[str, float]) -> None:
     moved = turned(REFERENCE, values)
     friction = moved.friction
-    assert moved.inertia_kg_m2 > 0.0
+    assert 0.0 < moved.inertia_kg_m2 < np.inf
     for name in ("offset", "viscous", "load"):
         for side in ("pos", "neg"):
             unit = {"offset": "nm", "viscous": "nm_s_per_rad", "load": "nm_per_n"}[name]
@@ -72,3 +73,5 @@ def test_a_learnt_law_has_a_knob_for_each_of_its_numbers() -> None:
         assert {key for key in law if moved[key] != law[key]} == {name.split(".")[2]}
     (far,) = turned(model, dict.fromkeys(knobs, -8.0)).effects
     assert far["width_1"] > 0.0
+    (wild,) = turned(model, dict.fromkeys(knobs, 1e6)).effects  # one step of a fit may be
+    assert np.isfinite(wild["width_1"])
