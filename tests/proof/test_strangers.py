@@ -13,6 +13,7 @@ ALLOWED = {
     "eps_hil.examples",
     "eps_hil.proof",
     "eps_hil.bus",
+    "eps_hil.json_text",
     "eps_hil.yaml_file",
 }
 """What the proof may use of the package: nothing that knows physics."""
