@@ -1,6 +1,6 @@
 """The whole way from recordings to a verdict (CONTRACT 7)."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -11,9 +11,7 @@ from eps_hil.diagnosis.accept.improvement import only_if_clear
 from eps_hil.diagnosis.attribute.select import Say
 from eps_hil.diagnosis.balance.late_channel import late_channels
 from eps_hil.diagnosis.balance.load import (
-    load_of,
     missing,
-    own_drag,
 )
 from eps_hil.diagnosis.balance.problem import sliding
 from eps_hil.diagnosis.data.channels import channels_in_doubt
@@ -24,11 +22,11 @@ from eps_hil.diagnosis.data.intake import (
     same_load,
     split,
 )
-from eps_hil.diagnosis.data.prepare import Prepared, seen_twice
+from eps_hil.diagnosis.data.prepare import seen_twice
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.data.size import size_of
-from eps_hil.diagnosis.given_load import Diagnosis, slides, under
-from eps_hil.diagnosis.unmeasured_load import under_load
+from eps_hil.diagnosis.given_load import Asked, Diagnosis, slides, under
+from eps_hil.diagnosis.unmeasured_load import under_unmeasured_load
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -69,32 +67,19 @@ def diagnose(
             one.changed(size=size, among=among, begins_s=began_s.get(one.name, one.begins_s))
             for one in every
         ]
-        ready = list(zip(every[: len(fitted)], fitted.values(), strict=True))
-        spare = list(zip(every[len(fitted) :], kept.values(), strict=True))
+        asked = Asked(
+            model,
+            list(zip(every[: len(fitted)], fitted.values(), strict=True)),
+            list(zip(every[len(fitted) :], kept.values(), strict=True)),
+            say,
+            without,
+        )
         same_load(every)
         doubts = channels_in_doubt({**recordings, **holdouts}, model, trust_channels)
-        if not missing(every):
+        measured_load = not missing(every)
+        if measured_load:
             doubts += late_channels(every, model, trusted=trust_channels)
-        found = _found(model, ready, spare, say, without)
+        slides(asked.learnt, np.concatenate([sliding(one, model) for one in asked.learnt]))
+        found = under(None, asked) if measured_load else under_unmeasured_load(asked)
         content = only_if_clear(found.content, found.elsewhere)
         return replace(found, content={**content, "limits": [*doubts, *content["limits"]]})
-
-
-def _found(
-    model: Model,
-    ready: Sequence[tuple[Prepared, Mapping[str, Series]]],
-    spare: Sequence[tuple[Prepared, Mapping[str, Series]]],
-    say: Say | None,
-    without: Collection[str],
-) -> Diagnosis:
-    """The diagnosis under the load that fits best, where nobody measured one."""
-    every = [one for one, _ in (*ready, *spare)]
-    learnt = [one for one, _ in ready]  # a hold-out that the load was fitted to judges nothing
-    slides(learnt, np.concatenate([sliding(one, model) for one in learnt]))
-    if not missing(every):
-        return under(None, model, ready, spare, say, without)
-    load = load_of(learnt, model)
-    beside = load.beside_own_drag(model)
-    told = under_load(replace(load, drag_nm_s_per_rad=0.0), beside, ready, spare, say, without)
-    said = own_drag(model, told.model)
-    return replace(told, content={**told.content, "limits": [*said, *told.content["limits"]]})

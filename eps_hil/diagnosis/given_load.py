@@ -1,7 +1,7 @@
 """The diagnosis under a load that was measured, or is taken to be one."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -120,6 +120,43 @@ class Diagnosis:
     """Effects that the first look found, by evidence that is not the torque balance's."""
 
 
+Read = Sequence[tuple[Prepared, Mapping[str, Series]]]
+"""Recordings, prepared and as they were read."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is to be explained: ``fitted`` and ``kept`` recordings, by ``model``.
+
+    ``without``: effects (ids) that are not considered.
+    """
+
+    model: Model
+    fitted: Read
+    kept: Read
+    say: Say | None
+    without: Collection[str]
+
+    @property
+    def learnt(self) -> list[Prepared]:
+        """The recordings to fit alone: what is fitted to a hold-out cannot be judged on it."""
+        return [one for one, _ in self.fitted]
+
+    @property
+    def every(self) -> list[Prepared]:
+        """All recordings."""
+        return [one for one, _ in (*self.fitted, *self.kept)]
+
+    def beside(self, load: Load) -> "Asked":
+        """The same, of recordings with that load as their rack force."""
+        fitted, kept = (
+            [(with_load(one, self.model, load), series) for one, series in read]
+            for read in (self.fitted, self.kept)
+        )
+        hidden = {*not_told_apart(load), *of_lone_torque(self.learnt)}
+        return replace(self, fitted=fitted, kept=kept, without={*self.without, *hidden})
+
+
 def slides(recordings: Sequence[Prepared], samples: npt.NDArray[np.bool_]) -> None:
     """:class:`RecordingError` where too few samples show a rotor that slides."""
     seconds = 1e-3 * THIN * float(np.sum(samples))
@@ -134,43 +171,35 @@ def slides(recordings: Sequence[Prepared], samples: npt.NDArray[np.bool_]) -> No
     )
 
 
-def under(
-    load: Load | None,
-    model: Model,
-    ready: Sequence[tuple[Prepared, Mapping[str, Series]]],
-    spare: Sequence[tuple[Prepared, Mapping[str, Series]]],
-    say: Say | None,
-    without: Collection[str],
-) -> Diagnosis:
+def under(load: Load | None, asked: Asked) -> Diagnosis:
     """The diagnosis where a load that nobody measured is taken to be ``load``.
 
     Of a channel that is wrong and physics that is left out, what hold-outs are better off with.
     """
-    kept = {one.name: series for one, series in spare}
+    bare = asked
 
     def again(more: Collection[str]) -> Diagnosis:
-        return under(load, model, bare[0], bare[1], say, more)
+        return under(load, replace(bare, without=more))
 
-    bare = ready, spare
     if load is not None:
-        alone = of_lone_torque([one for one, _ in ready])
-        ready = [(with_load(one, model, load), series) for one, series in ready]
-        spare = [(with_load(one, model, load), series) for one, series in spare]
-        without = {*without, *not_told_apart(load), *alone}
-    look = first_look(ready, spare, model, without)
+        asked = asked.beside(load)
+    model, say = asked.model, asked.say
+    kept = {one.name: series for one, series in asked.kept}
+    look = first_look(asked.fitted, asked.kept, model, asked.without)
     problem = problem_of(look.fitted, look.model, load_knobs(load))
     slides(look.fitted, problem.sliding)
     untold = of_motor_torque(problem) if is_still(look.fitted) else []
     if untold:
-        without = {*without, *untold, EMPIRICAL}
+        asked = replace(asked, without={*asked.without, *untold, EMPIRICAL})
+    without = asked.without
     judged = kept_holdouts(look, kept)
     if sum(int(np.sum(one.judging(look.model))) for one in judged) < LEAST_JUDGED:
         raise RecordingError(
             look.kept[-1].name, "kept from the fit to judge it, but slides for less than 1 s"
         )
     look, problem, selection = searched(look, problem, load_knobs(load), judged, say, without)
-    measured = set.intersection(*(set(series) for _, series in ready))
-    case = _Case(load, model, ready, spare, say, without, again, untold)
+    measured = set.intersection(*(set(series) for _, series in asked.fitted))
+    case = _Case(load, asked, again, untold)
     given = look, problem, selection, judged
     wrong = channel_fault(selection.part, selection, measured, without)
     right = wrong and put_right(wrong, given, load_knobs(load), say, without, kept)
@@ -190,11 +219,7 @@ class _Case:
     """
 
     load: Load | None
-    model: Model
-    ready: Sequence[tuple[Prepared, Mapping[str, Series]]]
-    spare: Sequence[tuple[Prepared, Mapping[str, Series]]]
-    say: Say | None
-    without: Collection[str]
+    asked: Asked
     again: Callable[[Collection[str]], Diagnosis]
     untold: Sequence[str] = ()
 
@@ -202,9 +227,8 @@ class _Case:
 def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None) -> Diagnosis:
     """What is said of a selection, once what is left beside it is modelled."""
     look, problem, selection, judged = searched_for
-    load, model, spare, say, without = case.load, case.model, case.spare, case.say, case.without
+    load, model, say, without = case.load, case.asked.model, case.asked.say, case.asked.without
     others = load_knobs(load)
-    every = [one for one, _ in (*case.ready, *spare)]
     findings, force = settled(
         problem, selection, holdout_support(problem, selection, judged), look.ratio_is_measured
     )
@@ -251,7 +275,9 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     if look.model is not model or look.put_right or look.entries or wrong is not None:
         as_read = [
             Holdout(one.changed(barred=right.barred), series, data)
-            for (one, series), right, data in zip(spare, look.kept, look.kept_quality, strict=True)
+            for (one, series), right, data in zip(
+                case.asked.kept, look.kept, look.kept_quality, strict=True
+            )
         ]
         shown = look.put_right_in_no_file or wrong is not None
         content["fit"]["holdout"] = as_the_file_does(
@@ -270,7 +296,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     )
     content["limits"] = [
         *([] if load is None else [load.sentence]),
-        *unseen(every),
+        *unseen(case.asked.every),
         *([sentence(case.untold)] if case.untold else []),
         *look.remarks,
         *look.notes,

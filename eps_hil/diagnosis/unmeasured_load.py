@@ -1,6 +1,6 @@
 """Which load it was where nobody measured one, told by the diagnosis under it."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from eps_hil.diagnosis.accept.as_written import under_any_force, under_written_load
@@ -8,7 +8,6 @@ from eps_hil.diagnosis.accept.beside_law import ENOUGH
 from eps_hil.diagnosis.accept.proof_of_fit import torque_nrmse
 from eps_hil.diagnosis.accept.standing import price_of_one
 from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, threshold
-from eps_hil.diagnosis.attribute.select import Say
 from eps_hil.diagnosis.balance.fit import matters
 from eps_hil.diagnosis.balance.load import (
     FREE,
@@ -17,14 +16,14 @@ from eps_hil.diagnosis.balance.load import (
     Load,
     load_of,
     may_be_free,
+    own_drag,
     wrong_in_friction,
 )
 from eps_hil.diagnosis.data.prepare import Prepared
-from eps_hil.diagnosis.given_load import Diagnosis, under
+from eps_hil.diagnosis.given_load import Asked, Diagnosis, under
 from eps_hil.diagnosis.verdict.content import without_nan
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
-from eps_hil.series import Series
 
 MOST_LEFT = 0.5
 """Of the hold-outs' energy: what names leave of a force that is no arbitrary one."""
@@ -36,25 +35,26 @@ WORTH_A_LOAD = 0.98
 """Of what hold-outs keep without: below this a load is written where there may be none."""
 
 
-def under_load(
-    load: Load,
-    model: Model,
-    ready: Sequence[tuple[Prepared, Mapping[str, Series]]],
-    spare: Sequence[tuple[Prepared, Mapping[str, Series]]],
-    say: Say | None,
-    without: Collection[str],
-) -> Diagnosis:
+def under_unmeasured_load(asked: Asked) -> Diagnosis:
+    """The diagnosis under the load that fits best, where nobody measured one."""
+    load = load_of(asked.learnt, asked.model)
+    beside = load.beside_own_drag(asked.model)
+    told = _under_load(replace(load, drag_nm_s_per_rad=0.0), replace(asked, model=beside))
+    said = own_drag(asked.model, told.model)
+    return replace(told, content={**told.content, "limits": [*said, *told.content["limits"]]})
+
+
+def _under_load(load: Load, asked: Asked) -> Diagnosis:
     """Under the load that follows from the one that fits beside nothing else; or none, with names.
 
     Numbers that stand for a load hold whatever follows the motion as it does. Where there may be
     no load, and names cost less of the hold-outs (``standing.py``), it is the rig's own: a load
     that is written has three numbers, and one that is not leaves what they held.
     """
-    told = _under_likely_load(load, model, ready, spare, say, without)
-    every = [one for one, _ in (*ready, *spare)]
-    if load.form == "arbitrary" or not may_be_free(load, every, model):
+    told = _under_likely_load(load, asked)
+    if load.form == "arbitrary" or not may_be_free(load, asked.every, asked.model):
         return told
-    named = under(NAMED, model, ready, spare, say, without)
+    named = under(NAMED, asked)
     if not named.content["findings"]:
         return told
     written = told.beside_load is not None and told.beside_load != told.model
@@ -62,20 +62,12 @@ def under_load(
     return named if named.price < cost else told
 
 
-def _under_likely_load(
-    load: Load,
-    model: Model,
-    ready: Sequence[tuple[Prepared, Mapping[str, Series]]],
-    spare: Sequence[tuple[Prepared, Mapping[str, Series]]],
-    say: Say | None,
-    without: Collection[str],
-) -> Diagnosis:
+def _under_likely_load(load: Load, asked: Asked) -> Diagnosis:
     """The same from the ``load`` that fits beside nothing else, and what follows from there."""
-    every = [one for one, _ in (*ready, *spare)]
-    learnt = [one for one, _ in ready]
+    model, every, learnt = asked.model, asked.every, asked.learnt
 
     def told_under(load: Load) -> Diagnosis:
-        return under(load, load.beside_own_drag(model), ready, spare, say, without)
+        return under(load, replace(asked, model=load.beside_own_drag(model)))
 
     base = load.in_model(model)
     if load.form == "arbitrary":
@@ -100,7 +92,7 @@ def _under_likely_load(
     if not _worse_under_load(told):
         return told
     own = fitted.beside_own_drag(model)
-    bare = under(fitted, own, ready, spare, say, catalogue())
+    bare = under(fitted, replace(asked, model=own, without=catalogue()))
     return _with_load(bare, fitted, load, base)
 
 
