@@ -29,3 +29,15 @@ def as_lag(problem: Problem, found: Fit) -> Fit:
     best = min(trials, key=lambda one: one.cost)
     clear = best.entries[k]["lag_share"] > _CLEAR * best.half_width[k, "lag_share"]
     return best if clear and penalised(best) < penalised(found) else found
+
+
+def as_dead_time(problem: Problem, found: Fit) -> Fit:
+    """The fit without a lag's share that only an effect had asked for which has gone since."""
+    late = [k for k, entry in enumerate(found.entries) if entry.get("lag_share", 0.0) > 0.0]
+    if not late:
+        return found
+    (k,) = late
+    dead = {key: value for key, value in found.entries[k].items() if key != "lag_share"}
+    entries = [dead if i == k else entry for i, entry in enumerate(found.entries)]
+    without = fit(problem, entries, own=found.own, like=found)
+    return without if penalised(without) <= penalised(found) else found

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.attribute.exchange import bettered, exchanged
-from eps_hil.diagnosis.attribute.lag import as_lag
+from eps_hil.diagnosis.attribute.lag import as_dead_time, as_lag
 from eps_hil.diagnosis.attribute.numbers import SCALES, SPANNED, levels_first, numbers_off
 from eps_hil.diagnosis.attribute.scoring import (
     FINAL_SHARE,
@@ -276,7 +276,7 @@ def timed(problem: Problem, found: Fit) -> Fit:
     entries = [e for e in found.entries if e["effect"] != name or matters(e, problem)]
     named = any(entry["effect"] == name for entry in entries)
     if named == (name not in found.own):
-        return found
+        return as_dead_time(problem, found)
     own = {key: value for key, value in found.own.items() if key != name}
     return fit(problem, entries, own=own if named else {**TIMING, **own}, like=found)
 
