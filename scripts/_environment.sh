@@ -112,7 +112,7 @@ _untick() {
     printf '\r\033[K'
 }
 
-# uv takes a fifth of pip's time. What pip was told (mirror, certificates, constraints) it is told, too.
+# uv takes much less time than pip. What pip was told (mirror, certificates, constraints) it is told, too.
 _uv() { # log, then what uv is to install
     local log="$1" line uv
     shift

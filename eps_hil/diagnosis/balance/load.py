@@ -179,7 +179,7 @@ def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[di
     if load is None:
         return told
     sprung = load.form == "spring" and load.stiffness_n_per_m != 0.0
-    hidden = set(not_told_apart(load))
+    hidden = not_told_apart(load)
     for one in told:
         if load.named and one["effect"] in LIKE_LOAD:
             one["confidence"] = round(0.5 * float(one["confidence"]), 3)
@@ -191,8 +191,9 @@ def doubted(findings: Sequence[Mapping[str, Any]], load: Load | None) -> list[di
         if other:
             also(one, other, "record the rack force")
         if load.form == "arbitrary" and one["effect"] in RIPPLES:
-            for twin in hidden & set(catalogue()[one["effect"]].twins):
-                also(one, twin, "record the rack force")
+            for twin in catalogue()[one["effect"]].twins:
+                if twin in hidden:
+                    also(one, twin, "record the rack force")
     return told
 
 
