@@ -11,9 +11,10 @@ from eps_hil.proof.concealment import evidence
 from eps_hil.proof.effects import drawn_sign, find
 from eps_hil.proof.hidden_effect import HiddenEffect
 from eps_hil.proof.model_file import model_yaml
-from eps_hil.proof.plans import KINDS, Plan
+from eps_hil.proof.plans import KINDS, UNMEASURED, Plan
 from eps_hil.proof.programmes import programme
 from eps_hil.proof.sensors import measured, reported
+from eps_hil.proof.sizes import SIZES, Size
 from eps_hil.proof.strength import Strength, noise_rms, strength
 from eps_hil.proof.truth import Drive, Floats
 from eps_hil.proof.world import World
@@ -28,6 +29,7 @@ PARAMETERS = (
 )
 """What a rig whose parameters are merely off may rightly be said to have."""
 _ROUNDS, _DRAWS, _MOST_DRAWS, _LEAST_KEPT = 7, 5, 30, 0.4
+_TO_ROTOR = Drive().pinion_rad_per_m / Drive().rack_rad_per_m
 _RUNAWAY_RAD_S = 1e3
 """A rotor that is faster has left its controller (a torque that comes too late): no recording."""
 
@@ -37,14 +39,16 @@ class Case:
     """Recordings by name (canonical columns at 1 kHz), and the answer that belongs to them.
 
     ``force_n`` (n,): the hold-out's true rack force, which no recording shows. ``oracle``: the
-    model file that knows what is hidden; empty where no model file can say it. ``spared``: the
-    hold-out's programme on the same rig with nothing hidden, which is all that an oracle leaves.
+    model file that knows what is hidden; empty where no model file can say it. ``nominal``: the
+    model file that is handed out. ``spared``: the hold-out's programme on the same rig with
+    nothing hidden, which is all that an oracle leaves.
     """
 
     recordings: Mapping[str, Mapping[str, Floats]]
     answer: dict[str, Any]
     force_n: Floats
     oracle: str
+    nominal: str
     spared: Mapping[str, Floats] = field(default_factory=dict)
 
 
@@ -66,7 +70,8 @@ def make(plan: Plan) -> Case:
     """Simulate the recordings of a plan and measure what is hidden in them."""
     rng = np.random.default_rng([plan.seed, KINDS.index(plan.kind)])
     *train, last = programme(plan.programme, rng)
-    world = _with_decoy(World(plan.simple), plan.decoy, rng)
+    world = World(plan.simple, rubs_behind=plan.rubs_behind, carried_kg=plan.carried_kg)
+    world = _with_decoy(world, plan.decoy, rng)
     noise = usual_noise(world, train, rng)
     form = measure(world, train, noise)
     same_form = replace(world, simple=True)
@@ -97,11 +102,42 @@ def make(plan: Plan) -> Case:
     answer = _answer(plan, hidden, form, strength(Drive(), clean[:-1], noise))
     answer["holdout_to_noise"] = kept
     answer["concealment"] = evidence(Drive(), clean[:-1], noisy[:-1], noisy[-1], noise)
-    if plan.kind == "unmeasured":
-        noisy = [{n: c for n, c in one.items() if n != "rack_force_n"} for one in noisy]
-    recordings = dict(zip(("train_1", "train_2", "holdout"), noisy, strict=True))
     spared = measured(bare, world.instruments, rng)
-    return Case(recordings, answer, clean[-1]["rack_force_n"], _oracle(drive, hidden), spared)
+    force_n = clean[-1]["rack_force_n"]
+    oracle = _oracle(drive, hidden, SIZES[plan.size])
+    return _handed_out(plan, answer, (*noisy, spared), force_n, oracle)
+
+
+def _handed_out(
+    plan: Plan,
+    answer: dict[str, Any],
+    measured: Sequence[Mapping[str, Floats]],
+    force_n: Floats,
+    oracle: str,
+) -> Case:
+    """The case as its plan has it told: without load cell, thinned, in another size.
+
+    ``measured``: the recordings and the spared hold-out, of the rack EPS.
+    """
+    size = SIZES[plan.size]
+    told = [
+        {
+            name: column[:: plan.every]
+            for name, column in size.columns(one).items()
+            if name != "rack_force_n" or plan.kind not in UNMEASURED
+        }
+        for one in measured
+    ]
+    for effect in answer["effects"]:
+        effect["parameters"] = size.parameters(effect["effect"], effect["parameters"])
+    return Case(
+        dict(zip(("train_1", "train_2", "holdout"), told[:-1], strict=True)),
+        answer,
+        force_n[:: plan.every] * size.factor("rack_force_n"),
+        oracle,
+        model_yaml(Drive(), (), size),
+        told[-1],
+    )
 
 
 def _with_hidden(
@@ -164,10 +200,10 @@ def _judging(
     return best, most
 
 
-def _oracle(drive: Drive, hidden: Sequence["_Hidden"]) -> str:
+def _oracle(drive: Drive, hidden: Sequence["_Hidden"], size: Size) -> str:
     entries = [one.effect.entry(one.strength, one.shape, World(True)) for one in hidden]
     known = [entry for entry in entries if entry is not None]
-    return model_yaml(drive, known) if len(known) == len(entries) else ""
+    return model_yaml(drive, known, size) if len(known) == len(entries) else ""
 
 
 def noiseless(world: World, program: Floats) -> dict[str, Floats]:
@@ -260,6 +296,8 @@ def _answer(plan: Plan, hidden: list[_Hidden], form: Strength, total: Strength) 
     tolerated = [] if plan.simple else ["presliding_hysteresis"]
     if plan.decoy == "parameters_off":
         tolerated = sorted({*tolerated, *PARAMETERS})
+    if plan.carried_kg:  # whose inertia it is nobody can tell
+        tolerated = sorted({*tolerated, "inertia"})
     return {
         "kind": plan.kind,
         "form": "simple" if plan.simple else "full",
@@ -269,6 +307,10 @@ def _answer(plan: Plan, hidden: list[_Hidden], form: Strength, total: Strength) 
         "can": plan.can,
         "twin": plan.twin,
         "withheld": list(plan.withheld),
+        "every": plan.every,
+        "size": plan.size,
+        "load": "carried" if plan.carried_kg else plan.programme,
+        "pinion_per_rotor": _TO_ROTOR / SIZES[plan.size].angle,
         "effects": [_told(one, World(plan.simple)) for one in hidden],
         "tolerated": tolerated,
         "noise_nm": form.noise_nm,

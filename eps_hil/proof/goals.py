@@ -108,8 +108,34 @@ def figures(cases: Sequence[Scored], long_s: float | None = None) -> list[Figure
     rows.append(
         _least("three effects at once: right set and nothing else", triples, _right_set, 0.8)
     )
-    rows += [_closeness(plain), _coverage(judged)]
+    rows += [*_other_worlds(judged), _closeness(plain), _coverage(judged)]
     return [*rows, *_residuals(cases), *_gains(cases), _time(long_s)]
+
+
+def _other_worlds(judged: Sequence[Judgement]) -> list[Figure]:
+    """Slower recordings, machines of other sizes, loads that nobody measured, friction behind."""
+    rows, empty = [], []
+    for kind in ("rates", "sizes", "loads"):
+        of = [j for j in judged if j.kind == kind]
+        empty += [j for j in of if not j.truths]
+        for group in sorted({j.group for j in of}):
+            hidden = [j for j in of if j.truths and j.group == group]
+            words = f"{kind}, {group}: right name first"
+            if kind == "loads":
+                words += ", or said to be like the load"
+            rows.append(_share(words, hidden, _named_or_said, NO_GOAL))
+        hidden = [j for j in of if j.truths]
+        rows.append(_share(f"{kind}: false name", hidden, _invented, NO_GOAL))
+    words = "nothing hidden in them: false alarms"
+    rows.append(_most(words, empty, lambda j: not j.clean, 0.01))
+    behind = [j for j in judged if j.kind == "behind"]
+    words = "friction behind a gap or a soft belt: right name first"
+    rows.append(_share(words, behind, lambda j: j.right_first, NO_GOAL))
+    return rows
+
+
+def _named_or_said(j: Judgement) -> bool:
+    return j.right_first or (j.kind == "loads" and bool(j.told_hidden))
 
 
 def _time(long_s: float | None) -> Figure:

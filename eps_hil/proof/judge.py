@@ -39,7 +39,8 @@ class Judgement:
     the reported set (findings and what they are confusable with); ``invented``: findings that are
     neither hidden, nor tolerated, nor say that they may be confused with something hidden, nor a
     known twin of it. ``stated``: (confidence, was it right) of each finding. ``naive_…``: what the
-    methods of ``naive`` named in the same case.
+    methods of ``naive`` named in the same case. ``told_hidden``: hidden effects of which ``limits``
+    says that a load hides them; ``group``: rate, size or load in the kinds that vary one of them.
     """
 
     id: str
@@ -61,6 +62,8 @@ class Judgement:
     naive_stlsq: tuple[str, ...] = ()
     twin: str = ""
     twin_in_set: bool = False
+    told_hidden: tuple[str, ...] = ()
+    group: str = ""
 
     @property
     def right_first(self) -> bool:
@@ -81,7 +84,8 @@ class Judgement:
 def failed(j: Judgement) -> bool:
     """Whether a case is not as it should be; what is asked depends on its kind.
 
-    With hardly any excitation silence is right, and of twins both names are.
+    With hardly any excitation silence is right, and where it is said that a load hides the effect;
+    of twins both names are.
     """
     if not j.answered or j.invented:
         return True
@@ -93,7 +97,8 @@ def failed(j: Judgement) -> bool:
         return not {one for one in j.truths if one not in ALIENS} <= set(j.named)
     if j.kind == "twins":
         return not (j.all_in_set and j.twin_in_set)
-    return j.kind != "poor" and not j.right_first
+    silent = j.kind == "poor" or (j.kind == "loads" and bool(j.told_hidden))
+    return not (silent or j.right_first)
 
 
 def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | None) -> Judgement:
@@ -101,6 +106,7 @@ def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | Non
     hidden, concealment = answer["effects"], answer.get("concealment", {})
     truths = tuple(str(one["effect"]) for one in hidden)
     findings: Sequence[Mapping[str, Any]] = diagnosis.get("findings", []) if diagnosis else []
+    limits: Sequence[str] = diagnosis.get("limits", []) if diagnosis else []
     verdict = str(diagnosis.get("verdict", "")) if diagnosis else ""
     tolerated = {*answer["tolerated"], *_form_of_presliding(answer, findings)} - set(truths)
     counted = [one for one in findings if one["effect"] not in tolerated]
@@ -138,7 +144,16 @@ def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | Non
         naive_stlsq=tuple(concealment.get("naive_stlsq", ())),
         twin=str(answer.get("twin", "")),
         twin_in_set=answer.get("twin") in reported,
+        told_hidden=tuple(t for t in truths if any(t in one for one in limits)),
+        group=_group(answer),
     )
+
+
+def _group(answer: Mapping[str, Any]) -> str:
+    kind = answer["kind"]
+    if kind == "rates":
+        return f"{1000 // int(answer['every'])} Hz"
+    return str(answer.get({"sizes": "size", "loads": "load"}.get(kind, ""), ""))
 
 
 def _form_of_presliding(
@@ -153,9 +168,10 @@ def _form_of_presliding(
     if answer["form"] != "full":
         return set()
     asymmetry = _value(findings, "friction_asymmetry", "half_difference_nm")
+    to_rotor = float(answer.get("pinion_per_rotor", _TO_ROTOR))
     offsets = {
         "motor_torque_offset": _value(findings, "motor_torque_offset", "offset_nm"),
-        "torque_sensor_offset": -_TO_ROTOR * _value(findings, "torque_sensor_offset", "offset_nm"),
+        "torque_sensor_offset": -to_rotor * _value(findings, "torque_sensor_offset", "offset_nm"),
     }
     if asymmetry and abs(asymmetry - sum(offsets.values())) < _CANCELLED * abs(asymmetry):
         return {"friction_asymmetry", *(name for name, value in offsets.items() if value)}

@@ -6,11 +6,14 @@ from typing import Any
 import yaml
 
 from eps_hil.proof.sensors import SPEED_LATE_S, TORQUE_LATE_S
+from eps_hil.proof.sizes import SIZES, Size
 from eps_hil.proof.truth import Drive
 
 
-def model_yaml(drive: Drive, effects: Sequence[Mapping[str, Any]] = ()) -> str:
-    """The model file of a drive, with added effects (CONTRACT 8) if any."""
+def model_yaml(
+    drive: Drive, effects: Sequence[Mapping[str, Any]] = (), size: Size = SIZES[""]
+) -> str:
+    """The model file of a drive, with added effects (CONTRACT 8) if any, in a size."""
     friction = {
         "offset_pos_nm": drive.k0_pos,
         "offset_neg_nm": drive.k0_neg,
@@ -38,4 +41,4 @@ def model_yaml(drive: Drive, effects: Sequence[Mapping[str, Any]] = ()) -> str:
         "friction": friction,
         "effects": [dict(one) for one in effects],
     }
-    return str(yaml.safe_dump({"model": model}, sort_keys=False))
+    return str(yaml.safe_dump({"model": size.model(model)}, sort_keys=False))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eps_hil.proof.effects import ALIENS, CATALOGUED, NAMELESS, find
+from eps_hil.proof.sizes import SIZES
 
 LEVELS = (0.3, 0.6, 1.5)
 """Effect-to-noise ratios of the singles."""
@@ -30,7 +31,19 @@ KINDS = (
     "nameless",
     "beside",
     "triples",
+    "rates",
+    "sizes",
+    "loads",
+    "behind",
 )
+UNMEASURED = ("unmeasured", "loads")
+"""Kinds without a load cell."""
+LOADS = ("free_rack", "spring", "carried", "weight", "scrub")
+"""What the motor drives where nobody measures it: programmes, and a mass that a free rack has."""
+EVERY = (2, 5, 10)
+"""Rows of the 1 kHz recordings of which one is kept: 500, 200 and 100 Hz."""
+BEHIND = ("backlash", "belt_compliance")
+"""What rotor and rack come apart by, with the friction on the rack."""
 DECOYS = ("nothing", "noise_x3", "heavy_tails", "coarse_encoder", "parameters_off")
 TWINS = (
     ("motor_torque_offset", "torque_sensor_offset", "never_free"),
@@ -52,6 +65,10 @@ MIX: Mapping[str, int] = {
     "triples": 30,
     "twins": 30,
     "poor": 27,
+    "loads": 60,
+    "rates": 54,
+    "sizes": 54,
+    "behind": 20,
 }
 """Cases of each kind in a full proof; every effect comes as a single at every level five times."""
 QUICK: Mapping[str, int] = {
@@ -65,6 +82,9 @@ QUICK: Mapping[str, int] = {
 }
 PROOF_SEEDS = 1_000_000
 _DISTRACTED, _ON_CAN = 10, 8
+_AS_TABLES = (*UNMEASURED, "rates", "sizes")
+_CARRIED_KG = 100.0, 400.0
+_EMPTY = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +92,9 @@ class Plan:
     """What one case shall hold: effects with the effect-to-noise ratio that each shall have.
 
     ``programme``: the manoeuvres; ``can``: recordings as CAN logs; ``withheld``: effects that the
-    diagnosis is told not to consider; ``twin``: what the hidden effect cannot be told from.
+    diagnosis is told not to consider; ``twin``: what the hidden effect cannot be told from;
+    ``every``: of how many rows one is kept; ``size``: of ``sizes.SIZES``; ``carried_kg``: on the
+    rack; ``rubs_behind``: friction is on the rack.
     """
 
     kind: str
@@ -84,6 +106,10 @@ class Plan:
     can: bool = False
     withheld: tuple[str, ...] = ()
     twin: str = ""
+    every: int = 1
+    size: str = ""
+    carried_kg: float = 0.0
+    rubs_behind: bool = False
 
 
 def plans(
@@ -118,7 +144,7 @@ def mixed(mix: Mapping[str, int], seed: int, *, proof: bool = False) -> list[Pla
             withheld = plan.withheld
             if kind in ("singles", "decoys") and k % _DISTRACTED == _DISTRACTED // 2:
                 withheld = _unrelated(plan, rng)
-            on_can = kind != "unmeasured" and k % _ON_CAN == _ON_CAN - 1
+            on_can = kind not in _AS_TABLES and k % _ON_CAN == _ON_CAN - 1
             placed.append(((k + 0.5) / count, replace(plan, withheld=withheld, can=on_can)))
     return [plan for _, plan in sorted(placed, key=lambda one: one[0])]
 
@@ -142,6 +168,8 @@ def _names(kind: str) -> list[str]:
         return [n for n in lasting() if CATALOGUED[n].kind != "parameter"]
     if kind == "twins":
         return [str(k) for k in range(len(TWINS))]
+    if kind == "behind":
+        return list(BEHIND)
     return list(CATALOGUED)
 
 
@@ -214,6 +242,41 @@ def _unmeasured(plan: Plan, k: int, _rng: np.random.Generator) -> Plan:
     return replace(plan, wanted=wanted, programme="free_rack" if k % 4 < 2 else "training")
 
 
+def _loads(plan: Plan, k: int, rng: np.random.Generator) -> Plan:
+    """Each form of load in turn; in each, every fourth case holds nothing."""
+    turn, place = divmod(k, len(LOADS))
+    load = LOADS[place]
+    return replace(
+        _some(plan, turn, rng),
+        programme="free_rack" if load == "carried" else load,
+        carried_kg=float(rng.uniform(*_CARRIED_KG)) if load == "carried" else 0.0,
+        size="joint" if load == "weight" else "",
+    )
+
+
+def _rates(plan: Plan, k: int, rng: np.random.Generator) -> Plan:
+    turn, place = divmod(k, len(EVERY))
+    return replace(_some(plan, turn, rng), every=EVERY[place])
+
+
+def _sizes(plan: Plan, k: int, rng: np.random.Generator) -> Plan:
+    others = [name for name in SIZES if name]
+    turn, place = divmod(k, len(others))
+    return replace(_some(plan, turn, rng), size=others[place])
+
+
+def _some(plan: Plan, turn: int, rng: np.random.Generator) -> Plan:
+    """At 0.6 or 1.5; every fourth holds nothing."""
+    plan = _louder(plan, turn, rng)
+    return replace(plan, wanted=()) if turn % _EMPTY == _EMPTY - 1 else plan
+
+
+def _behind(plan: Plan, k: int, _rng: np.random.Generator) -> Plan:
+    """A gap or a soft belt at 1.5 or 3, the friction behind it."""
+    ((name, _),) = plan.wanted
+    return replace(plan, wanted=((name, (TRIPLE, STRONG)[k // 2 % 2]),), rubs_behind=True)
+
+
 _OF_KIND: Mapping[str, Callable[[Plan, int, np.random.Generator], Plan]] = {
     "decoys": _decoy,
     "pairs": _pair,
@@ -226,6 +289,10 @@ _OF_KIND: Mapping[str, Callable[[Plan, int, np.random.Generator], Plan]] = {
     "missing": _missing,
     "twins": _twins,
     "unmeasured": _unmeasured,
+    "loads": _loads,
+    "rates": _rates,
+    "sizes": _sizes,
+    "behind": _behind,
 }
 
 

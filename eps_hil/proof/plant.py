@@ -42,6 +42,11 @@ PROGRAM = (
     "wheel_nm_per_rad",
     "wheel_nm_s_per_rad",
     "motor_off",
+    "weight_n",
+    "weight_rad_per_m",
+    "weight_rad",
+    "scrub_n",
+    "scrub_m",
 )
 """Columns of a manoeuvre at 1 kHz: what rig, motor controller and driver are told to do."""
 TRUTH = (
@@ -99,7 +104,7 @@ def _integrate(  # noqa: PLR0912, PLR0915
     elements, past = np.zeros(max(len(s.level_share), 1)), np.zeros(_BUFFER)
     wheel, wheel_speed, reported, hand, iron = 0.0, 0.0, 0.0, 0.0, 0.0
     aged, heat, memory, work, lost, t, tick = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
-    recent, bush, warm, wet, turned, way = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    recent, bush, warm, wet, turned, way, scrub = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(program) - 1):
         row, ahead = program[k], program[k + 1]
         command = row[4] * (row[3] - q[0]) - row[5] * v[0] + row[6] + row[7] * hand
@@ -107,6 +112,11 @@ def _integrate(  # noqa: PLR0912, PLR0915
             a = j / SUBSTEPS
             place, pinion, pinion_speed = q[rack] / per_m, q[rack] * to_rotor, v[rack] * to_rotor
             load = row[0] + a * (ahead[0] - row[0]) + (row[1] * q[-1] + row[2] * v[-1]) / per_m
+            if row[13] != 0.0:  # a weight that the rack turns about an axis
+                load += row[13] * math.sin(row[14] * q[-1] / per_m + row[15])
+            if row[17] > 0.0:  # a tyre or a bushing that gives way before it slides (Dahl)
+                load += row[16] * scrub
+                scrub += (v[-1] - abs(v[-1]) * scrub) / per_m * _DT_S / row[17]
             if c.wheel_inertia <= 0.0:
                 wheel, wheel_speed = pinion, pinion_speed
             arm = row[8] + a * (ahead[8] - row[8]) - row[11] * wheel_speed
@@ -127,22 +137,25 @@ def _integrate(  # noqa: PLR0912, PLR0915
             if row[12] > 0.0:  # no current: the shaft is free, and what is off is all that is read
                 shaft, reported = 0.0, -h.motor_offset_nm / h.motor_gain
             # friction and drag
+            rubbing = v[c.rubs]
             felt = abs(load) + h.alien_load_memory * (memory - abs(load))
             more = pressed(h, v[0], shaft, hand, load, recent, turned)
             thin = 1.0 - h.alien_thinning * warm
-            forth = thin * sliding_level(d, h, 1.0, v[0], felt, place, aged, t, more)
-            back = thin * sliding_level(d, h, -1.0, v[0], felt, place, aged, t, more)
+            forth = thin * sliding_level(d, h, 1.0, rubbing, felt, place, aged, t, more)
+            back = thin * sliding_level(d, h, -1.0, rubbing, felt, place, aged, t, more)
             if len(s.level_share) > 0:
-                friction = slip_friction(d, s, elements, v[0], forth, back, _DT_S)
+                friction = slip_friction(d, s, elements, rubbing, forth, back, _DT_S)
             else:
-                level = forth if v[0] >= 0.0 else back
-                friction = bristle_friction(d, elements, v[0], level, _DT_S)
+                level = forth if rubbing >= 0.0 else back
+                friction = bristle_friction(d, elements, rubbing, level, _DT_S)
             drag = beside_friction(d, h, v[0], q[0], place, load, bush, wet)
             outer = load
             if abs(place) > h.stop_at_m:
                 outer += math.copysign(h.stop_n_per_m * (abs(place) - h.stop_at_m), place)
             net[:] = 0.0
-            net[0] += shaft - friction - drag
+            net[0] += shaft
+            net[c.rubs] -= friction
+            net[0] -= drag
             net[rack] += to_rotor * handed
             net[-1] -= outer / per_m
             elastic, damped = _joints(c, q, v, net)
@@ -155,7 +168,8 @@ def _integrate(  # noqa: PLR0912, PLR0915
             # energies, then the step itself
             work += (shaft * v[0] - outer / per_m * v[-1] + (handed - hand) * pinion_speed) * _DT_S
             work += arm * wheel_speed * _DT_S
-            lost += ((friction + drag) * v[0] + damped + c.bar_damping * twist_rate**2) * _DT_S
+            lost += (friction * rubbing + drag * v[0] + damped) * _DT_S
+            lost += c.bar_damping * twist_rate**2 * _DT_S
             if c.wheel_inertia > 0.0:
                 wheel_speed += _DT_S * (arm - hand) / c.wheel_inertia
                 wheel += _DT_S * wheel_speed
@@ -163,9 +177,9 @@ def _integrate(  # noqa: PLR0912, PLR0915
                 v[i] += _DT_S * net[i] / c.inertia[i]
                 q[i] += _DT_S * v[i]
             # what friction and motor remember
-            if abs(v[0]) < _REST_RAD_S:
+            if abs(rubbing) < _REST_RAD_S:
                 aged += (1.0 - aged) * _DT_S / h.dwell_time_s
-            aged /= 1.0 + abs(v[0]) * _DT_S / h.dwell_release_rad
+            aged /= 1.0 + abs(rubbing) * _DT_S / h.dwell_release_rad
             heat += (shaft * shaft - heat) * _DT_S / h.alien_heat_s
             memory += (abs(load) - memory) * _DT_S / h.alien_load_memory_s
             recent += (abs(v[0]) - recent) * _DT_S / h.alien_speed_memory_s
@@ -175,7 +189,7 @@ def _integrate(  # noqa: PLR0912, PLR0915
                 turned = 0.0
             way = v[0] if v[0] != 0.0 else way
             bush += (v[0] - abs(v[0]) * bush * abs(bush)) * _DT_S / h.alien_bushing_rad
-            rubbed = abs(friction * v[0])
+            rubbed = abs(friction * rubbing)
             warm += (rubbed / (rubbed + 2.0) - warm) * _DT_S / h.alien_thinning_s
             t += _DT_S
             tick += 1
@@ -185,7 +199,7 @@ def _integrate(  # noqa: PLR0912, PLR0915
 def run(d: Drive, h: Hidden, c: Chain, s: Slip, program: Floats) -> dict[str, Floats]:
     """The truth of a manoeuvre: columns of :data:`TRUTH`, each (n,), at 1 kHz.
 
-    ``program`` (n, 13) as :data:`PROGRAM`: forces and hand torques are straight between their
+    ``program`` (n, 18) as :data:`PROGRAM`: forces and hand torques are straight between their
     samples, the motor command is held. Everything starts at rest in the middle.
     """
     out = np.zeros((len(program), len(TRUTH)))

@@ -1,7 +1,7 @@
 """Which manoeuvres a case is driven through: two recordings to learn from, one that judges.
 
-Beside the ordinary programme there are those in which twins cannot be told apart, one without
-any rack force, and one with hardly any excitation.
+Beside the ordinary programme there are those in which twins cannot be told apart, those that the
+motor drives against one form of load or none, and one with hardly any excitation.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,6 +12,8 @@ from eps_hil.proof import manoeuvres as m
 from eps_hil.proof.truth import Drive, Floats
 
 Programme = tuple[Floats, Floats, Floats]
+JOINT_RAD_PER_M = Drive().rack_rad_per_m / 60.0
+"""Of an axis with a gear of 60 to the rotor, as ``sizes.SIZES['joint']`` has."""
 _RACK = Drive().rack_rad_per_m
 
 
@@ -40,18 +42,39 @@ def _three(one: Callable[[np.random.Generator], Floats], rng: np.random.Generato
     return one(rng), one(rng), one(rng)
 
 
-def _free_rack(rng: np.random.Generator) -> Programme:
-    """Strokes and shaking by the motor alone, hands at the wheel now and then; no rack force."""
+def _by_motor(rng: np.random.Generator, **load: float) -> Programme:
+    """Strokes and shaking by the motor, hands at the wheel now and then, against a load or none.
+
+    ``load``: columns of ``plant.PROGRAM`` that are the same all the time.
+    """
 
     def one(rng: np.random.Generator) -> Floats:
         parts = [_strokes(rng, 14.0, 0.0), m.slow_reversals(rng, 14.0), _shaken(rng, 10.0)]
         program = np.concatenate(parts)
-        for column in ("force_n", "rig_n_per_m", "rig_n_s_per_m"):
-            program[:, m.column(column)] = 0.0
-        program[:, m.column("feed_nm")] = 0.0
+        for column in ("force_n", "rig_n_per_m", "rig_n_s_per_m", "feed_nm"):
+            program[:, m.column(column)] = load.get(column, 0.0)
+        for column, value in load.items():
+            program[:, m.column(column)] = value
         return program
 
     return _three(one, rng)
+
+
+def _spring(rng: np.random.Generator) -> Programme:
+    stiffness, damping = rng.uniform(20e3, 60e3), rng.uniform(200.0, 2000.0)
+    return _by_motor(rng, rig_n_per_m=stiffness, rig_n_s_per_m=damping)
+
+
+def _weight(rng: np.random.Generator) -> Programme:
+    """A weight on an axis that the rack turns, as a robot's joint does, by about a radian."""
+    numbers = (rng.uniform(400.0, 1200.0), JOINT_RAD_PER_M, rng.uniform(-np.pi, np.pi))
+    return _by_motor(
+        rng, **dict(zip(("weight_n", "weight_rad_per_m", "weight_rad"), numbers, strict=True))
+    )
+
+
+def _scrub(rng: np.random.Generator) -> Programme:
+    return _by_motor(rng, scrub_n=rng.uniform(200.0, 600.0), scrub_m=rng.uniform(5e-4, 3e-3))
 
 
 def _one_speed(rng: np.random.Generator) -> Programme:
@@ -120,7 +143,10 @@ PROGRAMMES: Mapping[str, Callable[[np.random.Generator], Programme]] = {
     "training": _ordinary,
     "never_free": _never_free,
     "poor": _poor,
-    "free_rack": _free_rack,
+    "free_rack": _by_motor,
+    "spring": _spring,
+    "weight": _weight,
+    "scrub": _scrub,
     "one_speed": _one_speed,
     "one_torque": _one_torque,
 }

@@ -90,6 +90,11 @@ _TWINS: dict[str, Hit] = {
     "truth and twin both named as possible": lambda j: j.all_in_set and j.twin_in_set,
     "something invented": lambda j: bool(j.invented),
 }
+_LOADS: dict[str, Hit] = {
+    "right name first": lambda j: j.right_first,
+    "right name, or said to be like the load": lambda j: j.right_first or bool(j.told_hidden),
+    "something invented": lambda j: bool(j.invented),
+}
 _EMPTY: dict[str, Hit] = {"false alarm": lambda j: not j.clean}
 _OTHERS: dict[str, tuple[str, dict[str, Hit]]] = {
     "pairs": ("masked pairs", _PAIRS),
@@ -106,7 +111,7 @@ def shares(judged: Sequence[Judgement]) -> list[Share]:
     """What is counted, by form, kind and strength; only what there are cases of."""
     table: list[Share] = []
     for form in sorted({j.form for j in judged}):
-        for kind in ("singles", "poor", "crowds"):
+        for kind in ("singles", "poor", "crowds", "behind"):
             one = [j for j in judged if (j.form, j.kind) == (form, kind)]
             for level in sorted({j.level for j in one}):
                 at = [j for j in one if j.level == level]
@@ -121,6 +126,15 @@ def shares(judged: Sequence[Judgement]) -> list[Share]:
         table += _counted(f"{form} rack force unmeasured", [j for j in blind if j.truths], _HIDDEN)
         empty = [j for j in blind if not j.truths]
         table += _counted(f"{form} rack force unmeasured, nothing hidden", empty, _EMPTY)
+        for kind in ("rates", "sizes", "loads"):
+            of = [j for j in judged if (j.form, j.kind) == (form, kind)]
+            for group in sorted({j.group for j in of}):
+                one = [j for j in of if j.group == group]
+                label, counted = f"{form} {kind}, {group}", _LOADS if kind == "loads" else _HIDDEN
+                table += _counted(label, [j for j in one if j.truths], counted)
+                table += _counted(
+                    f"{label}, nothing hidden", [j for j in one if not j.truths], _EMPTY
+                )
     intervals = [e for j in judged for e in j.estimates if e.covered is not None]
     if intervals:
         hits = sum(bool(e.covered) for e in intervals)

@@ -139,7 +139,8 @@ class Chain(NamedTuple):
     """Masses of the drive from rotor to load, all reflected to the rotor, joined in a row.
 
     ``inertia`` (n,), ``stiffness`` and ``damping`` (n-1,) of the joints; the pinion sits on mass
-    ``rack``, the rack force acts on the last one, friction on the rotor (then eq. 1d is exact).
+    ``rack``, the rack force acts on the last one, friction on mass ``rubs``: the rotor, where
+    eq. 1d is exact, or what lies behind a gap or a soft belt.
     ``gap_rad`` is the whole width of a dead zone in the last joint before the rack.
     ``wheel_inertia`` 0 leaves the steering wheel out: the hand torque then is the sensor's.
     """
@@ -153,6 +154,7 @@ class Chain(NamedTuple):
     bar_stiffness: float
     bar_damping: float
     motor_lag_s: float
+    rubs: int = 0
 
 
 class Slip(NamedTuple):

@@ -47,9 +47,19 @@ class World:
     """Stiffness of a belt that gives; 0 means as stiff as it should be."""
     belt_damping: float = 0.02
     gap_rad: float = 0.0
+    rubs_behind: bool = False
+    """Whether friction acts on the rack, behind belt and gap, and not on the rotor."""
+    carried_kg: float = 0.0
+    """A mass on the rack that no rack force tells of."""
 
     def chain(self) -> Chain:
         """The masses of this rig."""
+        chain = self._unloaded()
+        inertia = chain.inertia.copy()
+        inertia[-1] += self.carried_kg / self.drive.rack_rad_per_m**2
+        return chain._replace(inertia=inertia, rubs=chain.rack if self.rubs_behind else 0)
+
+    def _unloaded(self) -> Chain:
         belt = self.belt_nm_per_rad or STIFF_BELT
         if not self.simple:
             return five_masses(self.drive, belt, self.belt_damping, self.gap_rad)

@@ -19,21 +19,22 @@ from eps_hil.examples import CONFIGS, DBC
 from eps_hil.proof.can_log import Wire, write_log
 from eps_hil.proof.cases import Case, make
 from eps_hil.proof.examine import WITHOUT
-from eps_hil.proof.model_file import model_yaml
 from eps_hil.proof.plans import KINDS, Plan, plans
 from eps_hil.proof.seal import opaque_id, seal
 from eps_hil.proof.sensors import SENSORS
-from eps_hil.proof.truth import Drive, Floats
+from eps_hil.proof.sizes import SIZES, Size
+from eps_hil.proof.truth import Floats
 
 DATABASE, MAPPING = "rig.dbc", "signals.yaml"
 LOSSY = Wire(lost_per_frame=2.0e-5)
 _DECIMALS = {"time_s": 3, **{name: sensor.decimals for name, sensor in SENSORS.items()}}
 
 
-def write_csv(path: Path, columns: Mapping[str, Floats]) -> None:
+def write_csv(path: Path, columns: Mapping[str, Floats], size: Size = SIZES[""]) -> None:
     """Canonical columns as the bus would have carried them: no more digits than its steps."""
+    digits = {name: size.decimals(name, _DECIMALS[name]) for name in columns}
     texts = [
-        [f"{value:.{_DECIMALS[name]}f}" for value in column.tolist()]
+        [f"{value:.{digits[name]}f}" for value in column.tolist()]
         for name, column in columns.items()
     ]
     with path.open("w") as file:
@@ -48,12 +49,12 @@ def write_case(folder: Path, case: Case) -> None:
     """
     _begin(folder, case)
     for name, columns in case.recordings.items():
-        write_csv(folder / f"{name}.csv", columns)
+        write_csv(folder / f"{name}.csv", columns, SIZES[case.answer["size"]])
 
 
 def _begin(folder: Path, case: Case) -> None:
     folder.mkdir(parents=True)
-    (folder / "model.yaml").write_text(model_yaml(Drive()))
+    (folder / "model.yaml").write_text(case.nominal)
     if case.answer.get("withheld"):
         (folder / WITHOUT).write_text("\n".join(case.answer["withheld"]) + "\n")
 

@@ -51,6 +51,7 @@ def test_a_can_case_is_complete(tmp_path: Path, decoy_case: Case) -> None:
         {"seed": 1},
         np.zeros(1),
         "",
+        decoy_case.nominal,
     )
     write_can_case(tmp_path / "ab", short)
     names = sorted(path.name for path in (tmp_path / "ab").iterdir())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eps_hil.proof import score
-from eps_hil.proof.judge import judge
+from eps_hil.proof.judge import failed, judge
 from eps_hil.proof.laws import slip_friction
 from eps_hil.proof.seal import seal
 from eps_hil.proof.truth import Drive, maxwell_slip
@@ -53,6 +53,18 @@ def test_a_twin_that_names_it_is_in_the_set_but_not_first() -> None:
     assert not j.right_first
     assert j.in_set == ("stribeck",)
     assert not j.invented
+
+
+def test_beside_a_load_it_is_enough_to_say_that_it_hides_the_effect() -> None:
+    answer = _answer("unmodelled_spring", kind="loads", load="spring")
+    silent = {"verdict": "no_mismatch", "findings": [], "limits": []}
+    assert failed(judge("a", answer, silent))
+    said = {**silent, "limits": ["unmodelled_spring cannot be told from such a load."]}
+    j = judge("a", answer, said)
+    assert j.told_hidden == ("unmodelled_spring",)
+    assert j.group == "spring"
+    assert not failed(j)
+    assert failed(judge("a", answer, {**said, "findings": _said("inertia")["findings"]}))
 
 
 def test_a_stranger_is_invented() -> None:

@@ -6,8 +6,21 @@ import numpy as np
 import pytest
 
 from eps_hil.proof.effects import ALIENS, CATALOGUED
-from eps_hil.proof.plans import DECOYS, KINDS, LEVELS, MIX, QUICK, TWINS, mixed, near, plans
+from eps_hil.proof.plans import (
+    DECOYS,
+    EVERY,
+    KINDS,
+    LEVELS,
+    LOADS,
+    MIX,
+    QUICK,
+    TWINS,
+    mixed,
+    near,
+    plans,
+)
 from eps_hil.proof.programmes import PROGRAMMES, programme
+from eps_hil.proof.sizes import SIZES
 from eps_hil.proof.world import World
 
 
@@ -24,7 +37,8 @@ def test_a_full_proof_has_a_thousand_cases_and_every_kind() -> None:
 
 def test_the_quick_proof_is_of_development_and_has_nearly_every_kind() -> None:
     kinds = {plan.kind for plan in mixed(QUICK, 1)}
-    assert kinds == set(KINDS) - {"twins", "poor", "nameless", "beside", "triples"}
+    rare = {"twins", "poor", "nameless", "beside", "triples", "rates", "sizes", "loads", "behind"}
+    assert kinds == set(KINDS) - rare
 
 
 @pytest.mark.parametrize("count", [100, 250, 500])
@@ -60,6 +74,23 @@ def test_what_is_hidden_together_are_no_twins_of_each_other() -> None:
             assert not any(a in near(b) for a in names for b in names if a is not b)
             assert (names[0] in ALIENS) is (kind == "beside")
             assert set(names[1:]) <= set(CATALOGUED)
+
+
+def test_every_rate_size_and_load_comes_with_something_and_with_nothing() -> None:
+    seen = {
+        "rates": {(plan.every, bool(plan.wanted)) for plan in plans("rates", 1, 54)},
+        "sizes": {(plan.size, bool(plan.wanted)) for plan in plans("sizes", 1, 54)},
+        "loads": {
+            (plan.programme, plan.carried_kg > 0.0, bool(plan.wanted))
+            for plan in plans("loads", 1, 60)
+        },
+    }
+    both = (False, True)
+    assert seen["rates"] == {(every, some) for every in EVERY for some in both}
+    assert seen["sizes"] == {(size, some) for size in SIZES if size for some in both}
+    loads = [(load, False) for load in LOADS if load != "carried"] + [("free_rack", True)]
+    assert seen["loads"] == {(*load, some) for load in loads for some in both}
+    assert all(plan.rubs_behind for plan in plans("behind", 1, 4))
 
 
 def test_twins_are_twins_in_the_catalogue() -> None:

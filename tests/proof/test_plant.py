@@ -93,6 +93,38 @@ def test_backlash_opens_by_its_whole_width() -> None:
     assert np.ptp(twist[200:]) == pytest.approx(0.2, abs=0.01)
 
 
+def test_friction_on_the_rack_holds_the_rack_and_not_the_rotor() -> None:
+    gap = two_masses(REFERENCE, stiffness=400.0, damping=0.05, gap_rad=0.4)
+    push = _program(3.0, feed_nm=0.02, motor_nm_s_per_rad=0.1)
+    moved = {}
+    for behind, chain in ((False, gap), (True, gap._replace(rubs=gap.rack))):
+        truth = run(REFERENCE, Hidden(), chain, lugre(), push)
+        moved[behind] = truth["motor_angle_rad"][-1]
+    assert moved[False] < 0.02  # 0.02 Nm is less than the breakaway torque
+    assert moved[True] == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_weight_hangs_where_it_balances_the_motor() -> None:
+    weight = dict.fromkeys(("weight_n",), 500.0) | {"weight_rad_per_m": 40.0, "weight_rad": 0.3}
+    feed = 300.0 / FREE.rack_rad_per_m
+    held = _program(20.0, feed_nm=feed, motor_nm_s_per_rad=4e-3, **weight)
+    place = _without_friction(one_mass(FREE), held)["rack_position_m"][-1]
+    assert 500.0 * math.sin(40.0 * place + 0.3) == pytest.approx(300.0, rel=1e-3)
+
+
+def test_scrub_is_a_spring_at_first_and_slides_at_its_level() -> None:
+    ramp = np.linspace(0.0, 30.0, 3000)  # 12 mm, more than ten times what it gives way
+    program = _program(
+        3.0, target_rad=ramp, motor_nm_per_rad=0.5, motor_nm_s_per_rad=4e-3,
+        scrub_n=400.0, scrub_m=1e-3,
+    )  # fmt: skip
+    truth = _without_friction(one_mass(FREE), program)
+    place, force = truth["rack_position_m"], truth["rack_force_n"]
+    expected = 400.0 * (1.0 - np.exp(-place / 1e-3))  # dz = (1 - z) dx on the way out
+    assert np.abs(force - expected).max() < 2.0
+    assert force[-2] == pytest.approx(400.0, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("direction", "offset", "load"), [(1, 0.056, 4.993e-5), (-1, 0.1258, 4.345e-5)]
 )
@@ -115,8 +147,10 @@ def test_sliding_friction_is_the_level_of_equation_3(
 
 @pytest.mark.parametrize("slip", [lugre(), maxwell_slip()], ids=["lugre", "maxwell"])
 @pytest.mark.parametrize("masses", [1, 5])
-def test_no_energy_comes_from_nowhere(slip: Slip, masses: int) -> None:
+@pytest.mark.parametrize("behind", [False, True])
+def test_no_energy_comes_from_nowhere(slip: Slip, masses: int, behind: bool) -> None:
     chain = one_mass(REFERENCE) if masses == 1 else five_masses(REFERENCE)
+    chain = chain._replace(rubs=chain.rack if behind else 0)
     program = manoeuvres.sweep(np.random.default_rng(1), 6.0)
     truth = run(REFERENCE, Hidden(viscous=1e-4), chain, slip, program)
     stored = truth["kinetic_j"] + truth["elastic_j"]

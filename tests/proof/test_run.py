@@ -37,8 +37,10 @@ def _case(plan: Plan) -> Case:
     answer = {"kind": plan.kind, "form": "full", "decoy": plan.decoy, "tolerated": []}
     one = {"time_s": np.arange(3.0), "motor_torque_nm": np.zeros(3)}
     recordings = {name: one for name in ("train_1", "holdout")}
-    more = {"effects": effects, "withheld": list(plan.withheld), "seed": plan.seed}
-    return Case(recordings, {**answer, **more}, np.arange(3.0), model_yaml(Drive()))
+    more = {"effects": effects, "withheld": list(plan.withheld), "seed": plan.seed, "size": ""}
+    return Case(
+        recordings, {**answer, **more}, np.arange(3.0), model_yaml(Drive()), model_yaml(Drive())
+    )
 
 
 @pytest.fixture
