@@ -9,6 +9,7 @@ import typer
 from eps_hil.cli._files import write_json
 from eps_hil.cli._first_answer import say_if_it_compiles, say_if_others_compile
 from eps_hil.cli._inputs import progress, waiting
+from eps_hil.errors import InputError
 
 
 def register(app: typer.Typer) -> None:
@@ -42,6 +43,9 @@ def concealed(
     development: Annotated[
         bool, typer.Option("--development", help="Seeds that the method may be improved on.")
     ] = False,
+    kind: Annotated[
+        list[str] | None, typer.Option("--kind", help="Only cases of this kind; repeat for more.")
+    ] = None,
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep all recordings and pages (10 MB a case).")
     ] = False,
@@ -54,12 +58,17 @@ def concealed(
     import os
 
     from eps_hil.oracle.closed_loop import closed_loop
-    from eps_hil.proof.plans import MIX
+    from eps_hil.proof.plans import MIX, QUICK
     from eps_hil.proof.run import Desk, Setting, run
     from eps_hil.report import page, proof_page
 
     page.check("prove", "matplotlib")
-    setting = Setting(seed, quick, not (quick or development), cases or sum(MIX.values()))
+    known = QUICK if quick else MIX
+    for one in kind or ():
+        if one not in known:
+            raise InputError("--kind", one, "is no kind of a proof", f"use {', '.join(known)}")
+    most, kinds = cases or sum(MIX.values()), tuple(dict.fromkeys(kind or ()))
+    setting = Setting(seed, quick, not (quick or development), most, kinds)
     folder = out or Path(f"concealed{'_quick' if quick else ''}_{seed}")
     say_if_others_compile("probes")
     with progress("proving") as bar:

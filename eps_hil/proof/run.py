@@ -80,10 +80,18 @@ class Setting:
     quick: bool
     proof: bool
     cases: int
+    kinds: tuple[str, ...] = ()
+    """Of ``plans.MIX``; empty for all."""
 
     def plans(self) -> list[Plan]:
         """The plans, in the order in which they are examined."""
-        return mixed(QUICK if self.quick else MIX, self.seed, proof=self.proof)[: self.cases]
+        whole = QUICK if self.quick else MIX
+        mix = {kind: whole[kind] for kind in self.kinds or whole}
+        return mixed(mix, self.seed, proof=self.proof)[: self.cases]
+
+    def said(self) -> dict[str, Any]:
+        """As its file holds it."""
+        return {**asdict(self), "kinds": list(self.kinds)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +122,7 @@ def run(out: Path, setting: Setting, desk: Desk, *, resume: bool = False) -> lis
                 batch.run()
             _gather(out, batch.number)
             desk.part(batch.number / len(batches))
-    if len(plans) >= LEAST_FOR_LONG and not (out / LONG).exists():
+    if len(plans) >= LEAST_FOR_LONG and not setting.kinds and not (out / LONG).exists():
         taken = desk.time_long(setting.seed)
         (out / LONG).write_text(json.dumps({"seconds": taken}) + "\n")
     return read_lines(out)
@@ -163,7 +171,7 @@ def _begin(out: Path, setting: Setting, resume: bool) -> None:
             before = _json(path)
         except ValueError:
             raise InputError(path, "", "is damaged", "name another folder") from None
-        if before != asdict(setting):
+        if before != setting.said():
             raise InputError(out, "--resume", "was begun with other options", "name another folder")
     elif resume:
         raise InputError(
@@ -176,7 +184,7 @@ def _begin(out: Path, setting: Setting, resume: bool) -> None:
     except OSError as error:
         problem = f"cannot be made: {error.strerror}"
         raise InputError(out, "--out", problem, "choose another folder") from None
-    path.write_text(json.dumps(asdict(setting), indent=1) + "\n")
+    path.write_text(json.dumps(setting.said(), indent=1) + "\n")
 
 
 def _folder(out: Path, number: int) -> Path:

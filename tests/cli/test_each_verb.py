@@ -109,6 +109,13 @@ def test_investigate_runs_one_experiment_of_its_budget(
     assert "Round by round" in (out / "investigation.html").read_text()
 
 
+def test_prove_concealed_says_which_kinds_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["prove", "concealed", "--kind", "loads", "--kind", "load"]) == 2
+    said = capsys.readouterr().err
+    assert "--kind: load: is no kind of a proof; use singles, decoys" in said
+    assert "Traceback" not in said
+
+
 @pytest.mark.slow
 def test_prove_concealed_hides_seals_and_judges(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

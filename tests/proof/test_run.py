@@ -209,6 +209,15 @@ def test_other_options_are_another_run(tmp_path: Path, examined: list[str]) -> N
     assert len(examined) == 5
 
 
+def test_some_kinds_alone_are_a_run_that_goes_on(tmp_path: Path, examined: list[str]) -> None:
+    some = Setting(seed=1, quick=True, proof=False, cases=9, kinds=("pairs", "aliens"))
+    assert [plan.kind for plan in some.plans()].count("pairs") == 2
+    lines = run(tmp_path / "some", some, _desk([]))
+    assert {line["answer"]["kind"] for line in lines} == {"pairs", "aliens"}
+    assert run(tmp_path / "some", some, _desk([]), resume=True) == lines
+    assert len(examined) == len(lines) == 3
+
+
 def test_nothing_is_begun_by_mistake(tmp_path: Path, examined: list[str]) -> None:
     with pytest.raises(InputError, match="no proof to go on with"):
         run(tmp_path / "proof", SETTING, _desk([]), resume=True)
