@@ -29,6 +29,7 @@ from eps_hil.axis.emps import (
     AxisRecord,
     read,
 )
+from eps_hil.errors import EpsHilError
 
 Floats = npt.NDArray[np.float64]
 
@@ -112,7 +113,10 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     told.add_argument("folder", type=Path)
-    first, second = read(told.parse_args().folder)
+    try:
+        first, second = read(told.parse_args().folder)
+    except EpsHilError as error:
+        told.error(str(error))
     print(f"{'model':26}{'fitted to':22}{'EMPS':>7}{'PULSES':>8}   numbers")
     for name in NAMES:
         for label, records in (

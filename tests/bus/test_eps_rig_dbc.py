@@ -1,9 +1,7 @@
 """The project's own database: complete, fine enough for the physics, in step with its document."""
 
-import importlib.util
 import math
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -13,6 +11,7 @@ from hypothesis import strategies as st
 from eps_hil.bus.codec import FrameEncoder
 from eps_hil.bus.database import load_database
 from eps_hil.estimation.validity import Reason, on_the_bus
+from tests.loaded import loaded
 
 ROOT = Path(__file__).parents[2]
 DATABASE = load_database([ROOT / "dbc" / "eps_rig.dbc"])
@@ -25,17 +24,6 @@ SENSOR_TO_RACK = 125.7
 
 def signal(message: str, name: str) -> Any:
     return DATABASE.get_message_by_name(message).get_signal_by_name(name)
-
-
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location(
-        "bus_reference", ROOT / "scripts/bus_reference.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_every_message_is_described_timed_and_sent_by_a_node() -> None:
@@ -139,7 +127,7 @@ def test_beyond_the_range_is_clipped_and_counted(message: Any, value: Any) -> No
 
 
 def test_the_document_is_in_step_with_the_database() -> None:
-    reference = script()
+    reference = loaded("scripts/bus_reference.py")
     document = (ROOT / "docs" / "reference-bus.md").read_text(encoding="utf-8")
     assert document == reference.rendered(document), "run scripts/bus_reference.py"
 
@@ -147,7 +135,8 @@ def test_the_document_is_in_step_with_the_database() -> None:
 def test_the_database_of_our_messages_is_in_step() -> None:
     text = (ROOT / "dbc" / "eps_rig.dbc").read_text(encoding="utf-8")
     file = ROOT / "dbc" / "eps_hil.dbc"
-    assert file.read_text(encoding="utf-8") == script().ours(text), "run scripts/bus_reference.py"
+    script = loaded("scripts/bus_reference.py")
+    assert file.read_text(encoding="utf-8") == script.ours(text), "run scripts/bus_reference.py"
     ours = {message.name: message for message in load_database([file]).messages}
     assert ours.keys() == {m.name for m in DATABASE.messages if m.senders == ["EPS_HIL"]}
     assert {"EPSHIL_Estimate", "EPSHIL_Verdict", "EPSHIL_Health"} < ours.keys()
@@ -164,6 +153,6 @@ def test_the_database_of_our_messages_is_in_step() -> None:
 
 
 def test_bus_load_of_one_frame_is_that_of_the_standard() -> None:
-    reference = script()
+    reference = loaded("scripts/bus_reference.py")
     # ISO 11898-1, base format, 8 bytes, with 3 bits of intermission: 111 bits, at most 24 stuffed
     assert reference.classic_bits(8) == (111, 135)

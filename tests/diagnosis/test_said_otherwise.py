@@ -1,16 +1,14 @@
 """The same recordings said otherwise, in other units, of another size, or recorded worse."""
 
-import importlib.util
-import sys
 from collections.abc import Callable, Mapping
 from itertools import product
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 
 from eps_hil.physics.model import Model
+from tests.loaded import loaded
 
 pytestmark = pytest.mark.slow
 
@@ -19,14 +17,7 @@ Columns = Mapping[str, Mapping[str, Any]]
 
 @pytest.fixture(scope="module")
 def bench() -> ModuleType:
-    path = Path(__file__).parents[2] / "benchmarks" / "said_otherwise.py"
-    spec = importlib.util.spec_from_file_location("said_otherwise", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return loaded("benchmarks/said_otherwise.py")
 
 
 @pytest.fixture(scope="module")

@@ -1,17 +1,16 @@
 """``scripts/demo-diagnose``: hides, records over a bus, names, and shows the better rack force."""
 
-import importlib.util
 import math
 import re
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 import yaml
 
 from eps_hil.physics.effects.catalogue import catalogue
+from tests.loaded import loaded
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "scripts" / "demo_diagnose.py"
@@ -21,16 +20,6 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, SCRIPT, *arguments], capture_output=True, text=True, check=False
     )
-
-
-def loaded() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("demo_diagnose", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    demo = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = demo
-    spec.loader.exec_module(demo)
-    return demo
 
 
 def test_what_it_cannot_hide_it_says() -> None:
@@ -44,7 +33,7 @@ def test_what_it_cannot_hide_it_says() -> None:
 
 def test_an_estimate_is_compared_with_the_load_cell_of_its_own_moment() -> None:
     """Services say their lines at different moments: at 700 N and 2 Hz that is hundreds of N."""
-    demo = loaded()
+    demo = loaded("scripts/demo_diagnose.py")
 
     def service(*moments: float, error: float) -> str:
         lines = ["READY", "rack force       +0 N  load cell        - N     0 Hz  no input"]
@@ -63,7 +52,7 @@ def test_an_estimate_is_compared_with_the_load_cell_of_its_own_moment() -> None:
 def test_where_something_must_be_compiled_it_says_so_before_it_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    demo = loaded()
+    demo = loaded("scripts/demo_diagnose.py")
 
     def ends(*_: object) -> None:
         raise SystemExit

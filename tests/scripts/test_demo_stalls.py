@@ -1,6 +1,5 @@
 """What a demo says where the machine stood still while it ran."""
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +8,7 @@ from types import ModuleType
 import pytest
 
 from eps_hil.estimation.validity import Reason
+from tests.loaded import loaded
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "scripts" / "demo_stalls.py"
@@ -18,13 +18,7 @@ MS = 1_000_000
 
 @pytest.fixture(scope="module")
 def demo() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("demo_stalls", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return loaded("scripts/demo_stalls.py")
 
 
 def rows(*parts: tuple[int, int]) -> list[tuple[int, int]]:
