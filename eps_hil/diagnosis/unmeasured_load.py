@@ -31,6 +31,9 @@ MOST_LEFT = 0.5
 LEFT_BY_LAW = 1.0 - ENOUGH
 """The same, of a law without a name."""
 
+OF_MOTION = {"motor_angle_rad", "rack_position_m", "motor_speed_rad_s"}
+"""What a force at the rack follows, with their absolute values."""
+
 WORTH_A_LOAD = 0.98
 """Of what hold-outs keep without: below this a load is written where there may be none."""
 
@@ -40,8 +43,23 @@ def under_unmeasured_load(asked: Asked) -> Diagnosis:
     load = load_of(asked.learnt, asked.model)
     beside = load.beside_own_drag(asked.model)
     told = _under_load(replace(load, drag_nm_s_per_rad=0.0), replace(asked, model=beside))
-    said = own_drag(asked.model, told.model)
+    said = [*own_drag(asked.model, told.model), *_may_be_load(told)]
     return replace(told, content={**told.content, "limits": [*said, *told.content["limits"]]})
+
+
+def _may_be_load(told: Diagnosis) -> list[str]:
+    """A sentence where a torque without a name follows the motion: so does a load."""
+    for one in told.content["findings"]:
+        terms = one.get("model", {}).get("terms", []) if one["effect"] == "unknown" else []
+        for term in terms:
+            inputs = {name.removeprefix("abs_") for name in term["inputs"]}
+            if term["where"] == "rotor" and inputs <= OF_MOTION:
+                return [
+                    f"What has no name ({one['model']['law']}) may be the load itself, which "
+                    "nobody measured: a tyre's scrub or a bushing at the rack follows the motion "
+                    "as it does. Record rack_force_n to tell."
+                ]
+    return []
 
 
 def _under_load(load: Load, asked: Asked) -> Diagnosis:

@@ -10,6 +10,8 @@ from eps_hil.proof.truth import Drive
 
 UNKNOWN = "unknown"
 _TO_ROTOR = Drive().pinion_rad_per_m / Drive().rack_rad_per_m
+UNNAMED_LOADS = ("scrub",)
+"""Loads for which the catalogue has no name: who calls what they leave unknown is right."""
 _CANCELLED = 0.1
 _TO_90 = 1.644854 / 1.959964
 _NEUTRAL = {"gain": 1.0, "scale": 1.0}
@@ -72,8 +74,9 @@ class Judgement:
 
     @property
     def clean(self) -> bool:
-        """Nothing made up, nor an unknown effect claimed."""
-        return self.answered and not self.invented and not self.said_unknown
+        """Nothing made up, nor an unknown effect claimed, but where the load is one."""
+        unknown = self.said_unknown and self.group not in UNNAMED_LOADS
+        return self.answered and not self.invented and not unknown
 
     @property
     def all_in_set(self) -> bool:

@@ -67,6 +67,14 @@ def test_beside_a_load_it_is_enough_to_say_that_it_hides_the_effect() -> None:
     assert failed(judge("a", answer, {**said, "findings": _said("inertia")["findings"]}))
 
 
+def test_a_load_that_has_no_name_may_be_called_unknown() -> None:
+    said = _said("unknown", verdict="unknown_effect")
+    assert judge("a", _answer(kind="loads", load="scrub"), said).clean
+    assert not judge("a", _answer(kind="loads", load="spring"), said).clean
+    invented = _said("unknown", "inertia", verdict="unknown_effect")
+    assert not judge("a", _answer(kind="loads", load="scrub"), invented).clean
+
+
 def test_a_stranger_is_invented() -> None:
     j = judge("a", _answer("stribeck"), _said("stribeck", "inertia"))
     assert j.right_first
