@@ -19,6 +19,7 @@ from eps_hil.diagnosis.direct.belt import belt_in, belt_of, with_belt
 from eps_hil.diagnosis.direct.reversals import Bristle
 from eps_hil.diagnosis.direct.seen import finding
 from eps_hil.diagnosis.direct.separation import Separation
+from eps_hil.diagnosis.direct.speed_and_angle import shows as shown_by_speed
 from eps_hil.diagnosis.direct.speed_and_angle import speed_and_angle
 from eps_hil.diagnosis.direct.speed_scale import speed_scale
 from eps_hil.diagnosis.direct.zero_reading import ZeroReadings, zero_readings
@@ -57,6 +58,8 @@ class FirstLook:
     """What a reader has to know of speed and angle, which have been put right in it."""
     notes: tuple[str, ...] = ()
     """What a reader has to know of both that was left as recorded."""
+    shown: frozenset[str] = frozenset()
+    """Effects (ids) that signals of the motion show between them, whatever the load is."""
 
     @property
     def put_right(self) -> bool:
@@ -154,8 +157,13 @@ def first_look(
     kept: Sequence[tuple[Prepared, Signals]],
     model: Model,
     without: Collection[str] = (),
+    hidden: Collection[str] = (),
 ) -> FirstLook:
-    """Look at recordings, each prepared and as it was read; those ``kept`` only judge."""
+    """Look at recordings, each prepared and as it was read; those ``kept`` only judge.
+
+    Effects in ``without`` (ids) are not considered. Of those ``hidden`` by a load that nobody
+    measured the forces say nothing, but two signals of the motion do.
+    """
     ratio = model.rack_to_rotor_ratio_rad_per_m
     looks = each(
         lambda given: quality.look_at(given[0].name, given[1], ratio, given[0].size.angle),
@@ -197,7 +205,7 @@ def first_look(
             model = replace(model, effects=(*model.effects, effect.entry))
             continue
         entries.append(held or dict(effect.entry))
-        if name == "belt_compliance" and "rack_force_n" in ready[0].raw:
+        if name == "belt_compliance" and name not in hidden and "rack_force_n" in ready[0].raw:
             belt = belt_of(evenly(ready[:n]), model, effect.entry["stiffness_nm_per_rad"])
             if belt is not None:
                 ready = [with_belt(one, model, belt) for one in ready]
@@ -208,7 +216,7 @@ def first_look(
     whole = [one.changed(barred=bad) for one, bad in zip(ready, barred, strict=True)]
     play = [one for one in seen.seen if one.entry["effect"] == "torque_sensor_hysteresis"]
     unsure = play[0].half_width["play_nm"] if play else 0.0
-    zero = zero_readings(whole, model, without, unsure)
+    zero = zero_readings(whole, model, {*without, *hidden}, unsure)
     findings += [one.finding() for one in zero.clear]
     return FirstLook(
         ready[:n],
@@ -223,4 +231,5 @@ def first_look(
         zero,
         tuple(remarks),
         (*notes, *quality.remarks(looks)),
+        shown_by_speed(ready) | kinematics.shows(ready, model),
     )

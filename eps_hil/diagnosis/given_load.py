@@ -118,6 +118,8 @@ class Diagnosis:
     """Whether rotor against rack has shown what the ratio is."""
     elsewhere: Collection[str] = ()
     """Effects that the first look found, by evidence that is not the torque balance's."""
+    shown: Collection[str] = ()
+    """Effects for which it had that evidence, whether it found them or not."""
 
 
 Read = Sequence[tuple[Prepared, Mapping[str, Series]]]
@@ -185,7 +187,7 @@ def under(load: Load | None, asked: Asked) -> Diagnosis:
         asked = asked.beside(load)
     model, say = asked.model, asked.say
     kept = {one.name: series for one, series in asked.kept}
-    look = first_look(asked.fitted, asked.kept, model, asked.without)
+    look = first_look(asked.fitted, asked.kept, model, bare.without, asked.without)
     problem = problem_of(look.fitted, look.model, load_knobs(load))
     slides(look.fitted, problem.sliding)
     untold = of_motor_torque(problem) if is_still(look.fitted) else []
@@ -295,7 +297,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         ready_to_write,
     )
     content["limits"] = [
-        *([] if load is None else [load.sentence]),
+        *([] if load is None else [load.sentence(look.shown)]),
         *unseen(case.asked.every),
         *([sentence(case.untold)] if case.untold else []),
         *look.remarks,
@@ -330,6 +332,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         + (wrong is not None) * price_of_one(problem, judged),
         ratio_is_measured=look.ratio_is_measured,
         elsewhere=[str(one["effect"]) for one in look.findings],
+        shown=look.shown,
     )
 
 

@@ -201,7 +201,8 @@ def _with_load(told: Diagnosis, fitted: Load, load: Load, base: Model) -> Diagno
     written = load.in_model(told.model)
     content = under_written_load(told.content, told.judged, told.as_read, base, written)
     content["limits"] = [
-        load.sentence if one == fitted.sentence else one for one in content["limits"]
+        load.sentence(told.shown) if one == fitted.sentence(told.shown) else one
+        for one in content["limits"]
     ]
     content = without_nan(content)
     return replace(told, model=written, content=content, given=base, beside_load=told.model)

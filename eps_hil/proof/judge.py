@@ -1,11 +1,13 @@
 """One diagnosis (CONTRACT 7) against one opened answer: what was right, missed, or made up."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from eps_hil.proof.effects import ALIENS
+from eps_hil.proof.plans import UNMEASURED
 from eps_hil.proof.truth import Drive
 
 UNKNOWN = "unknown"
@@ -100,7 +102,7 @@ def failed(j: Judgement) -> bool:
         return not {one for one in j.truths if one not in ALIENS} <= set(j.named)
     if j.kind == "twins":
         return not (j.all_in_set and j.twin_in_set)
-    silent = j.kind == "poor" or (j.kind == "loads" and bool(j.told_hidden))
+    silent = j.kind == "poor" or (j.kind in UNMEASURED and bool(j.told_hidden))
     return not (silent or j.right_first)
 
 
@@ -110,6 +112,7 @@ def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | Non
     truths = tuple(str(one["effect"]) for one in hidden)
     findings: Sequence[Mapping[str, Any]] = diagnosis.get("findings", []) if diagnosis else []
     limits: Sequence[str] = diagnosis.get("limits", []) if diagnosis else []
+    declined = [re.findall(r"\w+(?=[\w, ]* cannot be told)", one) for one in limits]
     verdict = str(diagnosis.get("verdict", "")) if diagnosis else ""
     tolerated = {*answer["tolerated"], *_form_of_presliding(answer, findings)} - set(truths)
     counted = [one for one in findings if one["effect"] not in tolerated]
@@ -147,7 +150,7 @@ def judge(id: str, answer: Mapping[str, Any], diagnosis: Mapping[str, Any] | Non
         naive_stlsq=tuple(concealment.get("naive_stlsq", ())),
         twin=str(answer.get("twin", "")),
         twin_in_set=answer.get("twin") in reported,
-        told_hidden=tuple(t for t in truths if any(t in one for one in limits)),
+        told_hidden=tuple(t for t in truths if any(t in one for one in declined)),
         group=_group(answer),
     )
 

@@ -123,7 +123,8 @@ def shares(judged: Sequence[Judgement]) -> list[Share]:
                 one = [j for j in of if j.decoy == decoy]
                 table += _counted(f"{form} decoys, {decoy}", one, _EMPTY)
         blind = [j for j in judged if (j.form, j.kind) == (form, "unmeasured")]
-        table += _counted(f"{form} rack force unmeasured", [j for j in blind if j.truths], _HIDDEN)
+        hidden = [j for j in blind if j.truths]
+        table += _counted(f"{form} rack force unmeasured", hidden, {**_HIDDEN, **_LOADS})
         empty = [j for j in blind if not j.truths]
         table += _counted(f"{form} rack force unmeasured, nothing hidden", empty, _EMPTY)
         for kind in ("rates", "sizes", "loads"):

@@ -252,7 +252,7 @@ def test_an_unmeasured_force_of_no_form_leaves_only_ripples(
     assert names(result) == ["cogging_torque"]
     assert value(result, "amplitude_nm") == pytest.approx(0.015, rel=0.15)
     assert value(result, "order") == pytest.approx(6.0, abs=0.02)
-    assert "only ripples" in result.content["limits"][0]
+    assert "only ripples (" in result.content["limits"][0]
 
 
 def beside_timing(result: Diagnosis) -> list[str]:

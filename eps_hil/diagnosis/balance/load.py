@@ -104,13 +104,14 @@ class Load:
         """The model with the drag of its own that goes with this load."""
         return _with_drag(model, self.drag_nm_s_per_rad) if self.drag_nm_s_per_rad else model
 
-    @property
-    def sentence(self) -> str:
-        """What the user is told."""
+    def sentence(self, shown: Collection[str] = ()) -> str:
+        """What the user is told; ``shown``: effects (ids) that other signals show beside it."""
+        hidden = ", ".join(one for one in not_told_apart(self) if one not in shown)
         if self.form == "arbitrary":
             return (
-                "The rack force was not measured and follows no spring and damper: only ripples "
-                f"({', '.join(RIPPLES)}) can be told from it. Record rack_force_n to find more."
+                "The rack force was not measured and follows no spring and damper: of forces only "
+                f"ripples ({', '.join(RIPPLES)}) can be told from it. {hidden} cannot be told from "
+                "it: record rack_force_n to find them."
             )
         if self.named:
             return (
@@ -121,7 +122,7 @@ class Load:
         if self.form == "free":
             return (
                 "The rack force was not measured; it is taken as none (a free rack): that explains "
-                f"more than a load would. {', '.join(LIKE_LOAD)} cannot be told from one."
+                f"more than a load would. {hidden} cannot be told from one."
             )
         most = np.hypot(self.sine_nm, self.cosine_nm)
         what, held = (
@@ -134,7 +135,7 @@ class Load:
             f"{self.damping_n_s_per_m:.3g} N s/m and {self.constant_n:.3g} N, which a written "
             f"model holds as {held}, viscous_friction "
             f"and {OFFSET}, and the friction that grows with it as an empirical map. "
-            f"{', '.join(not_told_apart(self))} cannot be told from such a load."
+            f"{hidden} cannot be told from such a load."
             + (" What stays unknown may be a load of another form." if self.doubtful else "")
         )
 

@@ -7,7 +7,7 @@ Play between rotor and rack, a belt that gives, a ratio that changes with x and 
 sensor show here directly; in the torque balance they look like noise.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +19,7 @@ from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.direct.rotor_and_rack import (
     LEAST_RATIO,
+    SEPARATE,
     Rows,
     has_rack,
     may_be_open,
@@ -28,6 +29,7 @@ from eps_hil.diagnosis.direct.rotor_and_rack import (
 from eps_hil.diagnosis.direct.seen import Seen
 from eps_hil.diagnosis.direct.separation import Separation, separation, shown
 from eps_hil.diagnosis.direct.torsion_bar import (
+    PLAY,
     Law,
     has_twist,
     sensor_play,
@@ -89,6 +91,14 @@ def _beside(left: Separation, found: Sequence[Seen]) -> list[Seen]:
     kept = [one for one in found if one.gain > BESIDE_UNKNOWN * left.energy]
     joints = ("belt_compliance", "backlash")
     return [one for one in kept if not left.alone or one.entry["effect"] not in joints]
+
+
+def shows(recordings: Iterable[Prepared], model: Model) -> frozenset[str]:
+    """Effects (ids) that rotor, rack and steering wheel show, where all recordings have them."""
+    every = list(recordings)
+    of_rack = SEPARATE if all(has_rack(one, model) for one in every) else ()
+    of_twist = (PLAY,) if all(map(has_twist, every)) else ()
+    return frozenset((*of_rack, *of_twist))
 
 
 def examine(

@@ -57,6 +57,8 @@ _GROUPS = {
     "clock_drift": ("drift",),
 }
 """Columns that an effect adds."""
+SEPARATE = tuple(_GROUPS)
+"""Effects (ids) that rotor against rack shows."""
 
 
 class Rows:

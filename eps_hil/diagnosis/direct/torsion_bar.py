@@ -23,6 +23,8 @@ from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
 
+PLAY = "torque_sensor_hysteresis"
+
 LEAST_PLAY_NM = 0.03
 _LEAST_TWIST = 0.9
 """Least correlation of twist and torque for the twist to be the torsion bar's."""
@@ -221,7 +223,7 @@ def sensor_play(
     half = float(np.hypot(half, 1.96 * 0.5 * sigma))  # noise in the play and the filter against it
     low, high = (float(v) for v in np.percentile(torque, [2, 98]))
     seen = Seen(
-        {"effect": "torque_sensor_hysteresis", "play_nm": play},
+        {"effect": PLAY, "play_nm": play},
         {"play_nm": half},
         gain,
         min(1.0, gain / max(excess, 1.0)),

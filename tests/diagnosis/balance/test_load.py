@@ -123,7 +123,7 @@ def test_a_force_that_may_have_any_form_hides_the_motors_scale_too() -> None:
     followed = arbitrary.followed()
     assert {"motor_torque_gain", "unmodelled_spring"} <= set(not_told_apart(followed))
     assert not {"stribeck", "motor_torque_delay"} & set(not_told_apart(followed))
-    assert "may be a load of another form" in followed.sentence
+    assert "may be a load of another form" in followed.sentence()
     assert "motor_torque_gain" not in not_told_apart(replace(followed, doubtful=False))
 
 
