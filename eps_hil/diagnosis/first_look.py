@@ -15,11 +15,10 @@ from eps_hil.diagnosis.data.drift import Drift
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.direct import already, kinematics
-from eps_hil.diagnosis.direct.belt import belt_in, belt_of, with_belt
+from eps_hil.diagnosis.direct.belt import belt_in, belt_of, usual_belt, with_belt
 from eps_hil.diagnosis.direct.reversals import Bristle
 from eps_hil.diagnosis.direct.seen import finding
 from eps_hil.diagnosis.direct.separation import Separation
-from eps_hil.diagnosis.direct.speed_and_angle import shows as shown_by_speed
 from eps_hil.diagnosis.direct.speed_and_angle import speed_and_angle
 from eps_hil.diagnosis.direct.speed_scale import speed_scale
 from eps_hil.diagnosis.direct.zero_reading import ZeroReadings, zero_readings
@@ -59,7 +58,8 @@ class FirstLook:
     notes: tuple[str, ...] = ()
     """What a reader has to know of both that was left as recorded."""
     shown: frozenset[str] = frozenset()
-    """Effects (ids) that signals of the motion show between them, whatever the load is."""
+    """Effects (ids) that signals of the motion show between them, whatever the load is. A delay is
+    none: what speed and angle have in common only torques tell."""
 
     @property
     def put_right(self) -> bool:
@@ -205,10 +205,14 @@ def first_look(
             model = replace(model, effects=(*model.effects, effect.entry))
             continue
         entries.append(held or dict(effect.entry))
-        if name == "belt_compliance" and name not in hidden and "rack_force_n" in ready[0].raw:
-            belt = belt_of(evenly(ready[:n]), model, effect.entry["stiffness_nm_per_rad"])
+        if name == "belt_compliance":
+            belt, stiffness = None, effect.entry["stiffness_nm_per_rad"]
+            if name not in hidden and "rack_force_n" in ready[0].raw:
+                belt = belt_of(evenly(ready[:n]), model, stiffness)
             if belt is not None:
                 ready = [with_belt(one, model, belt) for one in ready]
+            damping = (belt or usual_belt(model, stiffness)).damping_nm_s_per_rad
+            entries[-1].setdefault("damping_nm_s_per_rad", float(f"{damping:.3g}"))
     unseen = belt_in(model)  # by a model that holds one, where nothing measured it
     if unseen is not None:
         ready = [with_belt(one, model, unseen) for one in ready]
@@ -231,5 +235,5 @@ def first_look(
         zero,
         tuple(remarks),
         (*notes, *quality.remarks(looks)),
-        shown_by_speed(ready) | kinematics.shows(ready, model),
+        kinematics.shows(ready, model),
     )

@@ -19,7 +19,7 @@ from eps_hil.diagnosis.balance.baseline import ALL
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import STEP_S, Prepared
-from eps_hil.physics.effects.catalogue import catalogue, joint_of, with_model_effects
+from eps_hil.physics.effects.catalogue import joint_of, with_model_effects
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -29,6 +29,8 @@ USUAL_SHARE = 0.33
 """Of the inertia, behind the belt; what it is is looked for, and this is where from."""
 _RATIO, _SHARE = (0.005, 1.0), (0.1, 0.7)
 """Between which damping (of the critical one) and share are looked for."""
+_USUAL_RATIO = 0.2
+"""Of the critical damping, whatever the machine's size: where the damping is looked for from."""
 _TRIALS = 40
 _CLEAR = 10.0
 """Noise variances that a belt has to gain."""
@@ -49,6 +51,16 @@ def belt_in(model: Model) -> Belt | None:
     if joint is None:
         return None
     return Belt(joint.stiffness_nm_per_rad, joint.damping_nm_s_per_rad, joint.behind_share)
+
+
+def usual_belt(model: Model, stiffness_nm_per_rad: float) -> Belt:
+    """The belt of that stiffness with the usual damping and share."""
+    return _belt(model, stiffness_nm_per_rad, _USUAL_RATIO, USUAL_SHARE)
+
+
+def _belt(model: Model, stiffness_nm_per_rad: float, ratio: float, share: float) -> Belt:
+    critical = 2.0 * np.sqrt(stiffness_nm_per_rad * share * model.inertia_kg_m2)
+    return Belt(stiffness_nm_per_rad, float(ratio * critical), share)
 
 
 def slack_rad_s2(one: Prepared, model: Model, belt: Belt) -> Floats:
@@ -89,8 +101,6 @@ def belt_of(
     """
     from scipy.optimize import minimize
 
-    (damping,) = (p for p in catalogue()[ID].parameters if p.name == "damping_nm_s_per_rad")
-    usual = Belt(stiffness_nm_per_rad, float(damping.default or 0.0))
     knee = 0.0
 
     def cost(belt: Belt | None) -> float:
@@ -103,13 +113,10 @@ def belt_of(
         return found.cost
 
     def belt(at: Floats) -> Belt:
-        ratio, share = float(np.exp(at[0])), float(at[1])
-        critical = 2.0 * np.sqrt(stiffness_nm_per_rad * share * model.inertia_kg_m2)
-        return Belt(stiffness_nm_per_rad, float(ratio * critical), share)
+        return _belt(model, stiffness_nm_per_rad, float(np.exp(at[0])), float(at[1]))
 
     before = cost(None)
-    critical = 2.0 * np.sqrt(stiffness_nm_per_rad * usual.share * model.inertia_kg_m2)
-    start = [np.log(np.clip(usual.damping_nm_s_per_rad / critical, *_RATIO)), usual.share]
+    start = [np.log(_USUAL_RATIO), USUAL_SHARE]
     simplex = [start, [start[0] + 0.7, start[1]], [start[0], start[1] + 0.08]]
     found = minimize(
         lambda at: cost(belt(at)),

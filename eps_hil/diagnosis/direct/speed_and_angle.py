@@ -6,7 +6,7 @@ the second term. No torque is needed for it. Noise of the speed sits in both sid
 term: what that makes of it (at most) counts as an error of it.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -234,11 +234,6 @@ def compared(one: Prepared, apart_s: float) -> tuple[Floats, Floats, Floats]:
     """
     columns, residual, _ = _rows(one, apart_s)
     return -columns[:, 0], -1e6 * columns[:, 1], residual
-
-
-def shows(recordings: Iterable[Prepared]) -> frozenset[str]:
-    """Effects (ids) that speed and angle show between them, where all recordings have both."""
-    return frozenset((LATE, DRIFT) if all(map(has_both, recordings)) else ())
 
 
 def has_both(one: Prepared) -> bool:
