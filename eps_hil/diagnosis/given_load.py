@@ -61,7 +61,7 @@ from eps_hil.diagnosis.data.intake import (
     unseen,
 )
 from eps_hil.diagnosis.data.prepare import CLEAR_SIGMA, THIN, Prepared
-from eps_hil.diagnosis.direct.kinematics import small_ratio
+from eps_hil.diagnosis.direct.kinematics import small_ratio, where_friction_acts
 from eps_hil.diagnosis.first_look import first_look
 from eps_hil.diagnosis.mismatch.between import between_recordings
 from eps_hil.diagnosis.mismatch.leftover import how_held, late_torque
@@ -318,6 +318,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         *left_open(content["findings"], problem.size),
         *more_masses(content["findings"], ready_to_write),
         *small_ratio(content),
+        *where_friction_acts(content),
     ]
     return Diagnosis(
         without_nan(content),

@@ -11,13 +11,13 @@ from typing import Any
 from eps_hil.diagnosis.data.size import Size
 from eps_hil.diagnosis.direct.rotor_and_rack import LEAST_GAP_RAD, least_compliance
 from eps_hil.diagnosis.direct.seen import Seen
-from eps_hil.diagnosis.direct.torsion_bar import LEAST_PLAY_NM
+from eps_hil.diagnosis.direct.torsion_bar import LEAST_PLAY_NM, PLAY
 from eps_hil.physics.model import Model
 
 MEASURED_WHOLE: Mapping[str, tuple[str, float]] = {
     "backlash": ("gap_rad", LEAST_GAP_RAD),
     "belt_compliance": ("stiffness_nm_per_rad", 0.0),
-    "torque_sensor_hysteresis": ("play_nm", LEAST_PLAY_NM),
+    PLAY: ("play_nm", LEAST_PLAY_NM),
 }
 """The number by which each is known, and how large it has to be to be seen."""
 _WIDE = 2.0
@@ -31,7 +31,7 @@ def held(model: Model, seen: Seen, size: Size) -> dict[str, Any] | None:
     if name not in MEASURED_WHOLE or not entries:
         return None
     number, least = MEASURED_WHOLE[name]
-    least *= size.angle if name == "backlash" else 1.0
+    least *= {"backlash": size.angle, PLAY: size.power}.get(name, 1.0)
     value, known = float(seen.entry[number]), float(entries[-1][number])
     if name == "belt_compliance":
         least = least_compliance(model) * value * known  # as little as is no belt at all

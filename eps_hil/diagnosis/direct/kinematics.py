@@ -18,12 +18,14 @@ from eps_hil.diagnosis.balance.excerpt import evenly
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.direct.rotor_and_rack import (
+    JOINTS,
     LEAST_RATIO,
     SEPARATE,
     Rows,
     has_rack,
     may_be_open,
     rotor_against_rack,
+    rubs_behind,
     transmitted,
 )
 from eps_hil.diagnosis.direct.seen import Seen
@@ -43,6 +45,8 @@ Flags = npt.NDArray[np.bool_]
 
 _TOLD_RATIO = 1e-3
 """How far a ratio is off to be worth a sentence where it is no finding."""
+_MORE_THAN_NOISE = 1.5
+"""Times the sensors' noise that a residual is not explained."""
 _FEWEST = 500
 """Samples (of 8 ms) with the joint under load that a recording needs to say anything: 4 s."""
 
@@ -61,6 +65,8 @@ class Kinematics:
     gap_rad: float = 0.0
     left: Separation | None = None
     """What of rotor against rack no name stands for."""
+    behind: bool = False
+    """Whether friction acts on the rack, behind what gives or is loose."""
 
     def corrected(self, one: Prepared, model: Model) -> Prepared:
         """The recording with the torsion-bar torque that the twist shows in place of the report."""
@@ -83,14 +89,13 @@ class Kinematics:
         n = len(one.thin_time_s)
         if self.gap_rad == 0.0 or "rack_position_m" not in one.raw:
             return np.zeros(n, dtype=bool)
-        return may_be_open(one.thin(transmitted(one, model)), one)
+        return may_be_open(one.thin(transmitted(one, model, behind=self.behind)), one)
 
 
 def _beside(left: Separation, found: Sequence[Seen]) -> list[Seen]:
     """Names that may stand beside something unknown; those of its kind only if they do better."""
     kept = [one for one in found if one.gain > BESIDE_UNKNOWN * left.energy]
-    joints = ("belt_compliance", "backlash")
-    return [one for one in kept if not left.alone or one.entry["effect"] not in joints]
+    return [one for one in kept if not left.alone or one.entry["effect"] not in JOINTS]
 
 
 def shows(recordings: Iterable[Prepared], model: Model) -> frozenset[str]:
@@ -112,28 +117,77 @@ def examine(
     An effect is seen only if it also lowers the same residual of the ``judged`` recordings, and
     if its id is not in ``without``.
     """
-    seen: list[Seen] = []
-    content: dict[str, Any] = {}
-    gap, left = 0.0, None
-
-    def rows_of(recordings: Sequence[Prepared]) -> list[Rows]:
-        measured = [one for one in recordings if has_rack(one, model)]
-        rows = each(lambda one: Rows(one, model), measured)
-        return [one for one in rows if len(one.e) >= _FEWEST]
-
-    rows, kept = rows_of(fitted), rows_of(judged)
-    if rows:
-        found, content, accepted = rotor_against_rack(rows, kept, without)
-        left = separation(rows, accepted, without)
-        left = left if left is None or shown(left, kept, accepted) else None
-        seen += found if left is None else _beside(left, found)
-        gap = next((s.entry["gap_rad"] for s in found if s.entry["effect"] == "backlash"), 0.0)
-    twist = None
+    learnt, kept = ([one for one in some if has_rack(one, model)] for some in (fitted, judged))
+    apart = _apart(learnt, kept, model, without, behind=False)
+    if apart.more_than_noise and rubs_behind(learnt, model):
+        other = _apart(learnt, kept, model, without, behind=True)
+        apart = other if other.joint else apart
+    seen, twist = apart.seen, None
     play = sensor_play(evenly(fitted), judged, model)
     if play is not None and play[0].entry["effect"] not in without:
         seen.append(play[0])
         twist = play[1]
-    return Kinematics(tuple(seen), content, twist, gap, left)
+    return Kinematics(tuple(seen), apart.content, twist, apart.gap_rad, apart.left, apart.behind)
+
+
+@dataclass(frozen=True)
+class _Apart:
+    """What rotor against rack shows, with friction on the rotor or ``behind``."""
+
+    seen: list[Seen] = field(default_factory=list)
+    content: dict[str, Any] = field(default_factory=dict)
+    left: Separation | None = None
+    gap_rad: float = 0.0
+    behind: bool = False
+
+    @property
+    def joint(self) -> bool:
+        """Whether something gives or is loose."""
+        return any(one.entry["effect"] in JOINTS for one in self.seen)
+
+    @property
+    def more_than_noise(self) -> bool:
+        """Whether rotor and rack come apart at all, named or not."""
+        if not self.content:
+            return False
+        much = self.content["rms_left_rad"] > _MORE_THAN_NOISE * self.content["noise_rad"]
+        return much or self.joint or self.left is not None
+
+
+def _apart(
+    fitted: Sequence[Prepared],
+    judged: Sequence[Prepared],
+    model: Model,
+    without: Collection[str],
+    *,
+    behind: bool,
+) -> _Apart:
+
+    def rows_of(recordings: Sequence[Prepared]) -> list[Rows]:
+        rows = each(lambda one: Rows(one, model, behind=behind), recordings)
+        return [one for one in rows if len(one.e) >= _FEWEST]
+
+    rows, kept = rows_of(fitted), rows_of(judged)
+    if not rows:
+        return _Apart()
+    found, content, accepted = rotor_against_rack(rows, kept, without)
+    left = separation(rows, accepted, without)
+    left = left if left is None or shown(left, kept, accepted) else None
+    if behind:
+        content["friction_acts_on"] = "rack"
+    gap = next((one.entry["gap_rad"] for one in found if one.entry["effect"] == "backlash"), 0.0)
+    seen = list(found) if left is None else _beside(left, found)
+    return _Apart(seen, content, left, gap, behind)
+
+
+def where_friction_acts(content: Mapping[str, Any]) -> list[str]:
+    """A sentence where it does not act where a model file has it."""
+    if content.get("kinematics", {}).get("friction_acts_on") != "rack":
+        return []
+    return [
+        "Friction acts on the rack, behind the joint that was found, and not on the rotor, where "
+        "a model file has it: while the joint is loose or gives, the two differ."
+    ]
 
 
 def small_ratio(content: Mapping[str, Any]) -> list[str]:

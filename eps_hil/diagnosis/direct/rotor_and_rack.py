@@ -7,6 +7,7 @@ columns of one least-squares fit.
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,9 @@ _GROUPS = {
     "clock_drift": ("drift",),
 }
 """Columns that an effect adds."""
+JOINTS = ("belt_compliance", "backlash")
+"""What rotor and rack come apart by."""
+_JOINT = (*USUAL, "half_gap")
 SEPARATE = tuple(_GROUPS)
 """Effects (ids) that rotor against rack shows."""
 
@@ -64,11 +68,11 @@ SEPARATE = tuple(_GROUPS)
 class Rows:
     """Thinned residual and regressors of one recording, where no gap is open and data are good."""
 
-    def __init__(self, one: Prepared, model: Model) -> None:
+    def __init__(self, one: Prepared, model: Model, *, behind: bool = False) -> None:
         motion = one.motion(model)
         ratio = with_model_effects(model).rack_to_rotor_ratio_rad_per_m
         self.one, self.model = one, model
-        torque = transmitted(one, model)
+        torque = transmitted(one, model, behind=behind)
         usable = ~may_be_open(one.thin(torque), one)
         if one.barred is not None:
             usable &= ~one.barred
@@ -126,13 +130,37 @@ def has_rack(one: Prepared, model: Model) -> bool:
     return float(np.std(np.diff(apart))) > _ONE_SOURCE * one.size.angle
 
 
-def transmitted(one: Prepared, model: Model) -> Floats:
-    """Torque from rotor to rack (Nm at the rotor), 1 kHz; the rack side's inertia included."""
+def transmitted(one: Prepared, model: Model, *, behind: bool = False) -> Floats:
+    """Torque from rotor to rack (Nm at the rotor), 1 kHz; the rack side's inertia included.
+
+    Where friction acts ``behind``, on the rack, it is part of it: it is what the motor gives beyond
+    the rotor's inertia then, whatever the friction is.
+    """
     motion, model = one.motion(model), with_model_effects(model)
+    inertia = model.inertia_kg_m2 * low_pass(motion.acceleration_rad_s2, _SMOOTH_HZ)
+    if behind:
+        given = low_pass(motion.motor_torque_nm, _SMOOTH_HZ)
+        return np.asarray(given - (1.0 - _INERTIA_SHARE) * inertia)
     load = motion.rack_force_n / model.rack_to_rotor_ratio_rad_per_m
     hand = model.sensor_to_rotor * motion.torque_sensor_nm
-    share = _INERTIA_SHARE * model.inertia_kg_m2
-    return np.asarray(load - hand + share * low_pass(motion.acceleration_rad_s2, _SMOOTH_HZ))
+    return np.asarray(load - hand + _INERTIA_SHARE * inertia)
+
+
+def rubs_behind(recordings: Sequence[Prepared], model: Model) -> bool:
+    """Whether friction acts on the rack, behind what gives or is loose: by what leaves less.
+
+    Each with all that a joint may have, on the samples at which it is shut: where friction acts
+    says when that is, so that samples on which both agree tell nothing.
+    """
+    if not recordings or not all("motor_torque_nm" in one.raw for one in recordings):
+        return False
+    left, samples = [], []
+    for behind in (False, True):
+        rows = each(partial(Rows, model=model, behind=behind), recordings)
+        residual = solved(rows, _JOINT)[1]
+        left.append(robust_cost(residual) / max(len(residual), 1))
+        samples.append(len(residual))
+    return (left[0] - left[1]) * min(samples) > LEAST_GAIN
 
 
 def _level(values: Floats, chosen: Flags | slice = slice(None)) -> Floats:

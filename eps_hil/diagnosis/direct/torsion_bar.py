@@ -26,6 +26,7 @@ Floats = npt.NDArray[np.float64]
 PLAY = "torque_sensor_hysteresis"
 
 LEAST_PLAY_NM = 0.03
+"""Of a torsion bar as steering drives have; on a machine of another size, so much more or less."""
 _LEAST_TWIST = 0.9
 """Least correlation of twist and torque for the twist to be the torsion bar's."""
 _RATE_HZ = 40.0
@@ -105,7 +106,7 @@ class _Twisted:
         self.turning = np.gradient(low_pass(pinion_rad(one, model), _BEFORE_HZ), 1e-3)
         reported = low_pass(one.raw["torque_sensor_nm"], _PLAY_HZ)
         self.torque = np.interp(one.time_s + late, one.time_s, reported)
-        self.sigma = max(one.noise["torque_sensor_nm"], 1e-4)
+        self.sigma = max(one.noise["torque_sensor_nm"], 1e-4 * one.size.power)
         self.noise = twist_noise(one, model)
 
     def sigma_nm(self, slope: float) -> float:
@@ -189,16 +190,19 @@ def sensor_play(
     slope = float(np.std(torque) / np.std(twist))
     sigma = float(np.sqrt(np.mean([one.sigma_nm(slope) ** 2 for one in rows])))
 
+    unit = fitted[0].size.power  # what 1 Nm is on a machine of this size
     middle = float(np.mean(twist))  # where an angle or a place counts from is nobody's torque
 
     def law(p: Floats) -> Law:
-        return Law(slope * p[0], slope * p[1], slope * p[2], p[3] - slope * p[0] * middle)
+        return Law(slope * p[0], slope * p[1], slope * p[2], unit * p[3] - slope * p[0] * middle)
 
     def residual(p: Floats) -> Floats:
-        return np.concatenate(each(lambda one: one.left(law(p), float(p[4])), rows))
+        return np.concatenate(each(lambda one: one.left(law(p), unit * float(p[4])), rows))
 
     def cost(p: Floats, records: Sequence[_Twisted]) -> Floats:
-        return np.concatenate(each(lambda one: one.costs(law(p), float(p[4]), slope), records))
+        return np.concatenate(
+            each(lambda one: one.costs(law(p), unit * float(p[4]), slope), records)
+        )
 
     plain = least_squares(lambda p: residual(np.append(p, 0.0)), [1.0, 0.0, 0.0, 0.0])
     start = np.append(plain.x, 0.0)
@@ -207,11 +211,12 @@ def sensor_play(
         residual, best, loss="soft_l1", f_scale=3 * sigma, x_scale=[0.1, 0.01, 0.001, 0.1, 0.1],
         bounds=([0.2, -1.0, -0.1, -5.0, 0.0], [5.0, 1.0, 0.1, 5.0, 2.0]), diff_step=1e-3,
     )  # fmt: skip
-    found, play = np.asarray(done.x), float(done.x[4])
+    found, play = np.asarray(done.x), unit * float(done.x[4])
     before = cost(start, rows)
     gains = before - cost(found, rows)
     gain, excess = float(gains.sum()), float(before.sum()) - len(done.fun)
-    if play < max(LEAST_PLAY_NM, _CLEAR * sigma) or gain < max(LEAST_GAIN, _LEAST_SHARE * excess):
+    least = max(LEAST_PLAY_NM * unit, _CLEAR * sigma)
+    if play < least or gain < max(LEAST_GAIN, _LEAST_SHARE * excess):
         return None
     rng = np.random.default_rng(_SEED)
     whole = [one.without_play(law(found), rng) for one in rows]
@@ -220,7 +225,9 @@ def sensor_play(
     if worse or not _more_than_noise_held_back(gains, lost, excess):
         return None
     half = half_widths(done.jac, done.fun, (_stretches(rows),))[4]
-    half = float(np.hypot(half, 1.96 * 0.5 * sigma))  # noise in the play and the filter against it
+    half = float(
+        np.hypot(unit * half, 1.96 * 0.5 * sigma)
+    )  # noise in the play and the filter against it
     low, high = (float(v) for v in np.percentile(torque, [2, 98]))
     seen = Seen(
         {"effect": PLAY, "play_nm": play},

@@ -26,7 +26,7 @@ _UNEVEN = "friction_asymmetry"
 FEWEST = 3
 """Windows: one may be a hand that lies still."""
 _MOST_NM = {"torque_sensor_nm": 0.5, "motor_torque_nm": 0.2}
-"""A reading beyond this is a torque that somebody holds."""
+"""A reading beyond this, on a machine of ordinary size, is a torque that somebody holds."""
 _LEAST_GAIN = 60.0
 """Noise variances that a constant has to be worth in the balance, as any effect that is seen."""
 _SLIDING_RAD_S = 0.5
@@ -164,7 +164,9 @@ def zero_readings(
             continue
         values = [np.array(windows_nm(one, signal, model)) for one in recordings]
         white = float(np.mean([one.noise[signal] for one in recordings]))
-        reading = _together(signal, values, _of_a_window(white))
+        size = recordings[0].size
+        unit = size.power if signal == "torque_sensor_nm" else size.torque
+        reading = _together(signal, values, _of_a_window(white), unit * _MOST_NM[signal])
         if reading is None:
             continue
         unsure = play_nm if signal == "torque_sensor_nm" else 0.0
@@ -227,11 +229,15 @@ def windows_nm(one: Prepared, signal: str, model: Model) -> list[float]:
     if one.barred is not None:
         bad = np.interp(one.time_s, one.thin_time_s, one.barred.astype(np.float64)) > 0.0
         good &= ~bad
-    wheel = 1.0 / model.sensor_to_rotor if signal == "torque_sensor_nm" else None
-    return readings(one.raw[signal], one.raw["motor_speed_rad_s"], good, one.noise[signal], wheel)
+    speed = one.raw["motor_speed_rad_s"] / one.size.angle  # as a rotor of ordinary size has
+    of_wheel = signal == "torque_sensor_nm"
+    wheel = 1.0 / (model.sensor_to_rotor * one.size.angle) if of_wheel else None
+    return readings(one.raw[signal], speed, good, one.noise[signal], wheel)
 
 
-def _together(signal: str, values: Sequence[Floats], noise: float) -> ZeroReading | None:
+def _together(
+    signal: str, values: Sequence[Floats], noise: float, most: float
+) -> ZeroReading | None:
     """What the windows of all recordings say, each recording by how well its own agree.
 
     In one of them somebody may have held a torque. Recordings with few windows go together. Where
@@ -240,7 +246,9 @@ def _together(signal: str, values: Sequence[Floats], noise: float) -> ZeroReadin
     many = [one for one in values if len(one) >= _FEWEST_TOGETHER]
     few = [one for one in values if len(one) < _FEWEST_TOGETHER]
     groups = [*many, np.concatenate(few)] if few else many
-    told = [one for one in (_reading(signal, each, noise) for each in groups) if one is not None]
+    told = [
+        one for one in (_reading(signal, each, noise, most) for each in groups) if one is not None
+    ]
     if not told:
         return None
     best = min(told, key=lambda one: one.half)
@@ -257,8 +265,9 @@ def _together(signal: str, values: Sequence[Floats], noise: float) -> ZeroReadin
     )
 
 
-def _reading(signal: str, values: Floats, noise: float) -> ZeroReading | None:
-    """What windows read together; ``noise`` is what noise alone makes of one (rms).
+def _reading(signal: str, values: Floats, noise: float, most: float) -> ZeroReading | None:
+    """What windows read together; ``noise`` is what noise alone makes of one (rms). Nothing beyond
+    ``most`` (Nm).
 
     Their mean, where they scatter as that noise does, or where most of them lie close together and
     the others far off: torques that somebody held are not all the same. Else their median, by
@@ -280,7 +289,7 @@ def _reading(signal: str, values: Floats, noise: float) -> ZeroReading | None:
         middle = float(np.median(values))
         usual = 1.4826 * float(np.median(np.abs(values - middle)))
         half = 1.2533 * float(stdtrit(n - 1, 0.975)) * max(usual, float(np.std(values)) / 3.0)
-    if abs(middle) > _MOST_NM[signal]:
+    if abs(middle) > most:
         return None
     measured = float(np.std(values)) > _OF_A_SENSOR * noise
     return ZeroReading(signal, middle, half / float(np.sqrt(n)), n * WINDOW_S, 0.0, measured)

@@ -165,6 +165,7 @@ def test_a_command_that_is_none_rules_nothing_out(reference_model: Model, comman
 
 
 NOISE_NM = 2e-4
+MOST_NM = 0.5
 """Of one window."""
 
 
@@ -179,8 +180,8 @@ def held(count: int, scatter: float = 0.05) -> np.ndarray:
 
 def test_a_recording_with_the_hands_on_does_not_blur_one_with_the_hands_off() -> None:
     """Each counts by how well its own windows agree; all in one heap said nothing."""
-    alone = _together("torque_sensor_nm", [agreeing(10, 0.03)], NOISE_NM)
-    both = _together("torque_sensor_nm", [agreeing(10, 0.03), held(9), held(8)], NOISE_NM)
+    alone = _together("torque_sensor_nm", [agreeing(10, 0.03)], NOISE_NM, MOST_NM)
+    both = _together("torque_sensor_nm", [agreeing(10, 0.03), held(9), held(8)], NOISE_NM, MOST_NM)
     assert alone is not None
     assert both is not None
     assert both.value == pytest.approx(alone.value, abs=alone.half)
@@ -189,7 +190,7 @@ def test_a_recording_with_the_hands_on_does_not_blur_one_with_the_hands_off() ->
 
 
 def test_two_recordings_that_are_sure_of_different_torques_are_believed_neither() -> None:
-    one = _together("torque_sensor_nm", [agreeing(8), agreeing(9, 0.2)], NOISE_NM)
+    one = _together("torque_sensor_nm", [agreeing(8), agreeing(9, 0.2)], NOISE_NM, MOST_NM)
     assert one is not None
     assert one.half > 0.1
     assert not one.clear
@@ -197,11 +198,11 @@ def test_two_recordings_that_are_sure_of_different_torques_are_believed_neither(
 
 def test_most_windows_of_a_recording_may_agree_beside_some_that_were_held() -> None:
     mixed = np.concatenate([agreeing(7, 0.01), held(5)])
-    one = _together("torque_sensor_nm", [mixed], NOISE_NM)
+    one = _together("torque_sensor_nm", [mixed], NOISE_NM, MOST_NM)
     assert one is not None
     assert one.value == pytest.approx(0.01, abs=one.half)
     assert one.half < 2e-3
-    nothing = _together("torque_sensor_nm", [held(12)], NOISE_NM)
+    nothing = _together("torque_sensor_nm", [held(12)], NOISE_NM, MOST_NM)
     assert nothing is not None
     assert nothing.half > 0.02
 
@@ -211,14 +212,14 @@ def test_a_scatter_alone_hardly_ever_makes_a_narrow_reading(count: int) -> None:
     """The windows that lie closest together lie closer than all; by chance seldom by so much."""
     narrow, rng = 0, np.random.default_rng(count)
     for _ in range(1000):
-        one = _together("torque_sensor_nm", [0.05 * rng.standard_normal(count)], NOISE_NM)
+        one = _together("torque_sensor_nm", [0.05 * rng.standard_normal(count)], NOISE_NM, MOST_NM)
         narrow += one is not None and one.half <= 0.05 / count
     assert narrow < 15
 
 
 def test_few_windows_each_go_together() -> None:
-    one = _together("torque_sensor_nm", [agreeing(2), agreeing(1), agreeing(2)], NOISE_NM)
+    one = _together("torque_sensor_nm", [agreeing(2), agreeing(1), agreeing(2)], NOISE_NM, MOST_NM)
     assert one is not None
     assert one.seconds == 10.0
-    assert _together("torque_sensor_nm", [agreeing(1), agreeing(1)], NOISE_NM) is None
-    assert _together("torque_sensor_nm", [], NOISE_NM) is None
+    assert _together("torque_sensor_nm", [agreeing(1), agreeing(1)], NOISE_NM, MOST_NM) is None
+    assert _together("torque_sensor_nm", [], NOISE_NM, MOST_NM) is None
