@@ -164,9 +164,8 @@ def zero_readings(
             continue
         values = [np.array(windows_nm(one, signal, model)) for one in recordings]
         white = float(np.mean([one.noise[signal] for one in recordings]))
-        size = recordings[0].size
-        unit = size.power if signal == "torque_sensor_nm" else size.torque
-        reading = _together(signal, values, _of_a_window(white), unit * _MOST_NM[signal])
+        most = _unit_nm(signal, recordings[0]) * _MOST_NM[signal]
+        reading = _together(signal, values, _of_a_window(white), most)
         if reading is None:
             continue
         unsure = play_nm if signal == "torque_sensor_nm" else 0.0
@@ -229,10 +228,21 @@ def windows_nm(one: Prepared, signal: str, model: Model) -> list[float]:
     if one.barred is not None:
         bad = np.interp(one.time_s, one.thin_time_s, one.barred.astype(np.float64)) > 0.0
         good &= ~bad
-    speed = one.raw["motor_speed_rad_s"] / one.size.angle  # as a rotor of ordinary size has
+    unit, angle = _unit_nm(signal, one), one.size.angle
     of_wheel = signal == "torque_sensor_nm"
-    wheel = 1.0 / (model.sensor_to_rotor * one.size.angle) if of_wheel else None
-    return readings(one.raw[signal], speed, good, one.noise[signal], wheel)
+    read = readings(  # of a drive of ordinary size
+        one.raw[signal] / unit,
+        one.raw["motor_speed_rad_s"] / angle,
+        good,
+        one.noise[signal] / unit,
+        1.0 / (model.sensor_to_rotor * angle) if of_wheel else None,
+    )
+    return [unit * value for value in read]
+
+
+def _unit_nm(signal: str, one: Prepared) -> float:
+    """What 1 Nm at that sensor of an ordinary drive is on a machine of this size."""
+    return one.size.power if signal == "torque_sensor_nm" else one.size.torque
 
 
 def _together(
