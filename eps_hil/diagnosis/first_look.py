@@ -15,7 +15,7 @@ from eps_hil.diagnosis.data.drift import Drift
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.direct import already, kinematics
-from eps_hil.diagnosis.direct.belt import belt_in, belt_of, usual_belt, with_belt
+from eps_hil.diagnosis.direct.belt import Belt, belt_in, belt_of, usual_belt, with_belt
 from eps_hil.diagnosis.direct.reversals import Bristle
 from eps_hil.diagnosis.direct.seen import finding
 from eps_hil.diagnosis.direct.separation import Separation
@@ -152,6 +152,21 @@ def _on_one_clock(
     return ready, replace(seen, seen=others), total
 
 
+def _with_belt(
+    ready: list[Prepared], fitted: int, model: Model, stiffness_nm_per_rad: float, *, known: bool
+) -> tuple[list[Prepared], Belt]:
+    """The recordings with what such a belt does to the balance, where that matters; the belt.
+
+    ``known``: whether the load is, without which the balance says nothing of it.
+    """
+    belt = None
+    if known and "rack_force_n" in ready[0].raw:
+        belt = belt_of(evenly(ready[:fitted]), model, stiffness_nm_per_rad)
+    if belt is None:
+        return ready, usual_belt(model, stiffness_nm_per_rad)
+    return [with_belt(one, model, belt) for one in ready], belt
+
+
 def first_look(
     fitted: Sequence[tuple[Prepared, Signals]],
     kept: Sequence[tuple[Prepared, Signals]],
@@ -206,13 +221,10 @@ def first_look(
             continue
         entries.append(held or dict(effect.entry))
         if name == "belt_compliance":
-            belt, stiffness = None, effect.entry["stiffness_nm_per_rad"]
-            if name not in hidden and "rack_force_n" in ready[0].raw:
-                belt = belt_of(evenly(ready[:n]), model, stiffness)
-            if belt is not None:
-                ready = [with_belt(one, model, belt) for one in ready]
-            damping = (belt or usual_belt(model, stiffness)).damping_nm_s_per_rad
-            entries[-1].setdefault("damping_nm_s_per_rad", float(f"{damping:.3g}"))
+            stiffness = effect.entry["stiffness_nm_per_rad"]
+            ready, belt = _with_belt(ready, n, model, stiffness, known=name not in hidden)
+            if held is None:
+                entries[-1]["damping_nm_s_per_rad"] = float(f"{belt.damping_nm_s_per_rad:.3g}")
     unseen = belt_in(model)  # by a model that holds one, where nothing measured it
     if unseen is not None:
         ready = [with_belt(one, model, unseen) for one in ready]

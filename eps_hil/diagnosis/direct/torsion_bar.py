@@ -225,9 +225,8 @@ def sensor_play(
     if worse or not _more_than_noise_held_back(gains, lost, excess):
         return None
     half = half_widths(done.jac, done.fun, (_stretches(rows),))[4]
-    half = float(
-        np.hypot(unit * half, 1.96 * 0.5 * sigma)
-    )  # noise in the play and the filter against it
+    # noise in the play and the filter against it
+    half = float(np.hypot(unit * half, 1.96 * 0.5 * sigma))
     low, high = (float(v) for v in np.percentile(torque, [2, 98]))
     seen = Seen(
         {"effect": PLAY, "play_nm": play},
