@@ -14,6 +14,8 @@ from eps_hil.report import figures
 
 _BLUE = figures.COLOURS[0]
 _UNKNOWN, _NOTHING, _NO_ANSWER = "unknown", "nothing", "no answer"
+_ALONE = ("singles", "rates", "sizes", "behind")
+"""Kinds that hide one effect, which the recordings show."""
 _GROUPS = {"decoys": "(decoys)", "aliens": "(aliens)", "missing": "(family withheld)"}
 
 
@@ -26,7 +28,7 @@ def said(j: Judgement) -> str:
 
 def confusion(judged: Sequence[Judgement], path: Path) -> Path:
     """Counts of hidden effect (rows) against the first name said (columns)."""
-    pairs = [(j.truths[-1], said(j)) for j in judged if j.kind == "singles"]
+    pairs = [(j.truths[-1], said(j)) for j in judged if j.kind in _ALONE and j.truths]
     groups = [(_GROUPS[j.kind], said(j)) for j in judged if j.kind in _GROUPS]
     hidden = sorted({truth for truth, _ in pairs})
     rows = hidden + [name for name in _GROUPS.values() if any(name == g for g, _ in groups)]
@@ -42,7 +44,8 @@ def confusion(judged: Sequence[Judgement], path: Path) -> Path:
     axis = axes[0, 0]
     axis.grid(False)
     share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    axis.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    if counts.size:
+        axis.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     for (row, column), count in np.ndenumerate(counts):
         if count:
             colour = "white" if share[row, column] > 0.6 else "black"

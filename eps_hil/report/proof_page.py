@@ -21,6 +21,8 @@ def write(out: Path, setting: Setting, lines: Sequence[dict[str, Any]]) -> dict[
     judged = [judgement(line) for line in lines]
     cases = [goals.Scored(j, line["worth"]) for j, line in zip(judged, lines, strict=True)]
     rows = goals.figures(cases, long_seconds(out))
+    if setting.kinds:
+        rows = [row for row in rows if row.cases]
     curve = score.reliability(judged, bins=10)
     pictures = {
         "confusion": proof_figures.confusion(judged, out / "confusion.png"),
