@@ -1,6 +1,5 @@
 """A belt that gives: the oscillator behind it, and the torque balance that is right again."""
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -60,12 +59,10 @@ def test_without_a_load_nothing_is_known_of_the_belt(reference_model: Model) -> 
     assert with_belt(one, reference_model, Belt(2.0, 5e-3)) is one
 
 
-def recorded(belt_nm_per_rad: float) -> list[Prepared]:
-    """A truth plant of other code, whose belt gives."""
+def recorded(**joint: Any) -> list[Prepared]:
+    """A truth plant of other code, in two pieces."""
     rng = np.random.default_rng(4)
-    world = dataclasses.replace(
-        World(simple=True), belt_nm_per_rad=belt_nm_per_rad, belt_damping=6e-3
-    )
+    world = World(simple=True, **joint)
     made = []
     for name, program in zip(("a", "b"), manoeuvres.training(rng), strict=True):
         clean = sensors.reported(world.run(program), world.instruments)
@@ -78,7 +75,7 @@ def recorded(belt_nm_per_rad: float) -> list[Prepared]:
 @pytest.mark.slow
 def test_the_balance_of_a_soft_belt_is_as_good_as_the_sensors(reference_model: Model) -> None:
     """It resonates with what is behind it at 28 Hz, in the middle of what the balance sees."""
-    made = recorded(2.0)
+    made = recorded(belt_nm_per_rad=2.0, belt_damping=6e-3)
     belt = belt_of(made, reference_model, 2.0)
     assert belt is not None
     assert 5e-3 < belt.damping_nm_s_per_rad < 1e-2  # a sharper resonance would pass more noise
@@ -95,4 +92,4 @@ def test_the_balance_of_a_soft_belt_is_as_good_as_the_sensors(reference_model: M
 
 @pytest.mark.slow
 def test_a_stiff_belt_is_left_alone(reference_model: Model) -> None:
-    assert belt_of(recorded(50.0), reference_model, 50.0) is None
+    assert belt_of(recorded(belt_nm_per_rad=50.0, belt_damping=6e-3), reference_model, 50.0) is None

@@ -1,16 +1,10 @@
 """What is said of rotor against rack beside the findings."""
 
-from typing import Any
-
-import numpy as np
 import pytest
 
-from eps_hil.diagnosis.data.prepare import Prepared, prepare
 from eps_hil.diagnosis.direct.kinematics import examine, small_ratio, where_friction_acts
 from eps_hil.physics.model import Model
-from eps_hil.proof import manoeuvres, sensors
-from eps_hil.proof.world import World
-from tests.diagnosis.direct.test_belt import series
+from tests.diagnosis.direct.test_belt import recorded
 
 
 @pytest.mark.parametrize(
@@ -27,19 +21,6 @@ def test_a_ratio_that_is_a_little_off_is_told(off: float, named: bool, told: str
 def test_without_a_rack_position_there_is_nothing_to_tell() -> None:
     assert small_ratio({"kinematics": {}, "findings": []}) == []
     assert small_ratio({"findings": []}) == []
-
-
-def recorded(**joint: Any) -> list[Prepared]:
-    """A truth plant of other code, in two pieces."""
-    rng = np.random.default_rng(4)
-    world = World(simple=True, **joint)
-    made = []
-    for name, program in zip(("a", "b"), manoeuvres.training(rng), strict=True):
-        clean = sensors.reported(world.run(program), world.instruments)
-        columns = sensors.measured(clean, world.instruments, rng)
-        del columns["time_s"]
-        made.append(prepare(name, series(columns)))
-    return made
 
 
 @pytest.mark.slow
