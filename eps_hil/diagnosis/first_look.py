@@ -174,7 +174,7 @@ def first_look(
     without: Collection[str] = (),
     hidden: Collection[str] = (),
 ) -> FirstLook:
-    """Look at recordings, each prepared and as it was read; those ``kept`` only judge.
+    """Look at recordings, each prepared and as it was read; those ``kept`` are the hold-outs.
 
     Effects in ``without`` (ids) are not considered. Of those ``hidden`` by a load that nobody
     measured the forces say nothing, but two signals of the motion do.

@@ -36,10 +36,10 @@ _RUNAWAY_RAD_S = 1e3
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Recordings by name (canonical columns at 1 kHz), and the answer that belongs to them.
+    """Recordings by name (canonical columns), and the answer that belongs to them.
 
-    ``force_n`` (n,): the hold-out's true rack force, which no recording shows. ``oracle``: the
-    model file that knows what is hidden; empty where no model file can say it. ``nominal``: the
+    ``force_n`` (n,): the hold-out's true rack force at 1 kHz, which no recording shows. ``oracle``:
+    the model file that knows what is hidden; empty where no model file can say it. ``nominal``: the
     model file that is handed out. ``spared``: the hold-out's programme on the same rig with
     nothing hidden, which is all that an oracle leaves.
     """
@@ -133,7 +133,7 @@ def _handed_out(
     return Case(
         dict(zip(("train_1", "train_2", "holdout"), told[:-1], strict=True)),
         answer,
-        force_n[:: plan.every] * size.factor("rack_force_n"),
+        force_n * size.factor("rack_force_n"),
         oracle,
         model_yaml(Drive(), (), size),
         told[-1],

@@ -51,9 +51,8 @@ def _by_motor(rng: np.random.Generator, **load: float) -> Programme:
     def one(rng: np.random.Generator) -> Floats:
         parts = [_strokes(rng, 14.0, 0.0), m.slow_reversals(rng, 14.0), _shaken(rng, 10.0)]
         program = np.concatenate(parts)
-        for column in ("force_n", "rig_n_per_m", "rig_n_s_per_m", "feed_nm"):
-            program[:, m.column(column)] = load.get(column, 0.0)
-        for column, value in load.items():
+        free = dict.fromkeys(("force_n", "rig_n_per_m", "rig_n_s_per_m", "feed_nm"), 0.0)
+        for column, value in {**free, **load}.items():
             program[:, m.column(column)] = value
         return program
 

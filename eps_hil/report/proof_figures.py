@@ -14,9 +14,14 @@ from eps_hil.report import figures
 
 _BLUE = figures.COLOURS[0]
 _UNKNOWN, _NOTHING, _NO_ANSWER = "unknown", "nothing", "no answer"
-_ALONE = ("singles", "rates", "sizes", "behind")
-"""Kinds that hide one effect, which the recordings show."""
+_OTHERS = ("rates", "sizes", "behind")
 _GROUPS = {"decoys": "(decoys)", "aliens": "(aliens)", "missing": "(family withheld)"}
+
+
+def alone(judged: Sequence[Judgement]) -> tuple[str, ...]:
+    """Kinds that hide one effect, which the recordings show: the singles, others without them."""
+    kinds = {j.kind for j in judged}
+    return ("singles",) if "singles" in kinds else tuple(k for k in _OTHERS if k in kinds)
 
 
 def said(j: Judgement) -> str:
@@ -28,7 +33,7 @@ def said(j: Judgement) -> str:
 
 def confusion(judged: Sequence[Judgement], path: Path) -> Path:
     """Counts of hidden effect (rows) against the first name said (columns)."""
-    pairs = [(j.truths[-1], said(j)) for j in judged if j.kind in _ALONE and j.truths]
+    pairs = [(j.truths[-1], said(j)) for j in judged if j.kind in alone(judged) and j.truths]
     groups = [(_GROUPS[j.kind], said(j)) for j in judged if j.kind in _GROUPS]
     hidden = sorted({truth for truth, _ in pairs})
     rows = hidden + [name for name in _GROUPS.values() if any(name == g for g, _ in groups)]
@@ -86,7 +91,7 @@ def reliability(table: Sequence[tuple[float, float, int]], path: Path) -> Path:
 def concealment(lines: Sequence[dict[str, Any]], judged: Sequence[Judgement], path: Path) -> Path:
     """How well the cases hide what is in them, and who finds it nevertheless."""
     figure, axes = figures.subplots(1, 3, width_cm=34.0, height_cm=11.0)
-    singles = [k for k, j in enumerate(judged) if j.kind == "singles"]
+    singles = [k for k, j in enumerate(judged) if j.kind in alone(judged)]
     for colour, level in zip(figures.COLOURS, LEVELS, strict=False):
         at = [lines[k]["answer"]["concealment"] for k in singles if judged[k].level == level]
         label = f"effect/noise {level:g}"
@@ -111,7 +116,8 @@ def _named_first(axis: Any, judged: Sequence[Judgement]) -> None:
         ("STLSQ", lambda j: j.naive_stlsq[:1] == j.truths[-1:]),
         ("eps-hil diagnose", lambda j: j.right_first),
     )
-    at_level = {x: [j for j in judged if j.kind == "singles" and j.level == x] for x in LEVELS}
+    kinds = alone(judged)
+    at_level = {x: [j for j in judged if j.kind in kinds and j.level == x] for x in LEVELS}
     shown = [level for level in LEVELS if at_level[level]]
     for k, (name, hit) in enumerate(methods):
         for level in shown:
@@ -137,14 +143,14 @@ def _named_first(axis: Any, judged: Sequence[Judgement]) -> None:
 
 def closed_loop(cases: Sequence[Scored], path: Path) -> Path:
     """Rack-force error and torque residual with augmented and true model over those before."""
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     figure, axes = figures.subplots(1, 2, width_cm=28.0, height_cm=12.0)
+    kinds = (*alone([one.judged for one in cases]), "pairs")
     known = [
         one
         for one in cases
-        if {"baseline", "augmented", "oracle"} <= set(one.worth)
-        and one.judged.kind in ("singles", "pairs")
+        if {"baseline", "augmented", "oracle"} <= set(one.worth) and one.judged.kind in kinds
     ]
     titles = {
         "rack_force_rmse_n": "error of the rack-force estimate, moving, in N",
@@ -163,7 +169,7 @@ def closed_loop(cases: Sequence[Scored], path: Path) -> Path:
         axis.plot([low, high], [low, high], color="0.6", linestyle="--", label="no gain")
         for direction in (axis.xaxis, axis.yaxis):
             direction.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            direction.set_major_formatter(ScalarFormatter())
+            direction.set_major_formatter(StrMethodFormatter("{x:g}"))
             direction.set_minor_formatter(NullFormatter())
         axis.set_title(words, fontsize="medium")
         axis.set_xlabel("with the baseline model")

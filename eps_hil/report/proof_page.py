@@ -24,12 +24,13 @@ def write(out: Path, setting: Setting, lines: Sequence[dict[str, Any]]) -> dict[
     if setting.kinds:
         rows = [row for row in rows if row.cases]
     curve = score.reliability(judged, bins=10)
-    pictures = {
-        "confusion": proof_figures.confusion(judged, out / "confusion.png"),
-        "reliability": proof_figures.reliability(curve, out / "reliability.png"),
-        "concealment": proof_figures.concealment(lines, judged, out / "concealment.png"),
-        "closed_loop": proof_figures.closed_loop(cases, out / "closed_loop.png"),
-    }
+    pictures = {"reliability": proof_figures.reliability(curve, out / "reliability.png")}
+    if proof_figures.alone(judged) or not setting.kinds:  # else there is nothing in them
+        pictures |= {
+            "confusion": proof_figures.confusion(judged, out / "confusion.png"),
+            "concealment": proof_figures.concealment(lines, judged, out / "concealment.png"),
+            "closed_loop": proof_figures.closed_loop(cases, out / "closed_loop.png"),
+        }
     result = {
         "schema": "eps-hil/proof-concealed/1",
         "seed": setting.seed,

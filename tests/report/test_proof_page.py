@@ -71,6 +71,21 @@ def test_the_page_stands_alone_and_says_what_was_missed(
     assert "abc123" in page
 
 
+@pytest.mark.parametrize(("kind", "pictures"), [("loads", 1), ("sizes", 4)])
+def test_of_some_kinds_alone_only_what_they_have_is_shown(
+    tmp_path: Path, kind: str, pictures: int
+) -> None:
+    (tmp_path / SEALS).write_text("1 feedbeef\n")
+    line = _line("aaaaaa", kind, "stribeck", ["stribeck"])
+    line["answer"] |= {"size": "joint", "load": "spring"}
+    setting = Setting(seed=4, quick=False, proof=True, cases=1, kinds=(kind,))
+    told = proof_page.write(tmp_path, setting, [line])
+    assert "no cases" not in told["table"]
+    assert "right name first" in told["table"]
+    page = (tmp_path / proof_page.PAGE).read_text()
+    assert page.count("data:image/png;base64,") == pictures
+
+
 def test_failures_are_listed_with_report_and_evidence(
     written: tuple[Path, dict[str, Any]],
 ) -> None:

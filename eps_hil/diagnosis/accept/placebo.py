@@ -30,7 +30,8 @@ _CONSTANT = 0.5
 """Share of a term's energy in its mean from which it is an offset rather than a shape."""
 _LUCK = 2.0
 """Times the placebos' 95 % quantile: the search took the luckiest of many effects, a placebo is one
-of one. Right names had 2.7 times it or more on development cases and real machines."""
+of one. With a load cell a small number of the model file's that is off may have less and be true:
+it is asked only where nobody measured the load."""
 _LEAST_SHIFT = 0.1
 """Of a recording: a shorter shift would leave the term near its place."""
 
