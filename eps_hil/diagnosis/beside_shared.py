@@ -2,7 +2,8 @@
 
 A diagnosis of one state against the other's model takes the faults of that model for changes. So
 both states are fitted in one balance (``balance/both_states.py``), in which a name acts in one of
-them only, beside a discrepancy that is the same in both.
+them only. Beside it, the same in both, are the laws that the known state's diagnosis found, their
+numbers free in every fit, and a discrepancy for what those leave.
 """
 
 from collections.abc import Mapping
@@ -19,12 +20,14 @@ from eps_hil.diagnosis.accept.placebo import as_lucky, placebos
 from eps_hil.diagnosis.accept.standing import price, standing
 from eps_hil.diagnosis.attribute.beside import LEAST, not_whitened, selected_beside
 from eps_hil.diagnosis.attribute.select import Say, Selection, select
+from eps_hil.diagnosis.balance.baseline import law_knobs
 from eps_hil.diagnosis.balance.both_states import BothStates, ModelOfBoth, one_state
 from eps_hil.diagnosis.balance.problem import Problem, clipped, huber, knee, plain, term_of
 from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.given_load import EMPIRICAL, Diagnosis
 from eps_hil.diagnosis.one_way import MORE, OneWay, Share
+from eps_hil.diagnosis.remainder.find import with_remainder
 from eps_hil.diagnosis.search import left_of
 from eps_hil.diagnosis.verdict.content import content_of, without_nan
 
@@ -86,10 +89,11 @@ def alike(first: Diagnosis, second: Diagnosis) -> bool:
 
 def beside_shared(known: Diagnosis, word: str, other: Diagnosis, say: Say | None) -> BesideShared:
     """What the ``other`` state has and the ``known`` one has not; ``word`` says which that is."""
-    base = _named(known)
+    base = with_remainder(_named(known), known.remainder)
     every = [*_of_state(known, word), *other.problem.recordings]
+    given = len(known.problem.model.effects)
     names = frozenset(one.name for one in every[: len(known.problem.recordings)])
-    problem = BothStates(every, base, known=names)
+    problem = BothStates(every, base, known=names, tied=law_knobs(base, given))
     selection = select(problem, say, {EMPIRICAL}, known.selection.settled)
     judged = other.judged
     weighed: Problem = problem

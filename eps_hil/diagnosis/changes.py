@@ -17,7 +17,7 @@ from eps_hil.diagnosis.attribute.select import Say
 from eps_hil.diagnosis.beside_shared import alike, beside_shared, gain
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.direct.already import MEASURED_WHOLE
-from eps_hil.diagnosis.given_load import EMPIRICAL, Diagnosis
+from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.one_way import UNKNOWN, Finding, OneWay, Recordings, against, part
 from eps_hil.diagnosis.verdict.content import without_nan
 from eps_hil.physics.model import Model
@@ -50,16 +50,11 @@ def changes(model: Model, before: Recordings, after: Recordings, say: Say | None
     Of each state the last recording, or the last third of a single one, is kept from the fit.
     :class:`RecordingError` as for a diagnosis.
     """
-    # a model of what has no name is not needed where both states have some
-    first = diagnose(model, before, {}, part(say, 0.0, 0.2, "before"), (EMPIRICAL,))
-    second = diagnose(model, after, {}, part(say, 0.2, 0.2, "after"), (EMPIRICAL,))
+    first = diagnose(model, before, {}, part(say, 0.0, 0.2, "before"))
+    second = diagnose(model, after, {}, part(say, 0.2, 0.2, "after"))
     unknown = [UNKNOWN in _every(one) for one in (first, second)]
     if all(unknown) and alike(first, second):
         return _beside_shared(first, second, model, before, say)
-    if unknown[0]:
-        first = diagnose(model, before, {}, part(say, 0.0, 0.2, "before"))
-    if unknown[1]:
-        second = diagnose(model, after, {}, part(say, 0.2, 0.2, "after"))
     ways = {"before": (first, after, second), "after": (second, before, first)}
     word, turned = _simpler_first(first, second)
 
