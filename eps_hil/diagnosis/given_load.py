@@ -269,13 +269,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     if worse(problem, beside_load, judged):
         extra, findings, written = None, [], problem.model
     final = load is None or load.form == "free"  # else judged again once the load is written
-    content = look.added_to(
-        content_of(problem, selection, findings, left, judged, extra, written, simulated=final)
-    )
-    if wrong is not None:
-        content = with_channel_fault(content, wrong.finding(model))
-    content["findings"] = or_a_time(doubted(content["findings"], load), places, without)
-    content["fit"]["placebo"] = placebo if findings else []
+    shown = look.put_right_in_no_file or wrong is not None
     as_read: list[Holdout] = []
     ready_to_write = look.in_model(written)
     if look.model is not model or look.put_right or look.entries or wrong is not None:
@@ -285,7 +279,15 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
                 case.asked.kept, look.kept, look.kept_quality, strict=True
             )
         ]
-        shown = look.put_right_in_no_file or wrong is not None
+    simulated = final and (shown or not as_read)  # else they are simulated as they were read
+    content = look.added_to(
+        content_of(problem, selection, findings, left, judged, extra, written, simulated=simulated)
+    )
+    if wrong is not None:
+        content = with_channel_fault(content, wrong.finding(model))
+    content["findings"] = or_a_time(doubted(content["findings"], load), places, without)
+    content["fit"]["placebo"] = placebo if findings else []
+    if as_read:
         content["fit"]["holdout"] = as_the_file_does(
             content["fit"]["holdout"],
             as_read,

@@ -17,6 +17,7 @@ from eps_hil.diagnosis.accept.proof_of_fit import (
     noise_floor,
     still_left,
 )
+from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.physics.model import Model
 
 _MORE = 1.1
@@ -69,7 +70,9 @@ def as_the_file_does(
     file, but in no balance of one mass: without ``balance`` the residual is that of ``told``.
     With it, no file holds the correction, and ``put_right`` keeps ``told``.
     """
-    before, after = (measures(as_read, one, one, simulated=simulated) for one in (given, written))
+    models = [given] if written == given else [given, written]
+    measured = each(lambda one: measures(as_read, one, one, simulated=simulated), models)
+    before, after = measured[0], dict(measured[-1])
     if not balance:
         after["torque_nrmse"] = told["augmented"]["torque_nrmse"]
     figures = {**told, "baseline": before, "augmented": after}
