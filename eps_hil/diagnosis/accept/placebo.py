@@ -31,7 +31,7 @@ _CONSTANT = 0.5
 _LUCK = 2.0
 """Times the placebos' 95 % quantile: the search took the luckiest of many effects, a placebo is one
 of one. With a load cell a small number of the model file's that is off may have less and be true:
-it is asked only where nobody measured the load."""
+it is asked only where nobody measured the load, and between states that share an unknown."""
 _LEAST_SHIFT = 0.1
 """Of a recording: a shorter shift would leave the term near its place."""
 
