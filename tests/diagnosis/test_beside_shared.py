@@ -15,7 +15,7 @@ from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.beside_shared import alike, beside_shared
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.given_load import Diagnosis
-from eps_hil.diagnosis.remainder.find import Remainder, Term
+from eps_hil.diagnosis.remainder.find import Remainder, Term, rounded
 from eps_hil.physics.model import Model
 
 BRAKE_NM, BRAKE_RAD_S, SPRING, WEAK_SPRING = 0.05, 30.0, 4e-4, 2e-5
@@ -80,4 +80,6 @@ def test_a_spring_that_came_beside_a_brake_that_was_there(
     assert [one["effect"] for one in way.other.model.effects] == [
         *(one["effect"] for one in base.effects), "unmodelled_spring"
     ]  # fmt: skip
+    for one in way.other.model.effects:  # as a file is written
+        assert dict(one) == rounded(one)
     assert type(way.other.model) is Model

@@ -18,7 +18,7 @@ from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.baseline import SIDES, TIMING, is_free, law_knobs
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
-from eps_hil.diagnosis.remainder.find import Remainder, find, rounded, share_removed
+from eps_hil.diagnosis.remainder.find import Remainder, find, share_removed
 from eps_hil.diagnosis.remainder.sight import Sight
 
 
@@ -80,7 +80,7 @@ def _beside(
     again = Problem(problem.recordings, given, tied=knobs)
     found = fit(again, entries, own={**own, **knobs})
     model = augmented_by(again, found, range(len(entries)), moved=True)
-    (term,), entry = law.terms, rounded(model.effects[first])
+    (term,), entry = law.terms, dict(model.effects[first])
     named = model.effects[first + 1 :]
     model = names_first(problem, replace(model, effects=(*problem.model.effects, entry, *named)))
     alone = without_laws(problem, found)

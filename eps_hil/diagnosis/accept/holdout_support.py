@@ -14,6 +14,7 @@ from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, deviation, fit, matters
 from eps_hil.diagnosis.balance.problem import SLIDING_RAD_S, Problem, clipped, knee, plain, term_of
 from eps_hil.diagnosis.mismatch.curve import winds
 from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN
+from eps_hil.diagnosis.remainder.find import rounded
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 
@@ -242,7 +243,10 @@ def augmented_by(
     entries = [_entry(plain(found.entries[k])) for k in findings]
     but = but if is_free(found.own) else {*but, STIFFNESS}
     own = {name: value for name, value in found.own.items() if name not in but}
-    return _late_enough(problem.with_entries(entries, _entry(own)))
+    model = problem.with_entries(entries, _entry(own))
+    given = problem.model.effects
+    effects = tuple(one if one in given else rounded(one) for one in model.effects)
+    return _late_enough(replace(model, effects=effects))
 
 
 def _late_enough(model: Model) -> Model:

@@ -12,6 +12,7 @@ from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.attribute.select import select
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.diagnosis.remainder.find import rounded
 from eps_hil.physics.model import Model
 
 BRAKE_NM, SPRING = 0.05, 4e-4
@@ -46,6 +47,8 @@ def test_a_spring_beside_an_eddy_current_brake(
     assert {"unmodelled_spring", "empirical"} == {
         str(one["effect"]) for one in found.remainder.model.effects
     }
+    for one in found.remainder.model.effects:  # as a file is written
+        assert dict(one) == rounded(one)
     assert len(found.selection.found.own) == len(
         [name for name in found.told.found.own if not name.startswith("law.")]
     )
