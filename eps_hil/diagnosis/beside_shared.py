@@ -3,16 +3,18 @@
 A diagnosis of one state against the other's model takes the faults of that model for changes. So
 both states are fitted in one balance (``balance/both_states.py``), in which a name acts in one of
 them only. Beside it, the same in both, are the laws that the known state's diagnosis found, their
-numbers free in every fit, and a discrepancy for what those leave.
+numbers free in every fit, and a discrepancy for what those leave. A discrepancy can hold a change,
+too: where no name stands beside one, one stands that explains more than laws and names leave.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.accept.beside_law import outweighing
 from eps_hil.diagnosis.accept.holdout_support import augmented_by, holdout_support
 from eps_hil.diagnosis.accept.improvement import Judged, improvement, only_if_clear
 from eps_hil.diagnosis.accept.measured_ratio import settled
@@ -36,6 +38,10 @@ Floats = npt.NDArray[np.float64]
 _SHARED = (
     "Both states hold something without a name. It is fitted as one and the same in both; what "
     "stands here are differences between the states."
+)
+_LEFT = (
+    "Both states keep a remainder above the sensors' noise, hardly more in one than in the other. "
+    "It is not taken for a change; a diagnosis of one state says where it is."
 )
 
 
@@ -100,9 +106,13 @@ def beside_shared(known: Diagnosis, word: str, other: Diagnosis, say: Say | None
     told = shown = selection
     if left_of(problem, selection, judged) is not None:
         weighed, told = selected_beside(selection)
-    findings = holdout_support(weighed, told, judged)
-    findings = settled(weighed, told, findings, other.ratio_is_measured)[0]
-    findings = standing(weighed, told, findings, judged)
+    findings = _supported(weighed, told, other)
+    if weighed is not problem and problem.tied and not findings:
+        beside_laws = _supported(problem, selection, other)
+        kept = problem.apart([one.prepared for one in judged])
+        beside_laws = outweighing(problem, selection, beside_laws, kept)
+        if beside_laws:
+            weighed, told, findings = problem, selection, beside_laws
     placebo = placebos(weighed, told, findings, judged)
     lucky = as_lucky(placebo, weighed, told, findings, judged)
     if lucky:
@@ -112,13 +122,14 @@ def beside_shared(known: Diagnosis, word: str, other: Diagnosis, say: Say | None
     if weighed is not problem:
         shown = not_whitened(problem, told, selection)
     written = one_state(augmented_by(problem, shown.found, findings))
-    left = left_of(problem, shown, judged) if _more_left(problem, shown) else None
+    shared = left_of(problem, shown, judged)
+    left = shared if _more_left(problem, shown) else None
     content = content_of(problem, shown, findings, left, judged, None, written)
     content["fit"]["placebo"] = placebo
     content["fit"]["improvement"] = improvement(
         Judged(judged, base), Judged(judged, written), base, written
     )
-    content["limits"] = [_SHARED]
+    content["limits"] = [_SHARED, *([] if shared is None or left is not None else [_LEFT])]
     content = only_if_clear(content)
     diagnosis = replace(
         other,
@@ -137,6 +148,13 @@ def beside_shared(known: Diagnosis, word: str, other: Diagnosis, say: Say | None
     old = way.not_new()
     said = way.joined(old)[1]
     return replace(way, old=tuple(old), limits=tuple(said))
+
+
+def _supported(problem: Problem, told: Selection, other: Diagnosis) -> Sequence[int]:
+    """Places of what was ``told`` that the other state's hold-outs bear out."""
+    findings = holdout_support(problem, told, other.judged)
+    findings = settled(problem, told, findings, other.ratio_is_measured)[0]
+    return standing(problem, told, findings, other.judged)
 
 
 def gain(way: BesideShared) -> float:

@@ -117,7 +117,7 @@ def _from(
         named = standing(again, told, settled(again, told, named, measured)[0], judged)
         model, jacobian = augmented_by(again, told.found, named, moved=True), _columns(told, named)
         # names that the first law's own faults outweigh may stand beside a second one
-        good = _standing(again, told, named, kept)
+        good = outweighing(again, told, named, kept)
         if good:
             model, jacobian = (
                 augmented_by(again, told.found, good, moved=True),
@@ -165,7 +165,7 @@ def _left(problem: Problem, told: Selection, kept: Problem) -> Leftover | None:
     return leftover(problem, found.residual, (test, after))
 
 
-def _standing(
+def outweighing(
     problem: Problem, told: Selection, named: Sequence[int], kept: Problem
 ) -> Sequence[int]:
     """Places of the names that explain more than what stays unexplained, and for which no law
