@@ -108,11 +108,11 @@ def beside_shared(known: Diagnosis, word: str, other: Diagnosis, say: Say | None
         weighed, told = selected_beside(selection)
     findings = _supported(weighed, told, other)
     if weighed is not problem and problem.tied and not findings:
-        beside_laws = _supported(problem, selection, other)
-        kept = problem.apart([one.prepared for one in judged])
-        beside_laws = outweighing(problem, selection, beside_laws, kept)
-        if beside_laws:
-            weighed, told, findings = problem, selection, beside_laws
+        apart = problem.apart([one.prepared for one in judged])
+        named = _supported(problem, selection, other)
+        named = outweighing(problem, selection, named, apart)
+        if named:
+            weighed, told, findings = problem, selection, named
     placebo = placebos(weighed, told, findings, judged)
     lucky = as_lucky(placebo, weighed, told, findings, judged)
     if lucky:

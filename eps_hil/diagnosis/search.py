@@ -11,6 +11,7 @@ from eps_hil.diagnosis.accept.as_one_law import as_one_law
 from eps_hil.diagnosis.accept.beside_law import beside_law
 from eps_hil.diagnosis.accept.holdout_support import augmented_by, holdout_support
 from eps_hil.diagnosis.accept.measured_ratio import settled
+from eps_hil.diagnosis.accept.named_terms import named_terms
 from eps_hil.diagnosis.accept.nameless import nameless, simulated_too
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.accept.standing import only_noise, price, price_of_one, standing
@@ -225,15 +226,23 @@ def modelled(
     """
     starts = () if tied else tuple((one.shown, one.findings) for one in (now, ordinary))
     ratio = look.ratio_is_measured
-    found = beside_law(problem, starts, judged, measured=ratio, say=say)
+    found, whole = beside_law(problem, starts, judged, measured=ratio, say=say), None
     if found is None:
         extra, findings = nameless(problem, now.shown, now.findings, judged, tied, say)
         now = replace(now, findings=findings, extra=extra)
-        # where a load was measured, names have had their turn beside laws
-        return _by_name(problem, now, judged, tied) if tied and extra is not None else now
+        if extra is None:
+            return now
+        if tied:  # where a load was measured, names have had their turn beside laws
+            return _by_name(problem, now, judged, tied)
+        found = named_terms(problem, now.shown, findings, extra, judged, measured=ratio)
+        if found is None:
+            return now
+    else:
+        all_there = found.selection, found.findings, found.remainder
+        found = named_terms(problem, *all_there, judged, measured=ratio) or found
+        whole = as_one_law(problem, found.selection, found.findings, found.remainder, judged)
     shown, findings, extra = found.selection, found.findings, found.remainder
     weighed, told = found.weighed, found.told
-    whole = as_one_law(problem, shown, findings, extra, judged)
     if whole is not None:
         shown, findings, extra = whole.selection, whole.findings, whole.law
         weighed, told = problem, shown

@@ -61,7 +61,7 @@ def as_name(
         start = candidate.entry(np.array([_START * probe_step(candidate.effect, problem)]), problem)
         own = {key: value for key, value in TIMING.items() if HOLD not in (*named, name)}
         trial = fit(problem, [*entries, start], own={**own, **tied})
-        if not all(matters(one, problem) and _inside(one, problem) for one in trial.entries):
+        if not all(matters(one, problem) and inside(one, problem) for one in trial.entries):
             continue
         written = augmented_by(problem, trial, range(len(trial.entries)))
         share = share_removed(there, kept.residual(written))[0]
@@ -78,7 +78,7 @@ def as_name(
     return told, places, find(problem, kept, beside, sensitivities(best, places))
 
 
-def _inside(entry: Mapping[str, Any], problem: Problem) -> bool:
+def inside(entry: Mapping[str, Any], problem: Problem) -> bool:
     """Whether no number of an entry ended at the bound of what it can be."""
     effect = catalogue()[str(entry["effect"])]
     at = [one for one in effect.parameters if one.name in entry]

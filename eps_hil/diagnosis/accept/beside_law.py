@@ -38,9 +38,10 @@ MOST_LAWS = 2
 ENOUGH = 0.9
 """Share of the hold-outs' excess that laws and names together have to take off: beside a law that
 leaves much, names would stand in for the rest."""
-_BETTER, _UNNEEDED = 1.02, 0.5
-"""A law in a name's place is better if it gains so many times as much; the name is then unneeded
-if less than this share of its gain is left beside that law."""
+_BETTER, _UNNEEDED, _ALONG = 1.02, 0.5, 0.1
+"""A law in a name's place is better if it gains the first times as much, and by the third of what
+stays unexplained more: the best of thousands takes some of that along. The name is then unneeded if
+less than the second share of its gain is left beside that law."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def _from(
             )
         laws = list(model.effects[first : first + len(laws)])
         if good and share_removed(start, kept.residual(model))[0] > ENOUGH:
-            best = _told(problem, selection, again, told, good, kept, model, laws)
+            best = beside_laws(problem, selection, again, told, good, kept, model, laws)
         if _left(again, told, kept) is None:
             break
     return True, best
@@ -226,7 +227,9 @@ def _law_instead(problem: Problem, told: Selection, places: Sequence[int], kept:
 
     by_law, by_name, both = gain(law), gain(name), gain(np.hstack([law, name]))
     better = _BETTER if len(places) == 1 else 1.0 / _BETTER
-    return by_law > better * by_name and both - by_law < _UNNEEDED * by_name
+    shown = len(rows) / max(int(np.sum(problem.sliding)), 1)
+    along = _ALONG * shown * max(_unexplained(problem, found), 0.0) / BESIDE_UNKNOWN
+    return by_law > better * by_name + along and both - by_law < _UNNEEDED * by_name
 
 
 def without_laws(problem: Problem, found: Fit) -> Fit:
@@ -250,7 +253,7 @@ def _basis(columns: Floats) -> Floats:
     return np.asarray(q[:, np.abs(np.diag(r)) > 1e-6])
 
 
-def _told(
+def beside_laws(
     problem: Problem,
     before: Selection,
     again: Problem,

@@ -15,14 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
+from eps_hil.diagnosis.data.motor_path import bends_motor_torque, what_it_follows
 from eps_hil.diagnosis.data.noise import half_rate_hz, noise_at_1_khz, passed_of_band
 from eps_hil.diagnosis.data.seen_twice import motion_hz
 from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.identification.filters import every_so_many, on_grid, shifted
 from eps_hil.physics.balance import Key, Motion, motor_torque_acting_nm, residual_nm
-from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
-from eps_hil.physics.effects.effect import Slot
+from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.physics.simulate import rack_position_m
 from eps_hil.series import Series
@@ -305,18 +305,19 @@ class Prepared:
 
         Saturation, or a law that takes torque off, makes noise and all that is left smaller too.
         """
-        if not any(_bends_motor_torque(entry) for entry in model.effects):
+        if not any(bends_motor_torque(entry) for entry in model.effects):
             return 1.0
+        follows = what_it_follows(model)
         for known, share in [*self._shares]:  # other threads may add to it at any time
-            if known is model or known == model:
+            if known == follows:
                 return share
         share = self._acting_share(model)
-        self._shares.append((model, share))
+        self._shares.append((follows, share))
         return share
 
     @cached_property
-    def _shares(self) -> "deque[tuple[Model, float]]":
-        """What acted under the last few models: one residual asks four times, of two of them."""
+    def _shares(self) -> "deque[tuple[Key, float]]":
+        """What acted under the last few models, by what that follows from."""
         return deque(maxlen=_MOST_SHARES)
 
     def _acting_share(self, model: Model) -> float:
@@ -482,15 +483,6 @@ class Prepared:
         mean = np.convolve(np.pad(speed, n // 2, mode="edge"), window, mode="valid")
         sigma = self.noise["motor_speed_rad_s"] / np.sqrt(n)
         return np.asarray(np.abs(mean) < max(4.0 * sigma, REST_RAD_S * self.size.angle))
-
-
-def _bends_motor_torque(entry: Mapping[str, Any]) -> bool:
-    """Whether an effect does more to the motor's torque than to add a torque of its own."""
-    effect = catalogue()[str(entry["effect"])]
-    if (effect.slot if effect.slot_of is None else effect.slot_of(entry)) is not Slot.MOTOR:
-        return False
-    own = None if effect.probe is None else effect.probe.amplitude
-    return all(one.name != own or one.dimensions != {"Nm": 1} for one in effect.parameters)
 
 
 def _behind_lag(model: Model) -> float:

@@ -254,7 +254,10 @@ def _passes(trial: _Trial, kept: Sight, screening: Screening) -> bool:
 
 
 def _shortlist(best: Sequence[Screened]) -> list[Screened]:
-    """The best laws of different families, among them the best simple ones; those of time apart."""
+    """The best laws of different families, among them the best simple ones; those of time apart.
+
+    Of the very best family every shape that was kept: which is right shows once numbers are fitted.
+    """
     chosen: dict[Any, Screened] = {}
     lasting = [one for one in best if not one.law.of_time]
     for one in lasting:
@@ -269,7 +272,9 @@ def _shortlist(best: Sequence[Screened]) -> list[Screened]:
     for one in best:
         if one.law.of_time and len(timed) < _OF_TIME:
             timed.setdefault(one.law.family, one)
-    return [*chosen.values(), *timed.values()]
+    first = next(iter(chosen), None)
+    shapes = [one for one in lasting if one.law.family == first and one is not chosen[first]]
+    return [*chosen.values(), *shapes, *timed.values()]
 
 
 def _law(fitted: Sight, kept: Sight, law: Law, ranges: Ranges, own: Own) -> _Trial | None:

@@ -252,7 +252,8 @@ def _shapes(values: Floats) -> Iterator[tuple[str, dict[str, float]]]:
     for centre in (q1, middle, q3):
         yield "above", {"centre": centre}
         yield "below", {"centre": centre}
-        yield "step", {"centre": centre, "width": 0.03 * span}
+        for share in (0.03, 0.15):  # at once, or over a good part of the range
+            yield "step", {"centre": centre, "width": share * span}
     for centre in (low, q1, middle, q3, high):
         for share in (0.1, 0.3):
             yield "gaussian", {"centre": centre, "width": share * span}

@@ -5,7 +5,6 @@ out. The gate's null is the same search on residuals whose blocks were turned up
 no law can hold in both signs, and what is left keeps its size, its place and its correlation.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -21,7 +20,7 @@ Floats = npt.NDArray[np.float64]
 
 NULLS = 24
 _SEED = 20
-_KEPT, _OF_FAMILY = 60, 2
+_KEPT, _OF_FAMILY = 60, 3
 _NOTHING = 1e-9
 _AT_ONCE = 16
 """Laws that are worked on together, by one core."""
@@ -119,13 +118,15 @@ def screen(
 
 
 def _best(found: Sequence[Screened]) -> list[Screened]:
-    """The best, with no more than a few of one family: other numbers, or another shape."""
+    """The best, with no more than a few shapes of one family, each with its best numbers."""
     kept: list[Screened] = []
-    count: Counter[tuple[object, ...]] = Counter()
+    shapes: dict[tuple[object, ...], set[tuple[str, ...]]] = {}
     for one in sorted(found, key=lambda one: (-float(f"{one.worth:.11e}"), rank(one.law))):
-        if len(kept) < _KEPT and count[one.law.family] < _OF_FAMILY:
+        there = shapes.setdefault(one.law.family, set())
+        shape = tuple(factor.shape for factor in one.law.inputs)
+        if len(kept) < _KEPT and len(there) < _OF_FAMILY and shape not in there:
             kept.append(one)
-            count[one.law.family] += 1
+            there.add(shape)
     return kept
 
 

@@ -1,0 +1,92 @@
+"""Names beside a whole model of what has no name: what it holds by another word, what it left."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eps_hil.diagnosis.accept.named_terms import named_terms
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout
+from eps_hil.diagnosis.attribute.select import Selection
+from eps_hil.diagnosis.balance.fit import fit
+from eps_hil.diagnosis.balance.probes import Candidate
+from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.data.prepare import prepare
+from eps_hil.diagnosis.remainder.find import Remainder, Term, rounded
+from eps_hil.physics.effects.catalogue import catalogue
+from eps_hil.physics.model import Model
+
+BRAKE_NM, BRAKE_RAD_S, SPRING = 0.05, 30.0, 4e-4
+SPEED, ANGLE = "motor_speed_rad_s", "motor_angle_rad"
+BRAKE = {
+    "effect": "empirical", "form": "law", "where": "rotor", "how": "sum",
+    "inputs": [SPEED, SPEED], "memory": ["none", "none"], "shapes": ["linear", "rational"],
+    "size": 2.0 * BRAKE_NM / BRAKE_RAD_S, "width_2": BRAKE_RAD_S,
+    "range": {SPEED: [-400.0, 400.0]},
+}  # fmt: skip
+PULL = {
+    "effect": "empirical", "form": "law", "where": "rotor", "how": "sum",
+    "inputs": [ANGLE], "memory": ["none"], "shapes": ["linear"],
+    "size": SPRING, "range": {ANGLE: [-1e3, 1e3]},
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("spring", "terms"),
+    [(SPRING, (BRAKE, PULL)), (SPRING, (BRAKE,)), (0.0, (BRAKE,))],
+    ids=["a law that is a spring", "a spring that is left", "nothing else"],
+)
+def test_a_spring_beside_a_law_of_a_brake(
+    spring: float,
+    terms: tuple[dict[str, Any], ...],
+    record: Callable[..., Any],
+    reference_model: Model,
+    other_rig: ModuleType,
+) -> None:
+    plant = {
+        other_rig.EDDY: BRAKE_NM,
+        other_rig.EDDY_W: BRAKE_RAD_S,
+        other_rig.SPRING: spring,
+    }
+    fitted, kept = (
+        [(prepare(name, one), one) for name, one in record(plant, programme, seed).items()]
+        for programme, seed in ((("sweep", "weave"), 1), (("weave",), 2))
+    )
+    problem = Problem([one for one, _ in fitted], reference_model)
+    judged = [Holdout(*one) for one in kept]
+    nothing = fit(problem, [])
+    pool = [one for one in catalogue().values() if one.probe is not None]
+    selection = Selection(nothing, nothing, [_asked(one) for one in pool], problem, nothing)
+    with_all = replace(reference_model, effects=terms)
+    remainder = Remainder(
+        tuple(Term(dict(one), None) for one in terms), with_all, 1.0, (1.0, 1.0), nothing.residual,
+        problem.residual(with_all), refitted=True,
+    )  # fmt: skip
+    found = named_terms(problem, selection, [], remainder, judged, measured=True)
+    if not spring:
+        assert found is None
+        return
+    assert found is not None
+    (k,) = found.findings
+    entry = found.selection.found.entries[k]
+    assert entry["effect"] == "unmodelled_spring"
+    half = found.selection.found.half_width[k, "stiffness_nm_per_rad"]
+    assert entry["stiffness_nm_per_rad"] == pytest.approx(spring, abs=max(half, 0.03 * spring))
+    assert found.remainder.refitted
+    (law,) = found.remainder.entries
+    assert law["width_2"] == pytest.approx(BRAKE_RAD_S, rel=0.05)
+    written = found.remainder.model.effects
+    assert [one["effect"] for one in written] == ["unmodelled_spring", "empirical"]
+    assert all(dict(one) == rounded(one) for one in written)
+    # what is written leaves hardly more than the sensors' noise
+    left = np.mean(problem.residual(found.remainder.model)[problem.sliding] ** 2)
+    assert left < 1.2
+
+
+def _asked(effect: Any) -> Any:
+    """A candidate that says no more than that its effect may be considered."""
+    return Candidate(effect, {}, np.zeros((0, 1)))
