@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +22,48 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def check_places(*paths: Path | None) -> None:
-    """Refuse files that cannot be written before long work begins, not after it."""
+    """Refuse files that cannot be written before long work begins, not after it.
+
+    And one name for two of them: the second would replace the first.
+    """
+    taken: set[Path] = set()
     for path in paths:
         if path is None:
             continue
+        if path.resolve() in taken:
+            raise InputError(path, "", "is the name of two outputs", "give each its own name")
+        taken.add(path.resolve())
         folder = path.resolve().parent
         if path.is_dir():
             raise InputError(path, "", "is a folder, a file name was expected", "name the file")
         if not folder.is_dir():
             raise InputError(path, "", f"folder {folder} does not exist", "create it first")
+
+
+def check_kept(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
+    """Refuse to write over what is read, one name for two outputs, and what cannot be written."""
+    from eps_hil.recordings.files import check_writable
+
+    written = [path for path in outputs if path is not None]
+    check_places(*written)
+    for path in written:
+        check_writable(path)
+    read = {path.resolve() for path in inputs if path is not None}
+    for path in written:
+        if path.resolve() in read:
+            raise InputError(path, "", "is read by this command", "write to another file")
+
+
+def outputs_for(out: Path, recordings: Sequence[Path]) -> dict[Path, Path]:
+    """The output file of each recording; no two of them the same."""
+    targets: dict[Path, Path] = {}
+    for path in dict.fromkeys(recordings):
+        target = output_for(out, path, len(recordings) > 1)
+        if target in targets.values():
+            problem = f"two recordings would be written to {target}"
+            raise InputError(path, "--out", problem, "rename one of them, or use 'eps-hil batch'")
+        targets[path] = target
+    return targets
 
 
 def output_for(out: Path, recording: Path, several: bool) -> Path:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from eps_hil.cli._files import write_json
+from eps_hil.cli._files import check_kept, write_json
 from eps_hil.cli._inputs import ModelPath, Reading, progress, read_all, reads_recordings, stages
 
 
@@ -44,11 +44,9 @@ def changes(
     from eps_hil.diagnosis.data.intake import RecordingError
     from eps_hil.errors import InputError
     from eps_hil.physics.model import dump_model, load_model
-    from eps_hil.recordings.files import check_writable, replacing
+    from eps_hil.recordings.files import replacing
 
-    for path in (json, report, write_model):
-        if path:
-            check_writable(path)
+    check_kept((json, report, write_model), (model, *before, *after))
     if report:
         from eps_hil.report import diagnosis_page, page
 

@@ -39,20 +39,17 @@ def clocks(
 
     from rich.console import Console
 
-    from eps_hil.cli._files import check_different, check_places, output_for, write_json
+    from eps_hil.cli._files import check_different, check_places, outputs_for, write_json
     from eps_hil.cli._inputs import check_extras, progress
     from eps_hil.clocks.audit import audit
     from eps_hil.clocks.corrected import check_suffix, write_corrected
 
     check_extras([recordings])
-    check_places(json)
-    targets = {}
-    for path in recordings:
-        if out is not None:
-            targets[path] = output_for(out, path, len(recordings) > 1)
-            check_suffix(targets[path])
-            check_places(targets[path])
-            check_different(targets[path], path)
+    targets = {} if out is None else outputs_for(out, recordings)
+    for path, target in targets.items():
+        check_suffix(target)
+        check_different(target, path)
+    check_places(json, *targets.values())
     width = None if sys.stdout.isatty() else 110
     console = Console(width=width, highlight=False, soft_wrap=True)
     told = []

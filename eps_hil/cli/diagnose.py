@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from eps_hil.cli._files import write_json
+from eps_hil.cli._files import check_kept, write_json
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import (
     ModelPath,
@@ -121,11 +121,12 @@ def diagnose(
     from eps_hil.api.jobs import known_effects
     from eps_hil.errors import InputError
     from eps_hil.physics.model import dump_model, load_model
-    from eps_hil.recordings.files import check_writable, replacing
+    from eps_hil.recordings.files import replacing
 
-    for path in (json, report, write_model, write_manoeuvre, write_effect):
-        if path:
-            check_writable(path)
+    check_kept(
+        (json, report, write_model, write_manoeuvre, write_effect),
+        (model, *recording, *(holdout or []), *(simulation or [])),
+    )
     if write_effect:
         _check_effect(write_effect)
     _check_simulation(simulation or [], simulation_signals, simulation_values)

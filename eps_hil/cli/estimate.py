@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from eps_hil.cli._files import check_different, check_places, output_for, write_json
+from eps_hil.cli._files import (
+    check_different,
+    check_kept,
+    check_places,
+    output_for,
+    outputs_for,
+    write_json,
+)
 from eps_hil.cli._inputs import (
     ModelPath,
     Reading,
@@ -92,6 +99,7 @@ def estimate(
     changes = _changes(friction_journal)
     if out:
         _check_out(out, recordings)
+        check_kept([json, *outputs_for(out, recordings).values()], [model, *recordings])
     results: list[Any] = []
     for path, recording in read_each(recordings, reading):
         if not results and chosen.kind == "observer":
@@ -151,8 +159,7 @@ def _with_window(settings: "EstimatorSettings", signals: Path) -> "EstimatorSett
 def _check_out(out: Path, recordings: list[Path]) -> None:
     from eps_hil.recordings.write import check_writable_suffix
 
-    for path in recordings:
-        target = output_for(out, path, len(recordings) > 1)
+    for path, target in outputs_for(out, recordings).items():
         check_writable_suffix(target)
         check_places(target)
         check_different(target, path)

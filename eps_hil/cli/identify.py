@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eps_hil.cli._files import check_places, write_json
+from eps_hil.cli._files import check_kept, check_places, write_json
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import (
     ModelPath,
@@ -86,7 +86,7 @@ def identify(
         from eps_hil.report import identification_page, page
 
         page.check("--report", "matplotlib")
-    check_places(write_model, json, report)
+    check_kept((write_model, json, report), (model, *recordings))
     rig = load_model(model)
     read = read_all(recordings, reading)
     given = [eps_hil.Recording(name, series) for name, series in read.items()]

@@ -137,7 +137,7 @@ def put_right(
     )
     spared = len(given[2].found.names) - len(found[2].found.names) - 1
     samples = sum(int(np.sum(one.judging(given[0].model))) for one in given[3])
-    borne = no_worse(before, after, spared, samples)
+    borne = no_worse(before, after, spared, samples, wrong.share)
     return (better, (*found, judged)) if borne else None
 
 

@@ -1,11 +1,14 @@
 """Wrong input through the command: status 2 and one line that names file, place and remedy."""
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from eps_hil.cli.main import main
 
+ROOT = Path(__file__).parents[2]
 HEADER = b"time_s,motor_torque_nm,motor_speed_rad_s\n"
 
 CASES = [
@@ -55,3 +58,50 @@ def test_convert_says_what_is_wrong_in_one_line(
     assert expected in captured.err
     assert "; " in captured.err  # a remedy follows the problem
     assert not target.exists()
+
+
+def test_outputs_never_replace_each_other_nor_what_is_read(
+    tmp_path: Path, weave_truth: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = ROOT / "configs" / "reference_rig.yaml"
+    names = (
+        "time_s",
+        "motor_torque_nm",
+        "torque_sensor_nm",
+        "motor_speed_rad_s",
+        "motor_angle_rad",
+    )
+    table = np.column_stack([weave_truth.columns[name][:3000] for name in names])
+    same = [tmp_path / folder / "same.csv" for folder in ("a", "b")]
+    for path in same:
+        path.parent.mkdir()
+        np.savetxt(path, table, delimiter=",", header=",".join(names), comments="")
+    one, other = map(str, same)
+    mine = tmp_path / "mine.yaml"
+    mine.write_bytes(model.read_bytes())
+    out = str(tmp_path / "x.csv")
+    cases = {
+        f"two recordings would be written to {tmp_path}/e_same.csv": [
+            "estimate", one, other, "--model", str(mine), "--out", str(tmp_path / "e_{name}.csv"),
+        ],
+        "x.csv: is the name of two outputs": [
+            "estimate", one, "--model", str(mine), "--out", out, "--json", out,
+        ],
+        "x.csv: is the name of two outputs; give": [
+            "diagnose", "--recording", one, "--model", str(mine), "--report", out, "--json", out,
+        ],
+        "mine.yaml: is read by this command": [
+            "diagnose", "--recording", one, "--model", str(mine), "--write-model", str(mine),
+        ],
+        "b/same.csv: is read by this command": [
+            "changes", "--before", one, "--after", other, "--model", str(mine), "--json", other,
+        ],
+    }  # fmt: skip
+    before = mine.read_bytes(), same[1].read_bytes()
+    for words, arguments in cases.items():
+        assert main(arguments) == 2
+        said = capsys.readouterr().err
+        assert words in said, said
+        assert said.count("\n") == 1
+    assert not (tmp_path / "x.csv").exists()
+    assert (mine.read_bytes(), same[1].read_bytes()) == before

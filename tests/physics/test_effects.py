@@ -412,3 +412,13 @@ def test_what_goes_with_time_says_so(reference_model: Model, name: str) -> None:
         for t in (1.0, 200.0)
     )
     assert bool(then != later) is effect.over_time
+
+
+def test_whole_turns_of_a_phase_say_nothing(reference_model: Model) -> None:
+    for turns in (-1, 1, 2):
+        entry = {"effect": "screw_ripple", "amplitude_nm": 0.01, "phase_rad": 0.5}
+        other = {**entry, "phase_rad": 0.5 + 2.0 * math.pi * turns}
+        (_, one), (_, same) = (values_of(each, reference_model) for each in (entry, other))
+        assert same["phase_rad"] == pytest.approx(one["phase_rad"], abs=1e-12)
+    with pytest.raises(ValueError, match="phase_rad is inf"):
+        values_of({**entry, "phase_rad": math.inf}, reference_model)

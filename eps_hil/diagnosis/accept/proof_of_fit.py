@@ -78,21 +78,19 @@ def measures(
     if not simulated:
         nothing = {"speed_rmse_rad_s": None, "angle_rmse_rad": None}
         balance = torque_nrmse(holdouts, common, model)
-        return {"torque_nrmse": balance, "speed_fit_percent": None, "free_run": nothing}
+        unknown = dict.fromkeys(("speed_fit_percent", "rack_force_rmse_n"))
+        return {"torque_nrmse": balance, **unknown, "free_run": nothing}
     error, speed = [], []
     for one in holdouts:
         _, run, measured = free_runs(one.prepared, model, one.quality)
         error.append(run - measured)
         speed.append(measured - np.mean(measured) if len(measured) else measured)
-    result: dict[str, Any] = {
+    return {
         "torque_nrmse": torque_nrmse(holdouts, common, model),
         "speed_fit_percent": 100.0 * (1.0 - _rms(error) / max(_rms(speed), 1e-12)),
+        "rack_force_rmse_n": rack_force_error_n(holdouts, common, model),
+        "free_run": free_run(holdouts, model),
     }
-    force = rack_force_error_n(holdouts, common, model)
-    if force is not None:
-        result["rack_force_rmse_n"] = force
-    result["free_run"] = free_run(holdouts, model)
-    return result
 
 
 def torque_nrmse(holdouts: Sequence[Holdout], common: Model, model: Model) -> float:
@@ -169,8 +167,8 @@ def beside_a_gap(holdouts: Sequence[Holdout], model: Model) -> list[str]:
 
 def worse_force(told: Mapping[str, Mapping[str, float]]) -> list[str]:
     """A sentence where the findings make the hold-outs' rack-force estimate worse."""
-    before, after = (told[one].get("rack_force_rmse_n", 0.0) for one in ("baseline", "augmented"))
-    if after <= _WORSE * before:
+    before, after = (told[one].get("rack_force_rmse_n") for one in ("baseline", "augmented"))
+    if before is None or after is None or after <= _WORSE * before:
         return []
     return [
         f"The estimate of the rack force is worse with the findings: {after:.3g} N off on the "

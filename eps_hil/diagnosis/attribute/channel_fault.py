@@ -52,6 +52,7 @@ _DELAY_PART = 0.3
 """Of what a drift comes to at the end of the recordings that a delay beside it may be."""
 _LEAST_PART = 0.5
 """Of what a refit leaves over that the one number has to explain."""
+_AS_KEPT = 0.5
 _RESOLUTION_S, _RESOLUTION, _RESOLUTION_PPM = 1e-4, 1e-3, 0.5
 _STEP_PPM, _STEP_S = 5.0, 1e-4
 """For a difference."""
@@ -178,14 +179,17 @@ def held_out_energy(problem: Problem, found: Fit, kept: Sequence[Prepared]) -> f
     return float(np.mean(np.minimum(left**2, (2.0 * knee(found.residual)) ** 2)))
 
 
-def no_worse(before: float, after: float, spared: int, samples: int) -> bool:
+def no_worse(before: float, after: float, spared: int, samples: int, share: float) -> bool:
     """Whether one number for a signal does on hold-outs what ``spared`` numbers more did.
 
     Mean energies of :func:`held_out_energy`. A wrong ratio and two gains are the very same as a
     load cell's gain, to what noise makes of each; so numbers have Schwarz's price, ln n, as they
-    have everywhere. Where none is spared, it has to do better.
+    have everywhere. Where none is spared, it has to take off hold-outs half as much of what is
+    beyond noise as of the fitted recordings, of which it takes ``share``.
     """
-    return after < before + max(spared, 0) * float(np.log(max(samples, 1))) / max(samples, 1)
+    if spared <= 0:
+        return after < before - _AS_KEPT * share * max(before - 1.0, 0.0)
+    return after < before + spared * float(np.log(max(samples, 1))) / max(samples, 1)
 
 
 def refined(wrong: ChannelFault, problem: Problem, selection: Selection) -> ChannelFault:

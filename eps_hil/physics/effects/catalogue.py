@@ -69,6 +69,8 @@ def _value(name: str, parameter: Any, entry: Mapping[str, Any], model: Model) ->
         return _curve(name, value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name}.{parameter.name} is {value!r}, a number was expected")
+    if parameter.is_phase and math.isfinite(value) and abs(value) > math.pi:
+        value = math.remainder(value, 2.0 * math.pi)
     low, high = parameter.domain
     if not (math.isfinite(value) and low <= value <= high):
         raise ValueError(f"{name}.{parameter.name} is {value}, expected {parameter.allowed}")

@@ -142,11 +142,16 @@ class Parameter:
     @property
     def dimensions(self) -> Mapping[str, int]:
         """Powers of Nm, N, rad and m in its unit; none of a phase, which is as wide on any rig."""
-        if (self.lower, self.upper) == (-math.pi, math.pi):
+        if self.is_phase:
             return {}
         if self.per_turn:
             return {"rad": -1}
         return _DIMENSIONS.get(self.unit, {})
+
+    @property
+    def is_phase(self) -> bool:
+        """Whether it is a wave's phase (rad), of which whole turns more or less say nothing."""
+        return (self.lower, self.upper) == (-math.pi, math.pi)
 
     @property
     def domain(self) -> tuple[float, float]:
