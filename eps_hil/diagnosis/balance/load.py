@@ -135,8 +135,8 @@ class Load:
             f"{self.damping_n_s_per_m:.3g} N s/m and {self.constant_n:.3g} N, which a written "
             f"model holds as {held}, viscous_friction "
             f"and {OFFSET}, and friction that grows with it, if any, as an empirical map. For "
-            "'simulate' they are the load; 'estimate' and 'run' with that file publish what is "
-            f"left of the force without it: take them out there. {hidden} cannot be told from such "
+            "'simulate' they are the load; 'estimate' and 'run' with that file publish the rest "
+            f"of the force: take them out there. {hidden} cannot be told from such "
             "a load."
             + (" What stays unknown may be a load of another form." if self.doubtful else "")
         )
