@@ -56,6 +56,13 @@ class Estimate:
             }
         return content
 
+    @property
+    def why_not_valid(self) -> str:
+        """Reasons and the share of all rows that each has, the largest first; empty if none."""
+        told = sorted(self._reasons().items(), key=lambda one: -one[1])
+        rows = max(len(self.trace.t_ns), 1)
+        return ", ".join(f"{name} {100 * n / rows:.3g} % of the time" for name, n in told if n)
+
     def _reasons(self) -> dict[str, int]:
         """Rows by reason why they are not valid."""
         rows = {bit: 0 for bit in Reason if bit and bit.name}

@@ -50,5 +50,9 @@ def check(
             for each in found
         ]
         write_json(json, {"schema": "eps-hil/check/1", "files": content})
-    if not all(each.good for each in found):
+    wrong = [each for each in found if not each.good]
+    if wrong:
+        first = next(one for one in wrong[0].remarks if one.level.value == "error")
+        named = str(wrong[0].path) in str(first)
+        typer.echo(str(first) if named else f"{wrong[0].path}: {first}", err=True)
         raise typer.Exit(2)

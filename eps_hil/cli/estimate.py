@@ -174,6 +174,8 @@ def _say(name: str, found: "Estimate") -> None:
             else f"latency {1e3 * found.latency_s:.1f} ms"
         )
     )
+    if why := found.why_not_valid:
+        typer.echo(f"{name}: not valid: {why}")
     if "torque_sensor_nm" not in found.recording.series:
         typer.echo(
             f"{name}: no torsion-bar torque: what the driver holds counts as rack force", err=True

@@ -6,14 +6,24 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import ConfigDict, Field, with_config
+from pydantic import BeforeValidator, ConfigDict, Field, with_config
+from pydantic_core import PydanticCustomError
 
 from eps_hil import yaml_file
 from eps_hil.errors import InputError
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Delay = Annotated[float, Field(ge=0, lt=0.5, allow_inf_nan=False)]
+
+def _number(value: Any) -> Any:
+    """YAML's yes, on and true are no numbers, though Python takes them for 1."""
+    if isinstance(value, bool):
+        raise PydanticCustomError("number", "a number was expected, not true or false")
+    return value
+
+
+_A_NUMBER = BeforeValidator(_number)
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), _A_NUMBER]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), _A_NUMBER]
+Delay = Annotated[float, Field(ge=0, lt=0.5, allow_inf_nan=False), _A_NUMBER]
 
 _STRICT = ConfigDict(extra="forbid")
 

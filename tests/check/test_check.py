@@ -124,7 +124,12 @@ def test_the_verb_counts_writes_json_and_ends_with_2(
     assert main(["check", str(path), "--json", str(tmp_path / "c.json")]) == 0
     assert "0 errors, 0 warnings" in capsys.readouterr().out
     change(path, "rig", "order", to=7)
+    capsys.readouterr()
     assert main(["check", str(path), "--json", str(tmp_path / "c.json")]) == 2
+    said = capsys.readouterr()
+    assert "1 errors" in said.out
+    assert said.err.count("\n") == 1
+    assert "rig.order" in said.err
     told = json.loads((tmp_path / "c.json").read_text())["files"][0]["remarks"]
     assert [one["level"] for one in told].count("error") == 1
 

@@ -47,7 +47,7 @@ def test_where_nothing_is_valid_no_error_is_told(
 
 
 def test_estimate_writes_the_contracts_columns(
-    tmp_path: Path, weave: Path, weave_truth: Any
+    tmp_path: Path, weave: Path, weave_truth: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, summary = tmp_path / "e.csv", tmp_path / "e.json"
     status = main(
@@ -67,6 +67,8 @@ def test_estimate_writes_the_contracts_columns(
     (one,) = json.loads(summary.read_text(encoding="utf-8"))["recordings"]
     assert one["rows"] == len(table)
     assert one["valid_share"] == pytest.approx(np.mean(table["valid"]))
+    settling = 100.0 * one["reasons"]["settling"] / one["rows"]
+    assert f"settling {settling:.3g} % of the time" in capsys.readouterr().out
     assert one["rack_force_error_n"]["rms_moving"] < 20
 
 

@@ -43,6 +43,7 @@ def test_angle_is_as_late_as_the_speed_unless_told_otherwise() -> None:
     [
         ("inertia_kg_m2: 2.0e-4", "inertia_kg_m2: -1", ("line 4", "inertia_kg_m2", "greater")),
         ("inertia_kg_m2: 2.0e-4", "inertia_kg_m2: .nan", ("inertia_kg_m2", "finite")),
+        ("inertia_kg_m2: 2.0e-4", "inertia_kg_m2: yes", ("line 4", "number", "true or false")),
         ("  pinion_ratio_rad_per_m: 125.7 ", "  # ", ("pinion_ratio_rad_per_m", "missing")),
         ("sigma0_nm_per_rad", "sigma_0", ("sigma_0", "not a known field")),
         ("motor_speed: 0.004", "motor_speed: soon", ("delays_s.motor_speed", "soon")),
