@@ -39,7 +39,7 @@ def clocks(
 
     from rich.console import Console
 
-    from eps_hil.cli._files import check_different, check_places, outputs_for, write_json
+    from eps_hil.cli._files import check_different, check_kept, outputs_for, write_json
     from eps_hil.cli._inputs import check_extras, progress
     from eps_hil.clocks.audit import audit
     from eps_hil.clocks.corrected import check_suffix, write_corrected
@@ -49,7 +49,7 @@ def clocks(
     for path, target in targets.items():
         check_suffix(target)
         check_different(target, path)
-    check_places(json, *targets.values())
+    check_kept([json, *targets.values()], recordings)
     width = None if sys.stdout.isatty() else 110
     console = Console(width=width, highlight=False, soft_wrap=True)
     told = []

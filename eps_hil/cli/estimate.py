@@ -10,7 +10,6 @@ import typer
 from eps_hil.cli._files import (
     check_different,
     check_kept,
-    check_places,
     output_for,
     outputs_for,
     write_json,
@@ -91,15 +90,13 @@ def estimate(
     from eps_hil.cli import _first_answer
     from eps_hil.physics.model import load_model
 
-    check_places(json)
+    targets = _targets(out, recordings) if out else []
+    check_kept([json, *targets], [model, *recordings])
     rig = load_model(model)
     chosen = _settings(settings, without or [], friction, kind)
     if reading.signals:
         chosen = _with_window(chosen, reading.signals)
     changes = _changes(friction_journal)
-    if out:
-        _check_out(out, recordings)
-        check_kept([json, *outputs_for(out, recordings).values()], [model, *recordings])
     results: list[Any] = []
     for path, recording in read_each(recordings, reading):
         if not results and chosen.kind == "observer":
@@ -156,13 +153,15 @@ def _with_window(settings: "EstimatorSettings", signals: Path) -> "EstimatorSett
     return derived_settings(settings, load_mapping(signals))
 
 
-def _check_out(out: Path, recordings: list[Path]) -> None:
+def _targets(out: Path, recordings: list[Path]) -> list[Path]:
+    """Where the estimates go; refused where they cannot."""
     from eps_hil.recordings.write import check_writable_suffix
 
-    for path, target in outputs_for(out, recordings).items():
+    targets = outputs_for(out, recordings)
+    for path, target in targets.items():
         check_writable_suffix(target)
-        check_places(target)
         check_different(target, path)
+    return list(targets.values())
 
 
 def _say(name: str, found: "Estimate") -> None:

@@ -90,6 +90,10 @@ def test_outputs_never_replace_each_other_nor_what_is_read(
         "x.csv: is the name of two outputs; give": [
             "diagnose", "--recording", one, "--model", str(mine), "--report", out, "--json", out,
         ],
+        "mine.yaml: is read by this command; write": [
+            "estimate", one, "--model", str(mine), "--json", str(mine),
+        ],
+        "a/same.csv: is read by this command": ["clocks", one, "--json", one],
         "mine.yaml: is read by this command": [
             "diagnose", "--recording", one, "--model", str(mine), "--write-model", str(mine),
         ],

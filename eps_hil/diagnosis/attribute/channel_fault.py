@@ -53,6 +53,7 @@ _DELAY_PART = 0.3
 _LEAST_PART = 0.5
 """Of what a refit leaves over that the one number has to explain."""
 _AS_KEPT = 0.5
+"""Of the share that it explains of the fitted recordings, what it has to take off hold-outs."""
 _RESOLUTION_S, _RESOLUTION, _RESOLUTION_PPM = 1e-4, 1e-3, 0.5
 _STEP_PPM, _STEP_S = 5.0, 1e-4
 """For a difference."""
