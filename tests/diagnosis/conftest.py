@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.physics.model import Model
@@ -37,6 +38,22 @@ def record(other_rig: ModuleType) -> Callable[..., Recordings]:
                 name: Series(t_ns, values) for name, values in columns.items() if name != "time_s"
             }
         return made
+
+    return make
+
+
+@pytest.fixture
+def fitted_and_kept(
+    record: Callable[..., Recordings], reference_model: Model
+) -> Callable[[Mapping[int, float]], tuple[Problem, list[Holdout]]]:
+    """Two recordings of a plant as a problem of the reference model, one more to judge by."""
+
+    def make(plant: Mapping[int, float]) -> tuple[Problem, list[Holdout]]:
+        fitted, kept = (
+            [(prepare(name, one), one) for name, one in record(plant, programme, seed).items()]
+            for programme, seed in ((("sweep", "weave"), 1), (("weave",), 2))
+        )
+        return Problem([one for one, _ in fitted], reference_model), [Holdout(*one) for one in kept]
 
     return make
 

@@ -8,12 +8,8 @@ import pytest
 
 from eps_hil.diagnosis.accept.beside_law import beside_law
 from eps_hil.diagnosis.accept.holdout_support import holdout_support
-from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.attribute.select import select
-from eps_hil.diagnosis.balance.problem import Problem
-from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.remainder.find import rounded
-from eps_hil.physics.model import Model
 
 BRAKE_NM, SPRING = 0.05, 4e-4
 
@@ -21,16 +17,11 @@ BRAKE_NM, SPRING = 0.05, 4e-4
 @pytest.mark.slow
 @pytest.mark.parametrize("spring", [SPRING, 0.0])
 def test_a_spring_beside_an_eddy_current_brake(
-    record: Callable[..., Any], reference_model: Model, other_rig: ModuleType, spring: float
+    fitted_and_kept: Callable[..., Any], other_rig: ModuleType, spring: float
 ) -> None:
     """The brake leaves many times what the spring does; alone, it brings no name with it."""
     plant = {other_rig.EDDY: BRAKE_NM, other_rig.EDDY_W: 30.0, other_rig.SPRING: spring}
-    fitted, kept = (
-        [(prepare(name, one), one) for name, one in record(plant, programme, seed).items()]
-        for programme, seed in ((("sweep", "weave"), 1), (("weave",), 2))
-    )
-    problem = Problem([one for one, _ in fitted], reference_model)
-    judged = [Holdout(*one) for one in kept]
+    problem, judged = fitted_and_kept(plant)
     selection = select(problem)
     findings = holdout_support(problem, selection, judged)
     found = beside_law(problem, ((selection, ()), (selection, findings)), judged, measured=True)

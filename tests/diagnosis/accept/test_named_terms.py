@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from eps_hil.diagnosis.accept.named_terms import named_terms
-from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.probes import Candidate
-from eps_hil.diagnosis.balance.problem import Problem
-from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.remainder.find import Remainder, Term, rounded
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
@@ -43,7 +40,7 @@ PULL = {
 def test_a_spring_beside_a_law_of_a_brake(
     spring: float,
     terms: tuple[dict[str, Any], ...],
-    record: Callable[..., Any],
+    fitted_and_kept: Callable[..., Any],
     reference_model: Model,
     other_rig: ModuleType,
 ) -> None:
@@ -52,12 +49,7 @@ def test_a_spring_beside_a_law_of_a_brake(
         other_rig.EDDY_W: BRAKE_RAD_S,
         other_rig.SPRING: spring,
     }
-    fitted, kept = (
-        [(prepare(name, one), one) for name, one in record(plant, programme, seed).items()]
-        for programme, seed in ((("sweep", "weave"), 1), (("weave",), 2))
-    )
-    problem = Problem([one for one, _ in fitted], reference_model)
-    judged = [Holdout(*one) for one in kept]
+    problem, judged = fitted_and_kept(plant)
     nothing = fit(problem, [])
     pool = [one for one in catalogue().values() if one.probe is not None]
     selection = Selection(nothing, nothing, [_asked(one) for one in pool], problem, nothing)
