@@ -47,9 +47,10 @@ class Evidence:
     def without_nm(self) -> Sequence[Floats]:
         """Residual (n,) of the augmented model without each of the entries, the rest as it is."""
         result = []
+        given = self.problem.model.effects
         for k in range(len(self.entries)):
-            others = [e for i, e in enumerate(self.entries) if i != k]
-            model = self.problem.with_entries(others)
+            others = (*given, *self.entries[:k], *self.entries[k + 1 :])
+            model = replace(self.augmented, effects=others)
             result.append(self.problem.residual(model) * self.problem.scale)
         return result
 
