@@ -4,7 +4,7 @@ Names that were found first may be parts of what has none. And where much is unk
 given to a number of the model's own that is off (a free curve over speed does what a drag does):
 such numbers are then fitted beside the remainder, without a name, and a law is looked for only in
 what they cannot do (a discrepancy orthogonal to the model's sensitivities: Plumlee, J. Am. Stat.
-Assoc. 112, 2017). Recordings kept from the fit choose.
+Assoc. 112, 2017). Recordings kept from the fit choose; where they cannot, fewer curves and maps do.
 """
 
 from collections.abc import Mapping, Sequence
@@ -118,8 +118,7 @@ def _modelled(
     if again is None:
         return best, named
     before = Sight(kept, start if best is None else best.model)
-    gone, (low, _) = share_removed(before, kept.residual(again.model))
-    if gone < _MORE or low < LEAST_LOWER:
+    if not _in_its_place(best, again, *share_removed(before, kept.residual(again.model))):
         return best, named
     share, ends = share_removed(bare, kept.residual(again.model))
     return replace(
@@ -130,6 +129,18 @@ def _modelled(
         after=problem.residual(again.model),
         refitted=True,
     ), named
+
+
+def _in_its_place(
+    best: Remainder | None, again: Remainder, gone: float, ends: tuple[float, float]
+) -> bool:
+    """Whether refitted numbers stand: by what they take off more, or for fewer curves and maps."""
+
+    def drawn(found: Remainder | None) -> int:
+        return 0 if found is None else sum(term.law is None for term in found.terms)
+
+    better, worse = gone >= _MORE and ends[0] >= LEAST_LOWER, ends[1] < 0.0
+    return better or (not worse and drawn(again) < drawn(best))
 
 
 def sensitivities(found: Fit, findings: Sequence[int]) -> Floats:
