@@ -63,11 +63,14 @@ def residual_nm(
     motion: Motion,
     rubbing_n: Floats | None = None,
     once: Once | None = None,
+    driving_nm: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """(what the torques are short of the balance, friction plus added torque), both (n,), Nm.
 
     Residual = T_1m − F/i_APA − J ω̇ − T_f − added torques; zero for the right model.
     ``rubbing_n``: the rack force (n,) that friction grows with, where |F| is known with less noise.
+    ``driving_nm``: likewise the motor torque (n,) that effects follow, for what remembers a noisy
+    signal's extremes; the torque itself stays as it was reported.
     ``once`` is handed what the friction follows from, whether more of the motion than speed and
     rack force is part of that, and how it is worked out; it may know the result.
     """
@@ -83,6 +86,8 @@ def residual_nm(
     load = motion.rack_force_n / drive.ratio
     if rubbing_n is not None:
         motion = motion._replace(rack_force_n=np.require(rubbing_n, requirements="W"))
+    if driving_nm is not None:
+        motion = motion._replace(motor_torque_nm=np.require(driving_nm, requirements="W"))
 
     def rubbed() -> Floats:
         friction = np.empty(len(out))

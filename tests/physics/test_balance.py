@@ -149,3 +149,24 @@ def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
     assert "data saved" in said[0]
     assert "data loaded" in said[1]
     assert "data saved" not in said[1]
+
+
+def test_what_a_law_follows_may_be_known_with_less_noise_than_what_acts() -> None:
+    """A stop (a play's rest) of a torque without noise, beside the torque as it was reported."""
+    stop = {
+        "effect": "empirical", "form": "dynamic", "where": "motor", "how": "sum",
+        "inputs": ["motor_torque_nm"], "memory": ["stop"], "shapes": ["linear"],
+        "size": -0.02, "memory_1": 0.02, "range": {"motor_torque_nm": [-9.0, 9.0]},
+    }  # fmt: skip
+    model = load_model(_MODEL)
+    with_stop = replace(model, effects=(stop,))
+    m = _with_rests()
+    noise = 0.02 * np.random.default_rng(1).standard_normal(len(m.time_s))
+    clean = 0.5 * np.sin(0.05 * np.arange(len(m.time_s)))
+    noisy = m._replace(motor_torque_nm=clean + noise)
+    acts, _ = residual_nm(with_stop, noisy, driving_nm=clean)
+    none, _ = residual_nm(model, noisy)
+    right, _ = residual_nm(with_stop, m._replace(motor_torque_nm=clean))
+    plain, _ = residual_nm(model, m._replace(motor_torque_nm=clean))
+    np.testing.assert_allclose(acts - none, right - plain, atol=1e-12)
+    assert np.ptp(acts - none) == pytest.approx(0.04, rel=1e-6)

@@ -50,7 +50,7 @@ def as_name(
     there = Sight(kept, problem.model)
     entries = [selection.found.entries[k] for k in findings]
     named = {str(one["effect"]) for one in entries}
-    least = AS_GOOD * share_removed(there, kept.residual(law.model))[0]
+    least = AS_GOOD * share_removed(there, kept.residual(law.model, problem.model))[0]
     if least < MOST_OF_IT:
         return None
     best: Fit | None = None
@@ -64,7 +64,7 @@ def as_name(
         if not all(matters(one, problem) and inside(one, problem) for one in trial.entries):
             continue
         written = augmented_by(problem, trial, range(len(trial.entries)))
-        share = share_removed(there, kept.residual(written))[0]
+        share = share_removed(there, kept.residual(written, problem.model))[0]
         if share > least:
             best, least = trial, share
     if best is None:

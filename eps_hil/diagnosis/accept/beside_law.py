@@ -23,6 +23,8 @@ from eps_hil.diagnosis.attribute.select import Say, Selection, rivals_of, select
 from eps_hil.diagnosis.balance.baseline import law_knobs, of_law
 from eps_hil.diagnosis.balance.fit import Fit, fit
 from eps_hil.diagnosis.balance.problem import Problem, knee, term_of
+from eps_hil.diagnosis.mismatch.curve import ID as CURVE
+from eps_hil.diagnosis.mismatch.curve import has_curve
 from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN, Leftover, leftover
 from eps_hil.diagnosis.remainder.find import Remainder, Term, find, share_removed
 from eps_hil.diagnosis.remainder.grammar import columns_of
@@ -42,6 +44,8 @@ _BETTER, _UNNEEDED, _ALONG = 1.02, 0.5, 0.1
 """A law in a name's place is better if it gains the first times as much, and by the third of what
 stays unexplained more: the best of thousands takes some of that along. The name is then unneeded if
 less than the second share of its gain is left beside that law."""
+_NEARLY_ALL = 0.9
+"""Of the energy of what a name does: the blocks of time in which it acts."""
 
 
 @dataclass(frozen=True)
@@ -112,10 +116,7 @@ def _from(
         laws = [*laws, *law.entries]
         given = replace(problem.model, effects=(*problem.model.effects, *laws))
         again = Problem(problem.recordings, given, tied=law_knobs(given, first))
-        told = select(again, say, without, selection.settled)
-        told.possible = selection.possible
-        named = holdout_support(again, told, judged)
-        named = standing(again, told, settled(again, told, named, measured)[0], judged)
+        told, named = names_beside(again, selection, without, judged, measured=measured, say=say)
         model, jacobian = augmented_by(again, told.found, named, moved=True), _columns(told, named)
         # names that the first law's own faults outweigh may stand beside a second one
         good = outweighing(again, told, named, kept)
@@ -130,6 +131,31 @@ def _from(
         if _left(again, told, kept) is None:
             break
     return True, best
+
+
+def names_beside(
+    problem: Problem,
+    before: Selection,
+    without: set[str],
+    judged: Sequence[Holdout],
+    *,
+    measured: bool,
+    say: Say | None = None,
+) -> tuple[Selection, Sequence[int]]:
+    """A search for names beside laws, and those that hold-outs bear out.
+
+    A free curve takes along what a law that is not exact leaves anywhere on the travel: one that
+    hold-outs refuse may have been a simpler name, which is searched for without it.
+    """
+    for apart in (without, without | {CURVE}):
+        told = select(problem, say, apart, before.settled)
+        told.possible = before.possible
+        curve = has_curve(told.found)
+        named = holdout_support(problem, told, judged)
+        named = standing(problem, told, settled(problem, told, named, measured)[0], judged)
+        if not curve or any(told.found.entries[k]["effect"] == CURVE for k in named):
+            break
+    return told, named
 
 
 def _with_more(problem: Problem, found: BesideLaw, judged: Sequence[Holdout]) -> BesideLaw:
@@ -174,11 +200,10 @@ def outweighing(
     """
     while named:
         found = told.found
-        least = _unexplained(problem, found)
         good = [
             k
             for k in named
-            if told.gains[term_of(found.entries[k])] >= least
+            if told.gains[term_of(found.entries[k])] >= _unexplained(problem, found, k)
             and not _law_instead(problem, told, [k], kept)
         ]
         if len(good) == len(named):
@@ -189,10 +214,29 @@ def outweighing(
     return []
 
 
-def _unexplained(problem: Problem, found: Fit) -> float:
-    """The gain that a name beside laws needs: twice what both leave unexplained."""
-    size = np.minimum(np.abs(found.residual), knee(found.residual))[problem.sliding]
+def _unexplained(problem: Problem, found: Fit, place: int | None = None) -> float:
+    """The gain that a name beside laws needs: twice what both leave unexplained where it acts.
+
+    ``place``: of the name, everywhere without one. What a law leaves while the drive is off says
+    nothing of a name that acts while it is on. Whole blocks of time count: at places that are
+    passed in between, a law's fault may go on of which the name takes a part.
+    """
+    acts = problem.sliding
+    if place is not None:
+        others = [entry for i, entry in enumerate(found.entries) if i != place]
+        alone = problem.residual(problem.with_entries(others, found.own)) - found.residual
+        acts = (
+            acts & _most(np.bincount(problem.block, np.where(acts, alone**2, 0.0)))[problem.block]
+        )
+    size = np.minimum(np.abs(found.residual), knee(found.residual))[acts]
     return BESIDE_UNKNOWN * float(np.sum(size**2 - 1.0))
+
+
+def _most(energy: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """Which are the largest that make up nearly all of the sum."""
+    falling = np.sort(energy)[::-1]
+    sums = np.cumsum(falling)
+    return np.asarray(energy >= falling[np.searchsorted(sums, _NEARLY_ALL * sums[-1])])
 
 
 def _law_instead(problem: Problem, told: Selection, places: Sequence[int], kept: Problem) -> bool:
@@ -267,7 +311,8 @@ def beside_laws(
     found = told.found
     alone = without_laws(problem, found)
     # a name is as sure as its gain is above what the law's own faults could be
-    least = max(threshold(again, found.residual, FINAL_SHARE), _unexplained(again, found))
+    floor = threshold(again, found.residual, FINAL_SHARE)
+    least = {term_of(found.entries[k]): max(floor, _unexplained(again, found, k)) for k in named}
     shown = replace(told, null=before.null, part=before.part, found=alone, least=least)
     start = augmented_by(problem, alone, named)
     share, ends = share_removed(Sight(kept, start), kept.residual(model))

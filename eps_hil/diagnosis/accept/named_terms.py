@@ -13,9 +13,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from eps_hil.diagnosis.accept.as_name import AS_GOOD, inside
-from eps_hil.diagnosis.accept.beside_law import BesideLaw, beside_laws, outweighing
-from eps_hil.diagnosis.accept.holdout_support import augmented_by, holdout_support
-from eps_hil.diagnosis.accept.measured_ratio import settled
+from eps_hil.diagnosis.accept.beside_law import (
+    BesideLaw,
+    beside_laws,
+    names_beside,
+    outweighing,
+)
+from eps_hil.diagnosis.accept.holdout_support import augmented_by
+from eps_hil.diagnosis.accept.nameless import movable
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.accept.standing import standing
 from eps_hil.diagnosis.attribute.scoring import (
@@ -25,7 +30,7 @@ from eps_hil.diagnosis.attribute.scoring import (
     score,
     threshold,
 )
-from eps_hil.diagnosis.attribute.select import Selection, rivals_of, select
+from eps_hil.diagnosis.attribute.select import Selection, rivals_of
 from eps_hil.diagnosis.balance.baseline import HOLD, SIDES, TIMING, law_knobs
 from eps_hil.diagnosis.balance.fit import Fit, fit, matters
 from eps_hil.diagnosis.balance.probes import Candidate, candidates
@@ -97,17 +102,17 @@ def _left_by_all(
     kept: Problem,
     measured: bool,
 ) -> BesideLaw | None:
-    """More names beside all terms, where those leave more than noise."""
+    """More names beside all terms, where those leave more than noise, or took a delay along."""
     model = remainder.model
-    if leftover(problem, problem.residual(model), (kept, kept.residual(model))) is None:
+    delay_s = problem.model.delays_s.motor_torque - model.delays_s.motor_torque
+    late = matters({"effect": HOLD, "delay_s": delay_s}, problem)
+    left = leftover(problem, problem.residual(model), (kept, kept.residual(model)))
+    if left is None and not late:
         return None
     laws = [one for one in _beyond(problem, model) if one["effect"] == _LEARNT]
     again = _with_laws(problem, model, laws)
     without = set(catalogue()) - {one.effect.id for one in selection.pool}
-    told = select(again, None, without, selection.settled)
-    told.possible = selection.possible
-    named = holdout_support(again, told, judged)
-    named = standing(again, told, settled(again, told, named, measured)[0], judged)
+    told, named = names_beside(again, selection, without, judged, measured=measured)
     named = outweighing(again, told, named, kept)
     before = {term_of(selection.found.entries[k]) for k in findings}
     if not before < {term_of(told.found.entries[k]) for k in named}:
@@ -117,8 +122,13 @@ def _left_by_all(
 
 
 def _with_laws(problem: Problem, model: Model, laws: Sequence[Mapping[str, Any]]) -> Problem:
-    """The problem with the model's own numbers, and laws in it whose numbers are free."""
-    given = replace(model, effects=(*problem.model.effects, *laws))
+    """The problem with the model's own numbers, and laws in it whose numbers are free.
+
+    How late the motor's torque is, is as in the file: a fit beside laws may have moved a delay
+    there that has a name.
+    """
+    timing = problem.model.delays_s
+    given = replace(model, effects=(*problem.model.effects, *laws), delays_s=timing)
     again = replace(problem.apart(problem.recordings), model=given)
     again.tied = law_knobs(given, len(problem.model.effects))
     return again
@@ -158,11 +168,12 @@ def _one_named(
             continue
         others = [*laws[:k], *laws[k + 1 :]]
         bare = Sight(kept, replace(model, effects=(*problem.model.effects, *names, *others)))
-        by_law = share_removed(bare, kept.residual(model))[0]
+        by_law = share_removed(bare, kept.residual(model, bare.model))[0]
         if by_law < MOST_OF_IT:
             continue
         again = _with_laws(problem, model, others)
-        own = {**TIMING, **again.tied}
+        moved = dict.fromkeys(movable(), 0.0) if remainder.refitted else {}  # as the laws were
+        own = {**TIMING, **again.tied, **moved}
         if any(one["effect"] == HOLD for one in names):
             own.pop(HOLD)
         base = fit(again, names, own=own)
@@ -172,7 +183,7 @@ def _one_named(
             if trial is None:
                 continue
             written = augmented_by(again, trial, range(len(trial.entries)), moved=True)
-            share = share_removed(bare, kept.residual(written))[0]
+            share = share_removed(bare, kept.residual(written, bare.model))[0]
             if share > max(AS_GOOD * by_law, best.share if best else 0.0):
                 best = _Named(again, trial, pool, written, share)
     return best

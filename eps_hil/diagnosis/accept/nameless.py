@@ -104,7 +104,7 @@ def _modelled(
     start = augmented_by(problem, selection.found, named)
     bare = Sight(kept, start)
     refitted = _refitted(problem, selection, named)
-    moving = [name for name in _moving() if name != HOLD]
+    moving = [name for name in movable() if name != HOLD]
     again: Remainder | None = None
     for free in ((), moving):  # beside the refit as it stands, then together with it
         one = beside(*refitted, free)
@@ -169,7 +169,7 @@ def _refitted(
     return model, free.jacobian
 
 
-def _moving() -> list[str]:
+def movable() -> list[str]:
     """Numbers of the model's own beside a law; of the others sliding says nothing more."""
     done = {"sigma0_nm_per_rad", "sigma1_nm_s_per_rad", OFFSET}
     return [name for name in ALL if name not in done]
@@ -178,7 +178,7 @@ def _moving() -> list[str]:
 def _settled(problem: Problem, model: Model, kept: Problem) -> Model:
     """The model's own numbers once more, now beside the laws, where hold-outs agree."""
     beside = replace(problem, model=model)
-    own = dict.fromkeys(_moving(), 0.0)
+    own = dict.fromkeys(movable(), 0.0)
     free = fit(beside, [], own=own)
     moved = augmented_by(beside, free, (), moved=True)
     before, after = (np.sum(kept.residual(one)[kept.sliding] ** 2) for one in (model, moved))

@@ -110,7 +110,7 @@ def not_whitened(problem: Problem, told: Selection, before: Selection) -> Select
         null=before.null,
         part=before.part,
         found=replace(found, residual=shown, told_half_width=found.half_width),
-        least=2.0 * LEAST,
+        least=dict.fromkeys(told.gains, 2.0 * LEAST),
     )
 
 

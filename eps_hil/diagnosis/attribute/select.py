@@ -66,8 +66,8 @@ class Selection:
     without: dict[str, Fit] = field(default_factory=dict)
     settled: frozenset[str] = frozenset()
     possible: frozenset[str] = frozenset()
-    least: float | None = None
-    """Gain that counts, where names were weighed beside a remainder."""
+    least: dict[str, float] = field(default_factory=dict)
+    """Gain that counts of each name that was weighed beside a remainder."""
 
 
 def select(

@@ -46,8 +46,10 @@ class BothStates(Problem):
         known = super().with_entries([], own) if entries else with_them
         return ModelOfBoth(**_numbers(with_them), known=known)
 
-    def left(self, one: Prepared, model: Model) -> Floats:
+    def left(self, one: Prepared, model: Model, noise_of: Model | None = None) -> Floats:
         """Of one recording, under the model of its state."""
+        if noise_of is not None:
+            return super().left(one, self.state_of(one, model), self.state_of(one, noise_of))
         if not isinstance(model, ModelOfBoth) or model.known is None:
             return super().left(one, model)
         if one.name not in self.known:

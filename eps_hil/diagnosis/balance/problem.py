@@ -140,16 +140,17 @@ class Problem:
         pairs = zip(self.recordings, self._masks, strict=True)
         return sum(one.independent * float(np.sum(mask)) for one, mask in pairs)
 
-    def residual(self, model: Model) -> Floats:
+    def residual(self, model: Model, noise_of: Model | None = None) -> Floats:
         """Weighted residual (n,): 1 is the sensor noise.
 
         The noise is that under this very model (errors in variables): a model that makes all
         torques smaller also makes their noise smaller, and is no better for it. What is left beyond
-        noise (an error in the equation) is as large under every model.
+        noise (an error in the equation) is as large under every model. Two forms of one effect are
+        compared in the noise of one, ``noise_of``: the other may not say what becomes of noise.
         """
 
         few = len(self.scale) < _MANY
-        of = [(one, model) for one in self.recordings]
+        of = [(one, model, noise_of) for one in self.recordings]
         parts = [self.left(*one) for one in of] if few else each(lambda one: self.left(*one), of)
         residual = np.concatenate(parts) / self.scale
         return self.whitened(residual)
@@ -166,9 +167,10 @@ class Problem:
             told += float(np.sum(mask)) * float(one.sampled_nm / floor) ** 2
         return told
 
-    def left(self, one: Prepared, model: Model) -> Floats:
+    def left(self, one: Prepared, model: Model, noise_of: Model | None = None) -> Floats:
         """What the model leaves of one recording, Nm, in proportion to its usual size there."""
-        return one.left_over(model) * (self._usual_nm(one, self.model) / self._usual_nm(one, model))
+        usual = self._usual_nm(one, model if noise_of is None else noise_of)
+        return one.left_over(model) * (self._usual_nm(one, self.model) / usual)
 
     def noise(self, model: Model) -> list[float]:
         """Deviation (Nm) of each recording's sensor noise under ``model``."""

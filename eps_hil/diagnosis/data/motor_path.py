@@ -31,3 +31,10 @@ def bends_motor_torque(entry: Mapping[str, Any]) -> bool:
         return False
     own = None if effect.probe is None else effect.probe.amplitude
     return all(one.name != own or one.dimensions != {"Nm": 1} for one in effect.parameters)
+
+
+def follows_motor_torque(entry: Mapping[str, Any]) -> bool:
+    """Whether an effect's own input is the motor's torque, beside what it acts on."""
+    return any(
+        "motor_torque" in str(one) or "motor_power" in str(one) for one in entry.get("inputs", ())
+    )

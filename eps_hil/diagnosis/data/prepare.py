@@ -15,7 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
-from eps_hil.diagnosis.data.motor_path import bends_motor_torque, what_it_follows
+from eps_hil.diagnosis.data.motor_path import (
+    bends_motor_torque,
+    follows_motor_torque,
+    what_it_follows,
+)
 from eps_hil.diagnosis.data.noise import half_rate_hz, noise_at_1_khz, passed_of_band
 from eps_hil.diagnosis.data.seen_twice import motion_hz
 from eps_hil.diagnosis.data.size import ORDINARY, Size
@@ -227,7 +231,8 @@ class Prepared:
             return found
 
         motion = self._motion(model, every)
-        return residual_nm(model, motion, self._rubbing_n(model, every), friction)
+        rubbing, driving = self._rubbing_n(model, every), self._driving_nm(model, every)
+        return residual_nm(model, motion, rubbing, friction, driving)
 
     @cached_property
     def every(self) -> int:
@@ -458,6 +463,17 @@ class Prepared:
         force = self._without_noise
         delays = with_model_effects(model).delays_s
         return None if force is None else self._at(force, delays.of("rack_force_n"), every)
+
+    def _driving_nm(self, model: Model, every: int) -> Floats | None:
+        """The motor torque that a law follows, with no more noise than speed has."""
+        if not any(follows_motor_torque(entry) for entry in model.effects):
+            return None
+        delays = with_model_effects(model).delays_s
+        return self._at(self._slow_torque_nm, delays.of("motor_torque_nm"), every)
+
+    @cached_property
+    def _slow_torque_nm(self) -> Floats:
+        return low_pass(self.raw["motor_torque_nm"], SMOOTH_HZ)
 
     @cached_property
     def _without_noise(self) -> Floats | None:

@@ -42,7 +42,7 @@ is no state of a rig, and says nothing of a recording that begins warm."""
 _LEFT, _MORE = 0.08, 0.04
 """Excess of the hold-outs in noise variances, and as a share of what it was, below which nothing
 more is looked for; no further term is worth less than the latter."""
-_REFINED, _SIMPLE, _OF_TIME = 6, 4, 2
+_REFINED, _SIMPLE, _OF_TIME, _SHAPED = 6, 4, 2, 2
 _BEYOND = 0.02
 _DRAWS = 400
 _OWN_STEP = 0.05
@@ -186,8 +186,14 @@ def _best(
     if own.columns is not None:
         free = own.columns, own.of(kept)
     screening = screen(fitted, kept, jacobian, free)
-    tried = [_law(fitted, kept, one.law, ranges, own) for one in _shortlist(screening.best)]
-    trials = [one for one in tried if one is not None]
+
+    def refined(some: Sequence[Law]) -> list[_Trial]:
+        tried = [_law(fitted, kept, one, ranges, own) for one in some]
+        return [one for one in tried if one is not None]
+
+    first = _shortlist(screening.best)
+    trials = refined(first)
+    trials += refined(_other_shapes(trials, first, screening.best))
     drawings = tables(fitted, kept, maps=maps) if drawn else ()
     others = [_table(fitted, kept, one.entry(ranges), own) for one in drawings]
     lasting, timed = ([one for one in trials if _of_time(one) is of] for of in (False, True))
@@ -253,11 +259,23 @@ def _passes(trial: _Trial, kept: Sight, screening: Screening) -> bool:
     return share > MOST_OF_IT or screening.most > float(np.max(screening.null))
 
 
-def _shortlist(best: Sequence[Screened]) -> list[Screened]:
-    """The best laws of different families, among them the best simple ones; those of time apart.
-
-    Of the very best family every shape that was kept: which is right shows once numbers are fitted.
+def _other_shapes(
+    trials: Sequence[_Trial], tried: Sequence[Law], best: Sequence[Screened]
+) -> list[Law]:
+    """Of the families that are best once numbers are fitted, the shapes that were not tried: which
+    one is right shows only then.
     """
+    found: list[Any] = []
+    for one in sorted(trials, key=_worth, reverse=True):
+        law = one.term.law
+        if law is not None and not law.of_time and law.family not in found:
+            found.append(law.family)
+    families = found[:_SHAPED]
+    return [one.law for one in best if one.law.family in families and one.law not in tried]
+
+
+def _shortlist(best: Sequence[Screened]) -> list[Law]:
+    """The best laws of different families, among them the best simple ones; those of time apart."""
     chosen: dict[Any, Screened] = {}
     lasting = [one for one in best if not one.law.of_time]
     for one in lasting:
@@ -272,9 +290,7 @@ def _shortlist(best: Sequence[Screened]) -> list[Screened]:
     for one in best:
         if one.law.of_time and len(timed) < _OF_TIME:
             timed.setdefault(one.law.family, one)
-    first = next(iter(chosen), None)
-    shapes = [one for one in lasting if one.law.family == first and one is not chosen[first]]
-    return [*chosen.values(), *shapes, *timed.values()]
+    return [one.law for one in (*chosen.values(), *timed.values())]
 
 
 def _law(fitted: Sight, kept: Sight, law: Law, ranges: Ranges, own: Own) -> _Trial | None:

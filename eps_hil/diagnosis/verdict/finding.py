@@ -50,7 +50,9 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
         twins += [name for name in CONSTANTS if name in pool]
         near = dict(rivals)
         rivals = [(name, max(near.get(name, 0.0), 1.0)) for name in twins]
-    least = selection.least or threshold(problem, found.residual, FINAL_SHARE)
+    least = selection.least.get(term_of(entry))
+    if least is None:
+        least = threshold(problem, found.residual, FINAL_SHARE)
     others = [e for i, e in enumerate(found.entries) if i != k]
     without = problem.residual(problem.with_entries(others, found.own))
     share = (without - found.residual) ** 2
@@ -112,7 +114,7 @@ def _parameters(problem: Problem, found: Fit, k: int, effect: Effect) -> dict[st
 
 def _confidence(gain: float, least: float, rivals: Sequence[tuple[str, float]]) -> float:
     """How sure the name is: how far above the gate, and how far above the next best name."""
-    detected = 1.0 - 0.4 * float(np.exp(-(gain / least - 1.0)))
+    detected = max(1.0 - 0.4 * float(np.exp(-(gain / least - 1.0))), 0.0)
     against = sum(float(np.exp(-max(0.0, (1 - part) * gain) / 50.0)) for _, part in rivals)
     return round(min(SUREST, detected / (1.0 + against)), 3)
 

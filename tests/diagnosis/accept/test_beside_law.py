@@ -1,14 +1,18 @@
 """Names beside a law that has none: found where they are there, and not where they are not."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
 import pytest
 
-from eps_hil.diagnosis.accept.beside_law import beside_law
+from eps_hil.diagnosis.accept import beside_law as module
+from eps_hil.diagnosis.accept.beside_law import beside_law, names_beside
 from eps_hil.diagnosis.accept.holdout_support import holdout_support
-from eps_hil.diagnosis.attribute.select import select
+from eps_hil.diagnosis.attribute.select import Selection, select
+from eps_hil.diagnosis.balance.fit import fit
+from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.remainder.find import rounded
 
 BRAKE_NM, SPRING = 0.05, 4e-4
@@ -43,3 +47,45 @@ def test_a_spring_beside_an_eddy_current_brake(
     assert len(found.selection.found.own) == len(
         [name for name in found.told.found.own if not name.startswith("law.")]
     )
+
+
+def test_a_name_is_weighed_against_what_is_left_where_it_acts(problem: Problem) -> None:
+    """A torque that the model has too much late in a recording; friction is warm by then."""
+    late = {
+        "effect": "empirical", "form": "law", "where": "rotor", "how": "sum",
+        "inputs": ["time_s"], "memory": ["none"], "shapes": ["above"],
+        "size": 0.02, "centre_1": 6.0, "range": {"time_s": [0.0, 60.0]},
+    }  # fmt: skip
+    stribeck = {"effect": "stribeck", "level_nm": 0.03, "speed_rad_s": 10.0}
+    beside = Problem(problem.recordings, replace(problem.model, effects=(late, stribeck)))
+    warm = {"effect": "friction_warmup", "time_s": 1.0, "amplitude": 0.2}
+    found = fit(beside, [warm], 0)
+    everywhere, there = module._unexplained(beside, found), module._unexplained(beside, found, 0)
+    assert everywhere > 1e4
+    assert there < 0.2 * everywhere
+
+
+def test_what_a_refused_curve_held_is_searched_for_without_it(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nothing = fit(problem, [])
+    curve = {"effect": "position_torque", "curve": [[-0.05, 0.0], [0.0, 0.01], [0.05, 0.0]]}
+    asked: list[set[str]] = []
+
+    def chosen(_problem: Problem, _say: object, without: set[str], _settled: object) -> Selection:
+        asked.append(without)
+        found = nothing if "position_torque" in without else replace(nothing, entries=(curve,))
+        return Selection(nothing, found, [], problem, found)
+
+    def refused(_problem: Problem, told: Selection, _judged: object) -> list[int]:
+        told.found = nothing
+        return []
+
+    before = Selection(nothing, nothing, [], problem, nothing)
+    monkeypatch.setattr(module, "select", chosen)
+    monkeypatch.setattr(module, "holdout_support", refused)
+    assert names_beside(problem, before, {"backlash"}, [], measured=False)[1] == []
+    assert asked == [{"backlash"}, {"backlash", "position_torque"}]
+    asked.clear()
+    names_beside(problem, before, {"position_torque"}, [], measured=False)
+    assert len(asked) == 1

@@ -10,13 +10,15 @@ import pytest
 
 from eps_hil.diagnosis.accept.named_terms import named_terms
 from eps_hil.diagnosis.attribute.select import Selection
+from eps_hil.diagnosis.balance.baseline import HOLD, HOLD_S, TIMING
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.probes import Candidate
+from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.remainder.find import Remainder, Term, rounded
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 
-BRAKE_NM, BRAKE_RAD_S, SPRING = 0.05, 30.0, 4e-4
+BRAKE_NM, BRAKE_RAD_S, SPRING, DELAY_S = 0.05, 30.0, 4e-4, 1.2e-3
 SPEED, ANGLE = "motor_speed_rad_s", "motor_angle_rad"
 BRAKE = {
     "effect": "empirical", "form": "law", "where": "rotor", "how": "sum",
@@ -50,14 +52,7 @@ def test_a_spring_beside_a_law_of_a_brake(
         other_rig.SPRING: spring,
     }
     problem, judged = fitted_and_kept(plant)
-    nothing = fit(problem, [])
-    pool = [one for one in catalogue().values() if one.probe is not None]
-    selection = Selection(nothing, nothing, [_asked(one) for one in pool], problem, nothing)
-    with_all = replace(reference_model, effects=terms)
-    remainder = Remainder(
-        tuple(Term(dict(one), None) for one in terms), with_all, 1.0, (1.0, 1.0), nothing.residual,
-        problem.residual(with_all), refitted=True,
-    )  # fmt: skip
+    selection, remainder = _with(problem, reference_model, terms)
     found = named_terms(problem, selection, [], remainder, judged, measured=True)
     if not spring:
         assert found is None
@@ -77,6 +72,40 @@ def test_a_spring_beside_a_law_of_a_brake(
     # what is written leaves hardly more than the sensors' noise
     left = np.mean(problem.residual(found.remainder.model)[problem.sliding] ** 2)
     assert left < 1.2
+
+
+@pytest.mark.slow
+def test_a_delay_that_a_fit_beside_a_law_took_along_has_its_name(
+    fitted_and_kept: Callable[..., Any], reference_model: Model, other_rig: ModuleType
+) -> None:
+    """The file has the motor's torque 1.2 ms early; beside the law, the rig's own is fitted."""
+    problem, judged = fitted_and_kept({other_rig.EDDY: BRAKE_NM, other_rig.EDDY_W: BRAKE_RAD_S})
+    delays = reference_model.delays_s
+    early = replace(delays, motor_torque=delays.motor_torque + DELAY_S)
+    given = Problem(problem.recordings, replace(reference_model, delays_s=early))
+    selection, remainder = _with(given, reference_model, (BRAKE,))
+    found = named_terms(given, selection, [], remainder, judged, measured=True)
+    assert found is not None
+    entries = [found.selection.found.entries[k] for k in found.findings]
+    assert [one["effect"] for one in entries] == ["motor_torque_delay"]
+    right = Problem(problem.recordings, replace(reference_model, effects=(BRAKE,)))
+    held = fit(right, [], own=TIMING).own[HOLD]
+    assert entries[0]["delay_s"] == pytest.approx(DELAY_S + held * HOLD_S, abs=0.1e-3)
+
+
+def _with(
+    problem: Problem, rig: Model, terms: tuple[dict[str, Any], ...]
+) -> tuple[Selection, Remainder]:
+    """No names, and a remainder of terms beside the rig's own numbers."""
+    nothing = fit(problem, [])
+    pool = [one for one in catalogue().values() if one.probe is not None]
+    selection = Selection(nothing, nothing, [_asked(one) for one in pool], problem, nothing)
+    with_all = replace(rig, effects=terms)
+    remainder = Remainder(
+        tuple(Term(dict(one), None) for one in terms), with_all, 1.0, (1.0, 1.0), nothing.residual,
+        problem.residual(with_all), refitted=True,
+    )  # fmt: skip
+    return selection, remainder
 
 
 def _asked(effect: Any) -> Any:

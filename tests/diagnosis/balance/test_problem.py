@@ -54,3 +54,17 @@ def test_a_fit_without_a_name_is_made_once(problem: Problem) -> None:
     once = ablated(problem, found, 0, 1)
     problem.knee *= 2.0
     assert ablated(problem, found, 0, 1) is not once
+
+
+def test_two_forms_of_a_gain_leave_as_much_in_the_noise_of_one_model(problem: Problem) -> None:
+    """A law that takes torque off does not say that it takes off noise, a gain does."""
+    gain = replace(problem.model, effects=({"effect": "motor_torque_gain", "gain": 0.8},))
+    law = {
+        "effect": "empirical", "form": "law", "where": "rotor", "how": "sum",
+        "inputs": ["motor_torque_nm"], "memory": ["none"], "shapes": ["linear"],
+        "size": 0.2, "range": {"motor_torque_nm": [-9.0, 9.0]},
+    }  # fmt: skip
+    as_law = replace(problem.model, effects=(law,))
+    one, other = (problem.residual(model, problem.model) for model in (gain, as_law))
+    np.testing.assert_allclose(one, other, atol=0.02)
+    assert np.max(np.abs(problem.residual(gain) - problem.residual(as_law))) > 1.0

@@ -298,7 +298,7 @@ def test_laws_of_time_take_no_place_of_others() -> None:
         for how in ("sum", "factor")
     ]
     chosen = find_module._shortlist([*timed, Screened(_WARMS, 1.0, 1.0)])
-    assert [one.law.of_time for one in chosen] == [False, True, True]
+    assert [one.of_time for one in chosen] == [False, True, True]
 
 
 def test_a_memory_longer_than_any_recording_is_a_clock(eddy: tuple[Problem, Problem]) -> None:
