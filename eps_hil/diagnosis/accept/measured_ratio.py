@@ -35,6 +35,11 @@ def settled(
     return kept, _worth(problem, float(entry["scale"]), selection.gains[term_of(entry)])
 
 
+def no_name(measured: bool) -> set[str]:
+    """What is then not even tried as a name in another's place."""
+    return {_ID} if measured else set()
+
+
 def _worth(problem: Problem, scale: float, gain: float) -> Leftover:
     """What a ratio off by ``scale`` would do, and gains (noise variances), in words of its own."""
     share = 1.0 / (1.0 + scale) - 1.0

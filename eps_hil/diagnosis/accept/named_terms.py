@@ -20,6 +20,7 @@ from eps_hil.diagnosis.accept.beside_law import (
     outweighing,
 )
 from eps_hil.diagnosis.accept.holdout_support import augmented_by
+from eps_hil.diagnosis.accept.measured_ratio import no_name
 from eps_hil.diagnosis.accept.nameless import movable
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.accept.standing import standing
@@ -76,7 +77,8 @@ def named_terms(
     kept = problem.apart([one.prepared for one in judged])
     best = _left_by_all(problem, selection, findings, remainder, judged, kept, measured)
     while len((best.remainder if best else remainder).terms) > 1:
-        one = _one_named(problem, best.remainder if best else remainder, kept, without)
+        terms = best.remainder if best else remainder
+        one = _one_named(problem, terms, kept, without | no_name(measured))
         if one is None:
             break
         told = replace(

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.diagnosis.accept import named_terms as module
 from eps_hil.diagnosis.accept.named_terms import named_terms
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.baseline import HOLD, HOLD_S, TIMING
 from eps_hil.diagnosis.balance.fit import fit
@@ -91,6 +93,19 @@ def test_a_delay_that_a_fit_beside_a_law_took_along_has_its_name(
     right = Problem(problem.recordings, replace(reference_model, effects=(BRAKE,)))
     held = fit(right, [], own=TIMING).own[HOLD]
     assert entries[0]["delay_s"] == pytest.approx(DELAY_S + held * HOLD_S, abs=0.1e-3)
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_a_ratio_that_is_measured_is_not_tried_in_a_laws_place(
+    measured: bool, problem: Problem, reference_model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[set[str]] = []
+    monkeypatch.setattr(module, "_left_by_all", lambda *_: None)
+    monkeypatch.setattr(module, "_one_named", lambda *given: asked.append(given[-1]))
+    selection, remainder = _with(problem, reference_model, (BRAKE, PULL))
+    kept = [Holdout(problem.recordings[1], {})]
+    assert named_terms(problem, selection, [], remainder, kept, measured=measured) is None
+    assert ["rack_ratio" in one for one in asked] == [measured]
 
 
 def _with(
