@@ -30,11 +30,9 @@ PROBLEM = ".problem.txt"
 """What went wrong with a case stands in ``<id>.problem.txt`` instead of ``<id>.json``."""
 _TIMEOUT_S = 900.0
 """Of processor time."""
-_ASKED_FOR = (
-    *("--json", "diagnosis.json"),
-    *("--write-model", "augmented.yaml"),
-    *("--report", "report.html"),
-)
+_ASKED_FOR = ("--json", "diagnosis.json", "--write-model", "augmented.yaml")
+_PAGE = ("--report", "report.html")
+"""Asked for in a second go, where somebody will look at it."""
 _HANDED_IN = {"diagnosis.json": ".json", "augmented.yaml": ".yaml", "report.html": ".html"}
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
 """Environment that keeps linear algebra on one core."""
@@ -75,9 +73,8 @@ class Diagnoser:
         self._process.communicate()
 
     def diagnose(self, case: Path, results: Path) -> Examined:
-        """Diagnose one case folder; results/<id>.json, .yaml (the augmented model), .html."""
-        given = arguments(sorted(path.name for path in case.iterdir()), case)
-        return self.ask(["diagnose", *_ASKED_FOR, *given], case, results)
+        """Diagnose one case folder; results/<id>.json, .yaml (the augmented model)."""
+        return self.ask(_words(case, *_ASKED_FOR), case, results)
 
     def ask(self, words: Sequence[str], case: Path, results: Path) -> Examined:
         """Have a verb answer in a copy of the case folder; what it hands in goes to results."""
@@ -109,6 +106,11 @@ class Diagnoser:
             said = (desk / "stderr.txt").read_text().strip().splitlines()
             return f"exit status {status}: {said[-1] if said else ''}"
         return ""
+
+
+def _words(case: Path, *asked_for: str) -> Sequence[str]:
+    given = arguments(sorted(path.name for path in case.iterdir()), case)
+    return ["diagnose", *asked_for, *given]
 
 
 def arguments(names: Sequence[str], case: Path | None = None) -> list[str]:
@@ -154,7 +156,21 @@ def examine(
     ``words``: arguments of ``eps-hil`` for a case folder, where that is not ``diagnose``.
     """
     results.mkdir(parents=True, exist_ok=True)
-    cases = open_cases(out, results)
+    yield from _ask_of_each(open_cases(out, results), results, jobs, words)
+
+
+def draw(cases: Sequence[Path], results: Path, jobs: int = 1) -> None:
+    """Diagnose cases once more, now with their pages; results/<id>.html."""
+    for _ in _ask_of_each(cases, results, jobs, lambda case: _words(case, *_PAGE)):
+        pass
+
+
+def _ask_of_each(
+    cases: Sequence[Path],
+    results: Path,
+    jobs: int,
+    words: Callable[[Path], Sequence[str]] | None,
+) -> Iterator[Examined]:
     pool = ThreadPoolExecutor(jobs)
     diagnosers = [Diagnoser() for _ in range(min(jobs, len(cases)))]
     idle: SimpleQueue[Diagnoser] = SimpleQueue()

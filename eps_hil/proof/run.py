@@ -32,7 +32,7 @@ import numpy as np
 from eps_hil.errors import InputError
 from eps_hil.proof.cases import make
 from eps_hil.proof.code_version import code_version
-from eps_hil.proof.examine import MODEL, ONE_THREAD, PROBLEM, Examined, examine
+from eps_hil.proof.examine import MODEL, ONE_THREAD, PROBLEM, Examined, draw, examine
 from eps_hil.proof.judge import Judgement, failed, judge
 from eps_hil.proof.long_case import seconds_to_diagnose
 from eps_hil.proof.plans import MIX, QUICK, Plan, mixed
@@ -268,6 +268,7 @@ class _Batch:
             for id, answer in answers.items()
         }
         worths = {measuring[done]: done.result() for done in as_completed(measuring)}
+        self._draw(answers)
         lines, wrong = [], 0
         for id, answer in sorted(answers.items()):
             line = self._line(id, answer, worths[id], examined.get(id))
@@ -281,16 +282,29 @@ class _Batch:
                 shutil.rmtree(self.folder / name, ignore_errors=True)
         self._say(f"seal opened, {len(lines) - wrong} of {len(lines)} cases as they should be")
 
+    def _draw(self, answers: Mapping[str, Mapping[str, Any]]) -> None:
+        """Pages of the cases that are not as they should be, or of all that are kept."""
+        results = self.folder / "results"
+        told = [id for id in sorted(answers) if (results / f"{id}.json").exists()]
+        wanted = [id for id in told if self.desk.keep or self._wrong(id, answers[id])]
+        if wanted:
+            draw([self.folder / "cases" / id for id in wanted], results, self.desk.jobs)
+
+    def _wrong(self, id: str, answer: Mapping[str, Any]) -> bool:
+        results = self.folder / "results"
+        diagnosis = _json(results / f"{id}.json")
+        return failed(judge(id, answer, diagnosis)) or (results / f"{id}{PROBLEM}").exists()
+
     def _line(
         self, id: str, answer: dict[str, Any], worths: Worths, examined: Examined | None
     ) -> dict[str, Any]:
         results = self.folder / "results"
         diagnosis = _json(results / f"{id}.json")
         problem = results / f"{id}{PROBLEM}"
-        wrong = failed(judge(id, answer, diagnosis)) or problem.exists()
+        wrong = self._wrong(id, answer)
         page = results / f"{id}.html"
         report = ""
-        if page.exists() and (wrong or self.desk.keep):
+        if page.exists():
             report = f"{REPORTS}/{id}.html"
             shutil.move(page, self.out / report)
         return {

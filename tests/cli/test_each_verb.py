@@ -138,6 +138,7 @@ def test_prove_concealed_hides_seals_and_judges(
     assert said.index(seal) < said.index("seal opened") < said.index("right name first")
     (line,) = map(json.loads, (out / "cases.jsonl").read_text().splitlines())
     assert line["failed"]  # physics was hidden, and none was named
+    assert (out / line["report"]).stat().st_size > 20_000  # so its page is drawn
     force = {name: one["rack_force_rmse_n"] for name, one in line["worth"].items()}
     assert 0 < force["oracle"] < force["baseline"]
     assert json.loads(result.read_text())["cases"] == 1
