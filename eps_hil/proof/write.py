@@ -32,14 +32,13 @@ _DECIMALS = {"time_s": 3, **{name: sensor.decimals for name, sensor in SENSORS.i
 
 def write_csv(path: Path, columns: Mapping[str, Floats], size: Size = SIZES[""]) -> None:
     """Canonical columns as the bus would have carried them: no more digits than its steps."""
-    digits = {name: size.decimals(name, _DECIMALS[name]) for name in columns}
-    texts = [
-        [f"{value:.{digits[name]}f}" for value in column.tolist()]
-        for name, column in columns.items()
-    ]
+    digits = (size.decimals(name, _DECIMALS[name]) for name in columns)
+    line = ",".join(f"%.{count}f" for count in digits) + "\n"
     with path.open("w") as file:
         file.write(",".join(columns) + "\n")
-        file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+        file.writelines(
+            line % row for row in zip(*(one.tolist() for one in columns.values()), strict=True)
+        )
 
 
 def write_case(folder: Path, case: Case) -> None:
