@@ -22,6 +22,8 @@ AROUND_S = 1.0
 """Shown before and after a worst stretch."""
 LONGEST_S = 12.0
 BINS = 40
+_AT_AN_END = 0.005
+"""Share of samples, or of what a term does, that an axis may leave out at either end."""
 MOST_ROWS = 24_000
 """Samples that all hold-outs together are drawn with."""
 MOST_HOLDOUTS = 6
@@ -111,7 +113,7 @@ def finding(
     use = evidence.sliding
     without, own = evidence.without_nm[k], evidence.without_nm[k] - evidence.after_nm
     x_label, x = acts_over(evidence.entries[k], where, evidence)
-    low, high = np.percentile(x[use], [0.5, 99.5])
+    low, high = _shown(x[use], own[use])
     edges = np.linspace(low, high, BINS + 1)
     index = np.where(use, np.digitize(x, edges) - 1, -1)
     counts = np.array([np.sum(index == i) for i in range(BINS)])
@@ -130,9 +132,18 @@ def finding(
     ratio = evidence.problem.model.rack_to_rotor_ratio_rad_per_m
     sizes = {
         "rms_n": ratio * evidence.rms_nm(own),
-        "peak_n": ratio * float(np.percentile(np.abs(own[use]), 99)),
+        "peak_n": ratio * float(np.max(np.abs(own[use]))),
     }
     return Plot(f"finding{k}", x_label, "torque, mNm", centre, lines, height=260), sizes
+
+
+def _shown(x: Floats, own: Floats) -> tuple[float, float]:
+    """Ends of an axis over ``x`` (n,): nearly all of it, and nearly all that a term does there."""
+    order = np.argsort(x)
+    sums = np.cumsum(own[order] ** 2)
+    acts = x[order][np.searchsorted(sums, [_AT_AN_END * sums[-1], (1 - _AT_AN_END) * sums[-1]])]
+    low, high = np.percentile(x, [100 * _AT_AN_END, 100 * (1 - _AT_AN_END)])
+    return float(min(low, acts[0])), float(max(high, acts[1]))
 
 
 def unknown(finding: Mapping[str, Any]) -> Plot | None:

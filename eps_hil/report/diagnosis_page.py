@@ -15,6 +15,7 @@ from eps_hil.diagnosis.balance.problem import term_of
 from eps_hil.diagnosis.changes import in_words
 from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.remainder.ceiling import left_by_trees
+from eps_hil.diagnosis.verdict.spoken import share_in_words
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.report import (
     diagnosis_evidence,
@@ -156,6 +157,7 @@ def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
             for card in cards
         ),
         "others": _others(diagnosis),
+        "share": share_in_words,
         "span": _span,
     }
 
@@ -243,11 +245,13 @@ def _located(content: Mapping[str, Any]) -> str:
         )
     parts = []
     for finding in content["findings"]:
-        region = next((one for one in finding["where"] if one["signal"] != "time_s"), None)
-        if region is not None:
-            share = region["share_of_excess"]
+        regions = [one for one in finding["where"] if one["signal"] != "time_s"]
+        regions = [one for one in regions if one["signal"] == regions[0]["signal"]]
+        if regions:
+            share = sum(one["share_of_excess"] for one in regions)
             much = f"{100 * share:.0f} % of it at " if share else ""
-            parts.append(f"{named(finding['effect'])}: {much}{_span(region)}")
+            places = " and ".join(_span(one) for one in regions)
+            parts.append(f"{named(finding['effect'])}: {much}{places}")
     return "; ".join(parts)
 
 

@@ -19,7 +19,7 @@ from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Model, load_model
 from eps_hil.report import diagnosis_page
 from eps_hil.report.diagnosis_evidence import LABELS, held_out
-from eps_hil.report.diagnosis_figures import holdouts
+from eps_hil.report.diagnosis_figures import _shown, holdouts
 from eps_hil.report.diagnosis_maps import colour
 from eps_hil.report.page import number
 from eps_hil.report.plots import numbers, thinned, ticks
@@ -305,6 +305,30 @@ def test_parts_of_one_recording_are_told_apart(
     assert (
         diagnosis_page._split(cast(Diagnosis, SimpleNamespace(problem=problem, judged=names(kept))))
         == said
+    )
+
+
+def test_an_axis_reaches_to_where_a_term_acts() -> None:
+    """A stop at the ends of the travel, where the rack hardly ever is."""
+    x = np.sin(np.linspace(0.0, 60.0, 20_000)) ** 5
+    stop = np.where(np.abs(x) > 0.9999, np.sign(x), 0.0)
+    seen = np.percentile(x, [0.5, 99.5])
+    low, high = _shown(x, stop)
+    assert low < -0.9999 < seen[0]
+    assert high > 0.9999 > seen[1]
+    assert _shown(x, np.ones(len(x))) == pytest.approx(tuple(seen), abs=1e-3)
+
+
+def test_two_ends_of_one_signal_are_told_together() -> None:
+    ends = [
+        {"signal": "rack_position_m", "from": low, "to": high, "share_of_excess": share}
+        for low, high, share in ((-0.017, -0.016, 0.33), (0.016, 0.017, 0.66))
+    ]
+    force = {"signal": "rack_force_n", "from": 1.0, "to": 2.0, "share_of_excess": 0.9}
+    content = {"findings": [{"effect": "end_stop", "where": [*ends, force]}]}
+    assert diagnosis_page._located(content) == (
+        "end stop: 99 % of it at rack position −0.017 to −0.016 m "
+        "and rack position 0.016 to 0.017 m"
     )
 
 

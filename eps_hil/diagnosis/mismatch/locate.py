@@ -15,7 +15,9 @@ from eps_hil.diagnosis.mismatch.binned import places
 Floats = npt.NDArray[np.float64]
 
 BINS = 24
-_MOST_OF_IT = 0.85
+_MOST_OF_IT, _CLEARLY = 0.85, 0.1
+_NOTHING = 0.01
+"""Share of the energy below which a side of an interval is moved in."""
 _SEGMENT_S = 0.5
 _MOST_SEGMENTS = 6
 
@@ -37,9 +39,10 @@ def coordinates(problem: Problem) -> Mapping[str, Floats]:
 
 
 def where(problem: Problem, energy: Floats, over_time: bool = True) -> list[Region]:
-    """The signals in whose intervals ``energy`` (n,) is most concentrated, best first.
+    """The two signals in whose intervals ``energy`` (n,) is most concentrated, best first.
 
-    Without ``over_time`` a recording's time is none of them: it is where a manoeuvre was.
+    Without ``over_time`` a recording's time is none of them: it is where a manoeuvre was. A signal
+    has two intervals where what happens, happens in both directions (an end stop).
     """
     total = float(np.sum(energy))
     if total <= 0.0:
@@ -48,10 +51,36 @@ def where(problem: Problem, energy: Floats, over_time: bool = True) -> list[Regi
     for name, values in coordinates(problem).items():
         if name == "time_s" and not over_time:
             continue
-        region = interval(name, values, energy / total)
-        if region is not None and region.share - region.occupancy > 0.1:
-            found.append(region)
-    return sorted(found, key=lambda one: one.occupancy - one.share)[:2]
+        one = interval(name, values, energy / total)
+        both = _both_ways(name, values, energy / total)
+        parts = [one] if one else []
+        if both and _stands_out(both) > _stands_out(parts) + _CLEARLY:
+            parts = both
+        if _stands_out(parts) > _CLEARLY:
+            found.append(parts)
+    best = sorted(found, key=_stands_out, reverse=True)[:2]
+    return [region for parts in best for region in parts]
+
+
+def _stands_out(parts: Sequence[Region]) -> float:
+    return sum(one.share - one.occupancy for one in parts)
+
+
+def _both_ways(name: str, values: Floats, share: Floats) -> list[Region]:
+    """The same interval of a signal's size in both its directions; none where one would do."""
+    size = np.abs(values)
+    band = interval(name, size, share)
+    if band is None or band.low <= np.min(size):
+        return []
+    rising = np.argsort(size)
+    rising = rising[(size[rising] >= band.low) & (size[rising] <= band.high)]
+    sums = np.cumsum(share[rising])
+    least = float(size[rising[np.searchsorted(sums, _NOTHING * sums[-1])]])
+    sides = []
+    for low, high in ((-band.high, -least), (least, band.high)):
+        inside = (low <= values) & (values <= high)
+        sides.append(Region(name, low, high, float(share[inside].sum()), float(inside.mean())))
+    return sides if min(one.share for one in sides) > _CLEARLY else []
 
 
 def interval(name: str, values: Floats, share: Floats) -> Region | None:

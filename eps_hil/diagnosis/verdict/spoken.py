@@ -35,20 +35,25 @@ def place_in_words(place: Mapping[str, Any]) -> str:
     return f"{words} {low:.4g} to {high:.4g} {unit}".rstrip()
 
 
-def share_in_words(place: Mapping[str, Any]) -> str:
+def share_in_words(place: Mapping[str, Any], where: str = "") -> str:
     """``87 % of it in 12 % of the time at rotor speed -20 to 20 rad/s``; where it is as much of the
-    time as of the excess, that it is anywhere.
+    time as of the excess, that it is anywhere. ``where``: other words for the place.
     """
     share, time = place["share_of_excess"], place.get("share_of_time")
-    where = place_in_words(place)
+    where = where or place_in_words(place)
     if not share:
         return f"at {where}"
     if time is None:
-        return f"{100 * share:.0f} % of it at {where}"
+        return f"{_percent(share)} of it at {where}"
     if share - time < _BEYOND:
-        name = _WORDS.get(str(place["signal"]), (str(place["signal"]),))[0]
-        return f"at any {name}: {100 * share:.0f} % of it in {100 * time:.0f} % of the time"
-    return f"{100 * share:.0f} % of it in {100 * time:.0f} % of the time at {where}"
+        signal = str(place["signal"]).partition("|")[0]
+        name = _WORDS.get(signal, (signal,))[0]
+        return f"at any {name}: {_percent(share)} of it in {_percent(time)} of the time"
+    return f"{_percent(share)} of it in {_percent(time)} of the time at {where}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if not 0.0 < share < 0.01 else "under 1 %"
 
 
 def most_in_words(location: Mapping[str, Any]) -> str:
@@ -61,8 +66,8 @@ def most_in_words(location: Mapping[str, Any]) -> str:
         place_in_words({"signal": signal, "from": low, "to": high})
         for signal, low, high in zip(cell["signals"], cell["from"], cell["to"], strict=True)
     ]
-    share, time = (100.0 * float(cell[one]) for one in ("share_of_excess", "share_of_time"))
-    return f"{share:.0f} % of it in {time:.0f} % of the time: {' and '.join(sides)}"
+    share, time = (_percent(float(cell[one])) for one in ("share_of_excess", "share_of_time"))
+    return f"{share} of it in {time} of the time: {' and '.join(sides)}"
 
 
 def when_in_words(

@@ -23,6 +23,8 @@ def test_a_share_is_told_beside_its_share_of_the_time() -> None:
     assert told == "87 % of it in 12 % of the time at rack force 100 to 900 N"
     told = share_in_words({**place, "share_of_time": 0.85})
     assert told == "at any rack force: 87 % of it in 85 % of the time"
+    told = share_in_words({**place, "share_of_time": 0.002}, "the stops")
+    assert told == "87 % of it in under 1 % of the time at the stops"
     assert share_in_words({**place, "share_of_excess": 0.0}) == "at rack force 100 to 900 N"
 
 
