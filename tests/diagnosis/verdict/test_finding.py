@@ -25,6 +25,7 @@ from eps_hil.physics.model import Model
 def test_a_name_is_as_sure_as_it_is_far_above_the_gate_and_above_the_next() -> None:
     assert _confidence(1e6, 30.0, []) == SUREST
     assert _confidence(30.0, 30.0, []) == pytest.approx(0.6)  # at the gate itself
+    assert _confidence(1.0, 30.0, []) == 0.0  # far below it
     assert _confidence(1e6, 30.0, [("other", 1.0)]) == pytest.approx(0.5)  # either of two
     assert _confidence(1e6, 30.0, [("one", 1.0), ("two", 1.0)]) == pytest.approx(1 / 3, abs=1e-3)
     nearer, farther = (_confidence(500.0, 30.0, [("other", part)]) for part in (0.95, 0.8))
