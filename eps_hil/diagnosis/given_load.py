@@ -85,6 +85,7 @@ from eps_hil.series import Series
 EMPIRICAL = "empirical"
 
 LEAST_SLIDING_S = 4.0
+_AS_WELL = "Hold-outs cannot tell what is found from another explanation"
 
 LEAST_JUDGED = 125
 """Sliding samples (of 8 ms) that hold-outs need to judge anything: 1 s."""
@@ -209,8 +210,16 @@ def under(load: Load | None, asked: Asked) -> Diagnosis:
         return _told(case, given)
     fault, so_found = right
     return likelier(
-        given, so_found, lambda one: _told(case, one, fault if one is so_found else None)
+        given, so_found, lambda one: _told(case, one, fault if one is so_found else None), _beside
     )
+
+
+def _beside(best: Diagnosis, other: Diagnosis) -> Diagnosis:
+    """With what else explains the recordings as well."""
+    there = [one["summary"] for one in best.content["findings"]]
+    more = [one["summary"] for one in other.content["findings"] if one["summary"] not in there]
+    sentence = f"{_AS_WELL}: {' And: '.join(more)}"
+    return replace(best, content={**best.content, "limits": [*best.content["limits"], sentence]})
 
 
 @dataclass(frozen=True)

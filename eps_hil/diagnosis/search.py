@@ -88,8 +88,15 @@ class Told(Protocol):
 AnyTold = TypeVar("AnyTold", bound=Told)
 
 
-def likelier(given: Searched, right: Searched, told: Callable[[Searched], AnyTold]) -> AnyTold:
+def likelier(
+    given: Searched,
+    right: Searched,
+    told: Callable[[Searched], AnyTold],
+    beside: Callable[[AnyTold, AnyTold], AnyTold],
+) -> AnyTold:
     """What is ``told`` with a signal put ``right``, or as ``given``: where hold-outs cost less.
+
+    Where the other costs hardly more, it is told ``beside`` the one.
 
     A law beside no fault of a channel has to leave less than the fault and the names beside it, at
     Schwarz's price for every number. A constant factor of the load is no law of its own: that is
@@ -109,7 +116,9 @@ def likelier(given: Searched, right: Searched, told: Callable[[Searched], AnyTol
     if (settled or only_noise(physics.price, given[1], given[3])) and physics.price < least:
         return physics
     channel = told(right)
-    return physics if physics.price < channel.price else channel
+    best, other = sorted((physics, channel), key=lambda one: one.price)
+    near = other.price - best.price < price_of_one(problem, judged)
+    return beside(best, other) if near else best
 
 
 def put_right(
