@@ -69,8 +69,8 @@ def residual_nm(
 
     Residual = T_1m − F/i_APA − J ω̇ − T_f − added torques; zero for the right model.
     ``rubbing_n``: the rack force (n,) that friction grows with, where |F| is known with less noise.
-    ``driving_nm``: likewise the motor torque (n,) that effects follow, for what remembers a noisy
-    signal's extremes; the torque itself stays as it was reported.
+    ``driving_nm``: likewise the motor torque (n,) that is the input of laws: a hysteresis operator
+    keeps the peaks of noise. The torque that acts is that of ``motion``.
     ``once`` is handed what the friction follows from, whether more of the motion than speed and
     rack force is part of that, and how it is worked out; it may know the result.
     """

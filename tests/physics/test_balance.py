@@ -152,7 +152,7 @@ def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
 
 
 def test_what_a_law_follows_may_be_known_with_less_noise_than_what_acts() -> None:
-    """A stop (a play's rest) of a torque without noise, beside the torque as it was reported."""
+    """A stop operator's input without noise; the torque that acts is the noisy one."""
     stop = {
         "effect": "empirical", "form": "dynamic", "where": "motor", "how": "sum",
         "inputs": ["motor_torque_nm"], "memory": ["stop"], "shapes": ["linear"],
