@@ -109,6 +109,18 @@ def test_page_is_whole_and_loads_nothing(page: str, checked: _Checked) -> None:
     assert len(page.encode()) < 2_000_000
 
 
+def test_the_figures_at_the_top_fit_in_one_row(page: str, explained: Diagnosis) -> None:
+    """Speed and angle of the free run are one of them."""
+    tiles = page.split('<div class="tile">')[1:]
+    assert len(tiles) == 4
+    freely = tiles[-1].split("</div>")[0]
+    assert "error of the speed and angle, hold-outs" in freely
+    for part in ("baseline", "augmented"):
+        run = explained.content["fit"]["holdout"][part]["free_run"]
+        for name in ("speed_rmse_rad_s", "angle_rmse_rad"):
+            assert f">{number(run[name])}<" in freely
+
+
 def test_every_plot_has_its_place_and_its_units(checked: _Checked) -> None:
     plots = _plots(checked)
     names = [plot["name"] for plot in plots]
