@@ -3,7 +3,8 @@
 What a drive's recordings may differ in is physics (friction that warms up, a stop that one meets).
 Its inertia may not. It is read off a rough linear balance of every recording apart; where it is
 clearly another in one of them, these are two rigs in one call, and names would only stand for the
-difference. A recording that hardly accelerates tells nothing.
+difference. A recording that hardly accelerates tells nothing; nor does one in which the motor's
+torque is hardly more than the assistance's own law, which a regression finds in place of a balance.
 """
 
 from collections.abc import Sequence
@@ -27,6 +28,8 @@ DEVIATIONS = 6.0
 """Of the difference of logarithms, by how blocks of a recording differ."""
 _UNEXPLAINED = 0.02
 """Of the variance: a balance that leaves more tells no number well enough to refuse anything."""
+_AGAINST = {"torque_sensor_nm": -1.0, "rack_force_n": 1.0}
+"""Sign with which the motor's torque balances each."""
 _BLOCKS, _SHORTEST = 8, 400
 _TURNS = 0.1
 
@@ -86,7 +89,8 @@ def _below(one: Prepared, low_hz: float, *, spring: bool) -> _Number | None:
     turning = np.tanh(speed / (_TURNS * size))
     columns = [np.gradient(speed, 1e-3), turning, speed, np.abs(speed) * speed]
     columns += [turning * np.exp(-np.abs(speed) / size), np.ones(len(speed))]
-    columns += [raw[name] for name in ("torque_sensor_nm", "rack_force_n") if name in raw]
+    loads = [name for name in _AGAINST if name in raw]
+    first, columns = len(columns), columns + [raw[name] for name in loads]
     if "rack_force_n" in raw:
         columns.append(np.abs(raw["rack_force_n"]) * turning)
     if spring:
@@ -102,6 +106,8 @@ def _below(one: Prepared, low_hz: float, *, spring: bool) -> _Number | None:
     ridge = 1e-9 * len(a) * np.eye(a.shape[1])
     whole = np.linalg.solve(normal.sum(axis=0) + ridge, right.sum(axis=0))
     if float(np.mean((torque - a @ whole) ** 2)) > _UNEXPLAINED * float(np.var(torque)):
+        return None
+    if any(whole[first + k] * _AGAINST[name] < 0.0 for k, name in enumerate(loads)):
         return None
     without = np.array(
         [

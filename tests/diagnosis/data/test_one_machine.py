@@ -49,3 +49,23 @@ def test_physics_that_one_of_them_has_is_left_to_the_diagnosis(
     plant = {other_rig.STRIB: 0.1, other_rig.SAT: 0.5} if missing == "much" else {}
     here = record({}, ("steps", "sweep"), seconds=20.0)
     check_channels({**here, **record(plant, ("weave", "slow"), seconds=20.0)}, reference_model)
+
+
+def test_an_assistance_that_follows_the_driver_is_no_balance() -> None:
+    """Its law, which a regression finds in place of one, has an inertia of its own: a lead."""
+    other = dict(driven(2e-4, 2))
+    speed = other["motor_speed_rad_s"]
+    acceleration = np.gradient(speed.value, 1e-3)
+    rng = np.random.default_rng(5)
+    balance = 2e-4 * acceleration + 0.05 * np.tanh(speed.value / 2.0) + 4e-4 * speed.value
+    sensor = balance / (0.03 + 0.07) + 1e-3 * rng.standard_normal(len(speed.value))
+    torque = 0.07 * sensor + 2e-5 * acceleration
+    assisted = {
+        **other,
+        "motor_torque_nm": Series(speed.t_ns, torque),
+        "torque_sensor_nm": Series(speed.t_ns, sensor),
+    }
+    plain = {**driven(2e-4, 1)}
+    still = np.zeros(len(speed.value))
+    plain["torque_sensor_nm"] = Series(speed.t_ns, still + 1e-3 * rng.standard_normal(len(still)))
+    check_one_machine([prepare("a", plain), prepare("b", assisted)])
