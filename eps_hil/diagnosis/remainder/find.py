@@ -39,6 +39,8 @@ LAW_MARGIN = 0.05
 TIME_LEAVES = 0.5
 """Most that a law of the time since a recording began may leave of what all others leave: that time
 is no state of a rig, and says nothing of a recording that begins warm."""
+LEAST_TURN_RAD = np.pi
+"""What a sine has to turn by over all that was seen: half a period."""
 _LEFT, _MORE = 0.08, 0.04
 """Excess of the hold-outs in noise variances, and as a share of what it was, below which nothing
 more is looked for; no further term is worth less than the latter."""
@@ -253,7 +255,8 @@ def _leaves_less(late: _Trial, best: _Trial, kept: Sight) -> bool:
 
 
 def _passes(trial: _Trial, kept: Sight, screening: Screening) -> bool:
-    share, (low, _) = share_removed(kept, trial.kept)
+    weight = kept.weight**2  # outliers, of a stop that was hit, are another term's
+    share, (low, _) = share_removed(kept, trial.kept, weight=weight)
     if share < LEAST_SHARE or low < LEAST_LOWER:
         return False
     return share > MOST_OF_IT or screening.most > float(np.max(screening.null))
@@ -295,7 +298,9 @@ def _shortlist(best: Sequence[Screened]) -> list[Law]:
 
 def _law(fitted: Sight, kept: Sight, law: Law, ranges: Ranges, own: Own) -> _Trial | None:
     law = refine(fitted.problem, fitted.model, law, ranges, own.columns, fitted.residual)
-    if not np.isfinite(law.size) or law.size == 0.0 or _is_a_clock(law, fitted):
+    if not np.isfinite(law.size) or law.size == 0.0:
+        return None
+    if _is_a_clock(law, fitted) or _is_no_wave(law, fitted):
         return None
     entry = rounded(law.entry(ranges))
     trial = _table(fitted, kept, entry, own)
@@ -305,6 +310,18 @@ def _law(fitted: Sight, kept: Sight, law: Law, ranges: Ranges, own: Own) -> _Tri
 def _is_a_clock(law: Law, sight: Sight) -> bool:
     slow = [one for one in law.inputs if one.memory in ("lag", "heat")]
     return any(one.numbers["memory"] > sight.longest_s for one in slow)
+
+
+def _is_no_wave(law: Law, sight: Sight) -> bool:
+    """Whether a sine turns by so little that a line and a constant say the same.
+
+    The constant would be friction's asymmetry or an offset, and is taken off again by a name.
+    """
+    return any(
+        one.numbers["order"] * float(np.ptp(sight.inputs[one.name][sight.rows])) < LEAST_TURN_RAD
+        for one in law.inputs
+        if one.shape == "sine"
+    )
 
 
 def _table(fitted: Sight, kept: Sight, entry: Entry, own: Own) -> _Trial:
@@ -326,13 +343,16 @@ def _excess(sight: Sight, residual: Floats) -> float:
 
 
 def share_removed(
-    sight: Sight, after: Floats, before: Floats | None = None
+    sight: Sight, after: Floats, before: Floats | None = None, weight: Floats | None = None
 ) -> tuple[float, tuple[float, float]]:
-    """Share of the excess that is gone (since ``before``), with a 95 % interval over blocks."""
+    """Share of the excess that is gone (since ``before``), with a 95 % interval over blocks.
+
+    ``weight`` (n,): of each sample's energy; without one, all that are used count alike.
+    """
     before = sight.residual if before is None else before
     block = sight.block
     n = int(np.max(block)) + 1
-    use = sight.use.astype(np.float64)
+    use = sight.use.astype(np.float64) if weight is None else weight
     sums = np.array(
         [
             np.bincount(block, use * one, minlength=n)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -305,6 +305,33 @@ def test_a_memory_longer_than_any_recording_is_a_clock(eddy: tuple[Problem, Prob
     sight = Sight(eddy[0], eddy[0].model)
     longer = _WARMS.with_numbers({(0, "memory"): 1.1 * sight.longest_s})
     assert [find_module._is_a_clock(one, sight) for one in (_WARMS, longer)] == [False, True]
+
+
+def test_a_sine_that_turns_by_less_than_half_a_period_is_a_line(
+    eddy: tuple[Problem, Problem],
+) -> None:
+    sight = Sight(eddy[0], eddy[0].model)
+    half = np.pi / float(np.ptp(sight.inputs["motor_angle_rad"][sight.rows]))
+    orders = [share * half for share in (0.1, 0.9, 1.1)]
+    laws = [_BESIDE.with_numbers({(0, "order"): order}) for order in orders]
+    assert [find_module._is_no_wave(one, sight) for one in laws] == [True, True, False]
+    assert not find_module._is_no_wave(_WARMS, sight)
+
+
+@pytest.mark.parametrize(("gone", "passes"), [(0.8, True), (0.0, False)])
+def test_what_a_stop_leaves_in_a_few_samples_hides_no_law(
+    gone: float, passes: bool, eddy: tuple[Problem, Problem]
+) -> None:
+    """A hit of a hundred times everything else is for another term to explain."""
+    kept = Sight(eddy[1], eddy[1].model)
+    others = np.sqrt(1.0 + (1.0 - gone) * (kept.residual**2 - 1.0).clip(0.0))
+    hit = kept.use & (np.cumsum(kept.use) <= 20)
+    size = np.sqrt(100.0 * np.sum(kept.residual[kept.use] ** 2) / np.sum(hit))
+    kept.residual, after = (np.where(hit, size, one) for one in (kept.residual, others))
+    trial = find_module._Trial(find_module.Term({}, None), after, after, gone, kept.model)
+    far_above_chance: Any = SimpleNamespace(most=2.0, null=[1.0])
+    assert find_module._passes(trial, kept, far_above_chance) is passes
+    assert share_removed(kept, after)[0] < find_module.LEAST_SHARE
 
 
 @pytest.mark.parametrize(
