@@ -203,7 +203,7 @@ def outweighing(
         good = [
             k
             for k in named
-            if told.gains[term_of(found.entries[k])] >= _unexplained(problem, found, k)
+            if told.gains[term_of(found.entries[k])] >= unexplained(problem, found, k)
             and not _law_instead(problem, told, [k], kept)
         ]
         if len(good) == len(named):
@@ -214,7 +214,7 @@ def outweighing(
     return []
 
 
-def _unexplained(problem: Problem, found: Fit, place: int | None = None) -> float:
+def unexplained(problem: Problem, found: Fit, place: int | None = None) -> float:
     """The gain that a name beside laws needs: twice what both leave unexplained where it acts.
 
     ``place``: of the name, everywhere without one. What a law leaves while the drive is off says
@@ -272,7 +272,7 @@ def _law_instead(problem: Problem, told: Selection, places: Sequence[int], kept:
     by_law, by_name, both = gain(law), gain(name), gain(np.hstack([law, name]))
     better = _BETTER if len(places) == 1 else 1.0 / _BETTER
     shown = len(rows) / max(int(np.sum(problem.sliding)), 1)
-    along = _ALONG * shown * max(_unexplained(problem, found), 0.0) / BESIDE_UNKNOWN
+    along = _ALONG * shown * max(unexplained(problem, found), 0.0) / BESIDE_UNKNOWN
     return by_law > better * by_name + along and both - by_law < _UNNEEDED * by_name
 
 
@@ -312,7 +312,7 @@ def beside_laws(
     alone = without_laws(problem, found)
     # a name is as sure as its gain is above what the law's own faults could be
     floor = threshold(again, found.residual, FINAL_SHARE)
-    least = {term_of(found.entries[k]): max(floor, _unexplained(again, found, k)) for k in named}
+    least = {term_of(found.entries[k]): max(floor, unexplained(again, found, k)) for k in named}
     shown = replace(told, null=before.null, part=before.part, found=alone, least=least)
     start = augmented_by(problem, alone, named)
     share, ends = share_removed(Sight(kept, start), kept.residual(model))

@@ -5,7 +5,8 @@ is found only with such numbers free. What such a model leaves may be an effect:
 search before, as nothing shows beside a law that is not there yet. And its last term may be one: a
 law of the same form was as good as the name. So names are searched for once more beside all terms.
 Then each law in turn is taken out, and the effects are asked beside the others, their numbers free;
-one that takes as much off hold-outs stands in its place.
+one that takes as much off hold-outs stands in its place, if it gains more than what stays
+unexplained where it acts.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,6 +19,7 @@ from eps_hil.diagnosis.accept.beside_law import (
     beside_laws,
     names_beside,
     outweighing,
+    unexplained,
 )
 from eps_hil.diagnosis.accept.holdout_support import augmented_by
 from eps_hil.diagnosis.accept.measured_ratio import no_name
@@ -37,7 +39,7 @@ from eps_hil.diagnosis.balance.fit import Fit, fit, matters
 from eps_hil.diagnosis.balance.probes import Candidate, candidates
 from eps_hil.diagnosis.balance.problem import Problem, term_of
 from eps_hil.diagnosis.mismatch.curve import with_curve
-from eps_hil.diagnosis.mismatch.leftover import leftover
+from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN, leftover
 from eps_hil.diagnosis.remainder.find import MOST_OF_IT, Remainder, share_removed
 from eps_hil.diagnosis.remainder.sight import Sight
 from eps_hil.physics.effects.catalogue import catalogue
@@ -87,7 +89,10 @@ def named_terms(
         )  # fmt: skip
         rivals_of(one.weighed, told)
         places = list(range(len(one.found.entries)))
-        least = threshold(one.weighed, one.found.residual, FINAL_SHARE)
+        least = max(
+            threshold(one.weighed, one.found.residual, FINAL_SHARE),
+            unexplained(one.weighed, one.found, places[-1]) / BESIDE_UNKNOWN,
+        )
         new = told.gains.get(term_of(one.found.entries[-1]), 0.0)
         if new < least or standing(one.weighed, told, places, judged) != places:
             break

@@ -77,6 +77,21 @@ def test_a_spring_beside_a_law_of_a_brake(
 
 
 @pytest.mark.slow
+def test_a_name_that_gains_less_than_what_stays_unexplained_takes_no_place_of_a_law(
+    fitted_and_kept: Callable[..., Any],
+    reference_model: Model,
+    other_rig: ModuleType,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem, judged = fitted_and_kept(
+        {other_rig.EDDY: BRAKE_NM, other_rig.EDDY_W: BRAKE_RAD_S, other_rig.SPRING: SPRING}
+    )
+    selection, remainder = _with(problem, reference_model, (BRAKE, PULL))
+    monkeypatch.setattr(module, "unexplained", lambda *_: np.inf)
+    assert named_terms(problem, selection, [], remainder, judged, measured=True) is None
+
+
+@pytest.mark.slow
 def test_a_delay_that_a_fit_beside_a_law_took_along_has_its_name(
     fitted_and_kept: Callable[..., Any], reference_model: Model, other_rig: ModuleType
 ) -> None:
