@@ -5,6 +5,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -422,3 +423,20 @@ def test_whole_turns_of_a_phase_say_nothing(reference_model: Model) -> None:
         assert same["phase_rad"] == pytest.approx(one["phase_rad"], abs=1e-12)
     with pytest.raises(ValueError, match="phase_rad is inf"):
         values_of({**entry, "phase_rad": math.inf}, reference_model)
+
+
+def test_effects_are_worked_into_each_model_by_itself(reference_model: Model) -> None:
+    """Many threads, many models at once: each gets its own, and again what it got before."""
+    models = [
+        dataclasses.replace(
+            reference_model, effects=({"effect": "coulomb_level", "scale": 1.0 + 0.01 * k},)
+        )
+        for k in range(40)
+    ]
+    level = reference_model.friction.offset_pos_nm
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(5):
+            for k, one in enumerate(pool.map(with_model_effects, models)):
+                assert one.effects == ()
+                assert one.friction.offset_pos_nm == pytest.approx(level * (1.0 + 0.01 * k))
+                assert with_model_effects(one) == one

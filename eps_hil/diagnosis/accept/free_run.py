@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.data.prepare import STEP_S
+from eps_hil.diagnosis.data.prepare import STEP_S, Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.physics.balance import Motion as Measured
 from eps_hil.physics.effects.catalogue import with_model_effects
@@ -118,28 +118,34 @@ def disagreement(
 
 def free_run_noise(holdouts: "Sequence[Holdout]", model: Model) -> dict[str, float]:
     """What the noise of the driving torques and force makes of either error (rms over draws)."""
-    rng = np.random.default_rng(_SEED)
     motions = [one.prepared.motion(with_model_effects(model)) for one in holdouts]
-    quiet = [_whole(motion, model) for motion in motions]
+    quiet = each(lambda motion: _whole(motion, model), motions)
 
-    found: list[list[float]] = []
-    for _ in range(_DRAWS):
-        pairs = []
-        for one, motion, here in zip(holdouts, motions, quiet, strict=True):
-            ready = one.prepared
-            wide = np.sqrt(ready.interval_s / STEP_S)  # as dense a spectrum as its own samples have
-            moved = motion._replace(
-                **{
-                    k: getattr(motion, k)
-                    + wide * ready.noise.get(k, 0.0) * rng.standard_normal(len(motion.time_s))
-                    for k in _DRIVEN
-                }
-            )
-            there = _whole(moved, model)
-            pairs.append((there.speed_rad_s - here.speed_rad_s, there.angle_rad - here.angle_rad))
-        found.append([_rms(np.concatenate([p[k] for p in pairs])) or np.inf for k in (0, 1)])
-    rms = np.sqrt(np.mean(np.square(found), axis=0)).tolist()
-    return {name: value for (name, _, _), value in zip(_FIGURES, rms, strict=True)}
+    def energies(drawn: tuple[int, int]) -> tuple[float, float]:
+        """Of both errors: one draw for one hold-out, whose motion is not kept."""
+        _, k = drawn
+        rng = np.random.default_rng([_SEED, *drawn])
+        there, here = _whole(_noisy(holdouts[k].prepared, motions[k], rng), model), quiet[k]
+        speed, angle = there.speed_rad_s - here.speed_rad_s, there.angle_rad - here.angle_rad
+        return float(speed @ speed), float(angle @ angle)
+
+    draws = [(draw, k) for draw in range(_DRAWS) for k in range(len(holdouts))]
+    samples = _DRAWS * sum(len(one.time_s) for one in motions)
+    rms = np.sqrt(np.sum(each(energies, draws), axis=0) / samples)
+    values = np.where(np.isfinite(rms), rms, np.inf).tolist()
+    return {name: value for (name, _, _), value in zip(_FIGURES, values, strict=True)}
+
+
+def _noisy(ready: Prepared, motion: Measured, rng: np.random.Generator) -> Measured:
+    """A motion with as much noise again on what drives it."""
+    wide = np.sqrt(ready.interval_s / STEP_S)  # as dense a spectrum as its own samples have
+    return motion._replace(
+        **{
+            k: getattr(motion, k)
+            + wide * ready.noise.get(k, 0.0) * rng.standard_normal(len(motion.time_s))
+            for k in _DRIVEN
+        }
+    )
 
 
 def _lasting_nm(holdouts: "Sequence[Holdout]", common: Model, model: Model) -> float:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
 from eps_hil.errors import InputError
 from eps_hil.identification.butterworth import low_pass
@@ -26,7 +27,7 @@ UNEXPLAINED, EXPLAINED, BETTER = 0.1, 0.05, 0.2
 by the latter at most."""
 ELSEWHERE = 0.5
 """Of what is left as recorded: more of either half, by the other half's fit, and it is chance."""
-_SHORTEST = 200
+_SHORTEST, _SAME = 200, 1e-9
 _TURNS = 0.1
 """Of the usual speed, below which friction turns over."""
 _LOADS = ("motor_torque_nm", "torque_sensor_nm", "rack_force_n")
@@ -96,16 +97,46 @@ def _moved(
     recorded = left(0, 0)
     if recorded < UNEXPLAINED:
         return None
+    shifts = range(-most, most + 1)
     tries = [
-        (left(k, by), k, by)
+        (one, k, by)
         for k in range(len(names))
-        for by in range(-most, most + 1)
+        for by, one in zip(shifts, _left_of_all(channels, k, fixed, inside), strict=True)
         if abs(by) * step_s >= NEAREST_S
     ]
     best, k, by = min(tries)
     if best >= min(EXPLAINED, BETTER * recorded) or abs(by) == most:
         return None
     return (names[k], by * step_s) if left_elsewhere(k, by) < ELSEWHERE * recorded else None
+
+
+def _left_of_all(channels: Sequence[Floats], k: int, fixed: Floats, inside: slice) -> list[float]:
+    """:func:`_left` for channel ``k`` at every shift, the earliest first: all at once."""
+    moved = sliding_window_view(channels[k], len(fixed))
+    others = [one[inside] for i, one in enumerate(channels) if i not in (0, k)]
+    basis = _basis(np.column_stack([fixed, *others]))
+
+    def own(rows: Floats) -> Floats:
+        return rows - (rows @ basis) @ basis.T
+
+    target = moved if k == 0 else channels[0][None, inside]
+    rest = own(target)
+    left = np.sum(rest**2, axis=1)
+    if k > 0:
+        column = own(moved)
+        size, there = np.sum(column**2, axis=1), np.sum(moved**2, axis=1)
+        along = (column @ rest[0]) ** 2 / np.maximum(size, 1e-300)
+        left = left - np.where(size > _SAME**2 * there, along, 0.0)
+    variance = np.var(target, axis=1)
+    shares = np.where(variance > 0.0, left / len(fixed) / np.maximum(variance, 1e-300), 0.0)
+    return np.broadcast_to(shares, len(moved)).tolist()
+
+
+def _basis(columns: Floats) -> Floats:
+    """An orthonormal basis (n, k) of what columns (n, p) span."""
+    size = np.sqrt(np.sum(columns**2, axis=0)) + 1e-300
+    u, strength, _ = np.linalg.svd(columns / size, full_matrices=False)
+    return np.asarray(u[:, strength > _SAME * strength[0]])
 
 
 def _left(target: Floats, columns: Floats, fitted: slice, judged: slice) -> float:

@@ -3,6 +3,7 @@
 import importlib
 import math
 import pkgutil
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 from difflib import get_close_matches
@@ -90,6 +91,10 @@ def _curve(name: str, value: Any) -> tuple[tuple[float, float], ...]:
     return knots
 
 
+_worked_in: deque[tuple[Model, Model]] = deque(maxlen=8)
+"""The last models, which do not change, and what became of them: a fit asks many times for one."""
+
+
 def with_model_effects(model: Model) -> Model:
     """The model with those effects worked in, and taken off its list, that change its numbers.
 
@@ -97,6 +102,15 @@ def with_model_effects(model: Model) -> Model:
     """
     if not model.effects:
         return model
+    for known, found in tuple(_worked_in):  # other threads may add to it at any time
+        if known is model or found is model:
+            return found
+    found = _with_model_effects(model)
+    _worked_in.append((model, found))
+    return found
+
+
+def _with_model_effects(model: Model) -> Model:
     left: list[Mapping[str, Any]] = []
     worked_in = False
     for entry in model.effects:

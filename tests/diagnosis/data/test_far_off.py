@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.diagnosis.data import far_off
 from eps_hil.diagnosis.data.channels import channels_in_doubt, check_channels
 from eps_hil.diagnosis.data.intake import RecordingError
 from eps_hil.physics.model import Model
@@ -96,3 +97,30 @@ def test_a_short_slow_recording_is_not_explained_by_a_shift(
     made = other_rig.record(other_rig.Effects(plant), "slow", seed, 1.0, 20.0)
     t_ns = np.round(made.pop("time_s") * 1e9).astype(np.int64)
     check_channels({"r": {name: Series(t_ns, one) for name, one in made.items()}}, reference_model)
+
+
+@pytest.mark.parametrize("k", [0, 1, 2])
+def test_all_shifts_at_once_leave_what_a_fit_of_each_leaves(k: int) -> None:
+    rng = np.random.default_rng(3)
+    n, most = 460, 100
+    channels = [np.cumsum(rng.standard_normal(n)) for _ in range(3)]
+    channels[0] += 2.0 * np.roll(channels[2], 7)
+    inside = slice(most, n - most)
+    fixed = np.column_stack([np.ones(n - 2 * most), rng.standard_normal(n - 2 * most)])
+    told = far_off._left_of_all(channels, k, fixed, inside)
+    assert len(told) == 2 * most + 1
+    for by in range(-most, most + 1, 20):
+        moved = [one[inside] for one in channels]
+        moved[k] = channels[k][most + by : n - most + by]
+        columns = np.column_stack([fixed, *moved[1:]])
+        rest = moved[0] - columns @ np.linalg.lstsq(columns, moved[0], rcond=None)[0]
+        assert told[most + by] == pytest.approx(np.mean(rest**2) / np.var(moved[0]), rel=1e-9)
+
+
+def test_a_channel_that_others_hold_already_takes_nothing_off() -> None:
+    rng = np.random.default_rng(4)
+    n, most = 460, 100
+    still, target = np.ones(n), rng.standard_normal(n)
+    fixed = np.column_stack([np.ones(n - 2 * most)])
+    told = far_off._left_of_all([target, still], 1, fixed, slice(most, n - most))
+    assert told == pytest.approx([1.0] * (2 * most + 1))
