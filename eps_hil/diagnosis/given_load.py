@@ -179,6 +179,11 @@ def under(load: Load | None, asked: Asked) -> Diagnosis:
 
     Of a channel that is wrong and physics that is left out, what hold-outs are better off with.
     """
+    return begun(load, asked).told()
+
+
+def begun(load: Load | None, asked: Asked) -> "Begun":
+    """The same as far as the ordinary search for names, which is a small part of it."""
     bare = asked
 
     def again(more: Collection[str]) -> Diagnosis:
@@ -194,24 +199,46 @@ def under(load: Load | None, asked: Asked) -> Diagnosis:
     untold = of_motor_torque(problem) if is_still(look.fitted) else []
     if untold:
         asked = replace(asked, without={*asked.without, *untold, EMPIRICAL})
-    without = asked.without
     judged = kept_holdouts(look, kept)
     if sum(int(np.sum(one.judging(look.model))) for one in judged) < LEAST_JUDGED:
         raise RecordingError(
             look.kept[-1].name, "kept from the fit to judge it, but slides for less than 1 s"
         )
-    look, problem, selection = searched(look, problem, load_knobs(load), judged, say, without)
-    measured = set.intersection(*(set(series) for _, series in asked.fitted))
-    case = _Case(load, asked, again, untold)
-    given = look, problem, selection, judged
-    wrong = channel_fault(selection.part, selection, measured, without)
-    right = wrong and put_right(wrong, given, load_knobs(load), say, without, kept)
-    if not right:
-        return _told(case, given)
-    fault, so_found = right
-    return likelier(
-        given, so_found, lambda one: _told(case, one, fault if one is so_found else None), _beside
-    )
+    look, problem, selection = searched(look, problem, load_knobs(load), judged, say, asked.without)
+    return Begun(_Case(load, asked, again, untold), (look, problem, selection, judged), kept)
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A diagnosis whose search is done, and whose remainder is not modelled yet."""
+
+    case: "_Case"
+    given: Searched
+    kept: Mapping[str, Mapping[str, Series]]
+
+    @property
+    def names(self) -> set[str]:
+        """What the search found."""
+        return {str(one["effect"]) for one in self.given[2].found.entries}
+
+    def told(self) -> Diagnosis:
+        """All of it."""
+        case, given = self.case, self.given
+        load, asked, selection = case.load, case.asked, given[2]
+        measured = set.intersection(*(set(series) for _, series in asked.fitted))
+        wrong = channel_fault(selection.part, selection, measured, asked.without)
+        right = wrong and put_right(
+            wrong, given, load_knobs(load), asked.say, asked.without, self.kept
+        )
+        if not right:
+            return _told(case, given)
+        fault, so_found = right
+        return likelier(
+            given,
+            so_found,
+            lambda one: _told(case, one, fault if one is so_found else None),
+            _beside,
+        )
 
 
 def _beside(best: Diagnosis, other: Diagnosis) -> Diagnosis:

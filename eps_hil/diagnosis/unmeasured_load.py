@@ -11,6 +11,7 @@ from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, threshold
 from eps_hil.diagnosis.balance.fit import matters
 from eps_hil.diagnosis.balance.load import (
     FREE,
+    LIKE_LOAD,
     LOAD_NUMBERS,
     NAMED,
     Load,
@@ -20,7 +21,7 @@ from eps_hil.diagnosis.balance.load import (
     wrong_in_friction,
 )
 from eps_hil.diagnosis.data.prepare import Prepared
-from eps_hil.diagnosis.given_load import Asked, Diagnosis, under
+from eps_hil.diagnosis.given_load import Asked, Diagnosis, begun, under
 from eps_hil.diagnosis.verdict.content import without_nan
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
@@ -67,12 +68,16 @@ def _under_load(load: Load, asked: Asked) -> Diagnosis:
 
     Numbers that stand for a load hold whatever follows the motion as it does. Where there may be
     no load, and names cost less of the hold-outs (``standing.py``), it is the rig's own: a load
-    that is written has three numbers, and one that is not leaves what they held.
+    that is written has three numbers, and one that is not leaves what they held. Where the search
+    finds no name that a load hides, there is nothing to weigh.
     """
     told = _under_likely_load(load, asked)
     if load.form == "arbitrary" or not may_be_free(load, asked.every, asked.model):
         return told
-    named = under(NAMED, asked)
+    search = begun(NAMED, asked)
+    if search.names.isdisjoint(LIKE_LOAD):
+        return told
+    named = search.told()
     if not named.content["findings"]:
         return told
     written = told.beside_load is not None and told.beside_load != told.model
