@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.baseline import ALL, SPRING
-from eps_hil.diagnosis.balance.fit import own_column
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.far_off import ELSEWHERE, FARTHEST_S, NEAREST_S
 from eps_hil.diagnosis.data.intake import RecordingError
@@ -37,7 +36,8 @@ ALIKE = 3.0
 """Nats that do not tell one lag from another."""
 ABOUT = 6
 """Lags from one to another that are the same shift."""
-_GAIN = 0.01
+_GAIN, _STEP = 0.01, 0.05
+"""Of a channel, and of a usual error of a number: small changes, for a difference."""
 _FEWEST = 200
 _ROUNDS = 4
 
@@ -78,8 +78,7 @@ def late_channel(one: Prepared, model: Model) -> tuple[str, float] | None:
     weight = 1.0 / _averaged(problem.scale)
     parts = [_averaged(_part(problem, model, name, recorded)) for name in names]
     inside = slice(far, len(residual) - far)
-    own = np.column_stack([own_column(problem, name) for name in (*ALL, SPRING)])
-    own = own * problem.scale[:, None]
+    own = np.column_stack([_moves(problem, name, recorded) for name in (*ALL, SPRING)])
     columns = np.column_stack([_averaged(one) for one in own.T]) * weight[:, None]
     refit = _Refit(columns[inside])
 
@@ -144,6 +143,12 @@ def _part(problem: Problem, model: Model, name: str, recorded: Floats) -> Floats
     (one,) = problem.recordings
     more = one.changed(raw={**one.raw, name: (1.0 + _GAIN) * one.raw[name]})
     return np.asarray((more.left_over(model) - recorded) / _GAIN)
+
+
+def _moves(problem: Problem, name: str, recorded: Floats) -> Floats:
+    """What a usual error of a number of the model's own does to the residual, Nm, (n,)."""
+    model = problem.with_entries([], {name: _STEP})
+    return np.asarray((problem.left(problem.recordings[0], model) - recorded) / _STEP)
 
 
 def _averaged(values: Floats) -> Floats:

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.series import Series
 
 Signals = Mapping[str, Series]
@@ -26,10 +27,11 @@ keep to both."""
 
 def own_samples(recordings: Mapping[str, Signals]) -> dict[str, Signals]:
     """Recordings with every signal at its own rate."""
-    return {
-        recording: {name: own_sampled(one) for name, one in series.items()}
-        for recording, series in recordings.items()
-    }
+
+    def own(series: Signals) -> Signals:
+        return {name: own_sampled(one) for name, one in series.items()}
+
+    return dict(zip(recordings, each(own, recordings.values()), strict=True))
 
 
 def own_sampled(one: Series) -> Series:

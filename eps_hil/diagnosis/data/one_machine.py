@@ -7,13 +7,14 @@ difference. A recording that hardly accelerates tells nothing; nor does one in w
 torque is hardly more than the assistance's own law, which a regression finds in place of a balance.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.data.intake import RecordingError
+from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.identification.butterworth import low_pass
 from eps_hil.identification.prepare import Prepared
 
@@ -45,8 +46,7 @@ class _Number:
 def check_one_machine(recordings: Sequence[Prepared]) -> None:
     """:class:`RecordingError` for a recording that is of another machine than one before it."""
     told: list[tuple[str, _Number]] = []
-    for one in recordings:
-        here = _inertia(one)
+    for one, here in zip(recordings, each(_inertia, recordings), strict=True):
         if here is None:
             continue
         for other, there in told:
@@ -66,7 +66,8 @@ def _inertia(one: Prepared) -> _Number | None:
     What differs between two bands, or beside a spring, is no inertia but what the balance lacks,
     or a motor that holds a place: its torque follows the motion, whatever it moves.
     """
-    told = [_below(one, low_hz, spring=spring) for low_hz, spring in WAYS]
+    rows = {low_hz: _rows(one, low_hz) for low_hz in {low_hz for low_hz, _ in WAYS}}
+    told = [_below(rows[low_hz], spring=spring) for low_hz, spring in WAYS]
     first = told[0]
     if first is None:
         return None
@@ -78,7 +79,19 @@ def _inertia(one: Prepared) -> _Number | None:
     return _Number(first.value, deviation)
 
 
-def _below(one: Prepared, low_hz: float, *, spring: bool) -> _Number | None:
+@dataclass(frozen=True)
+class _Rows:
+    """Torque (m,), what it depends on (m, p), and of which columns the sign is known.
+
+    The acceleration is the first column, the place of a spring the last.
+    """
+
+    torque: Floats
+    columns: Floats
+    signs: Mapping[int, float]
+
+
+def _rows(one: Prepared, low_hz: float) -> _Rows | None:
     raw = {name: np.where(np.isfinite(v), v, 0.0) for name, v in one.raw.items()}
     speed = raw.get("motor_speed_rad_s")
     if speed is None:
@@ -93,13 +106,19 @@ def _below(one: Prepared, low_hz: float, *, spring: bool) -> _Number | None:
     first, columns = len(columns), columns + [raw[name] for name in loads]
     if "rack_force_n" in raw:
         columns.append(np.abs(raw["rack_force_n"]) * turning)
-    if spring:
-        columns.append(np.cumsum(speed) * 1e-3)
-    a = np.column_stack([low_pass(c, low_hz)[::EVERY] for c in columns])
+    columns.append(np.cumsum(speed) * 1e-3)
     torque = low_pass(raw["motor_torque_nm"], low_hz)[::EVERY]
-    if len(a) < _SHORTEST or not np.ptp(torque) > 0.0:
+    if len(torque) < _SHORTEST or not np.ptp(torque) > 0.0:
         return None
-    a /= (scale := np.sqrt(np.mean(a**2, axis=0)) + 1e-300)
+    slow = np.column_stack([low_pass(c, low_hz)[::EVERY] for c in columns])
+    return _Rows(torque, slow, {first + k: _AGAINST[name] for k, name in enumerate(loads)})
+
+
+def _below(rows: _Rows | None, *, spring: bool) -> _Number | None:
+    if rows is None:
+        return None
+    torque, a = rows.torque, rows.columns if spring else rows.columns[:, :-1]
+    a = a / (scale := np.sqrt(np.mean(a**2, axis=0)) + 1e-300)
     parts = np.array_split(np.arange(len(a)), _BLOCKS)
     normal = np.array([a[p].T @ a[p] for p in parts])
     right = np.array([a[p].T @ torque[p] for p in parts])
@@ -107,7 +126,7 @@ def _below(one: Prepared, low_hz: float, *, spring: bool) -> _Number | None:
     whole = np.linalg.solve(normal.sum(axis=0) + ridge, right.sum(axis=0))
     if float(np.mean((torque - a @ whole) ** 2)) > _UNEXPLAINED * float(np.var(torque)):
         return None
-    if any(whole[first + k] * _AGAINST[name] < 0.0 for k, name in enumerate(loads)):
+    if any(whole[k] * sign < 0.0 for k, sign in rows.signs.items()):
         return None
     without = np.array(
         [

@@ -173,8 +173,11 @@ def look_at(
     """
     start = min((int(one.t_ns[0]) for one in series.values() if len(one.t_ns) > 1), default=0)
     speed = _speed(series, rad_per_m / angle, 1.0 / angle)
+    used = {signal: one for signal, one in series.items() if len(one.t_ns) > 10}
+    clocks = {id(one.t_ns): one.t_ns for one in used.values()}  # columns of a table share one
+    timing = {key: _timing(t_ns, start) for key, t_ns in clocks.items()}
     channels = [
-        _channel(signal, one, start, speed) for signal, one in series.items() if len(one.t_ns) > 10
+        _channel(signal, one, timing[id(one.t_ns)], start, speed) for signal, one in used.items()
     ]
     return Quality(name, tuple(channels), start)
 
@@ -202,31 +205,48 @@ def _speed(series: Mapping[str, Series], of_rack: float, of_rotor: float) -> Map
     return found
 
 
-def _channel(signal: str, one: Series, start: int, speeds: Mapping[str, Series]) -> Channel:
-    seconds = (one.t_ns - start) * 1e-9
+@dataclass(frozen=True)
+class _Timing:
+    """What a signal's stamps say, its values aside: as :class:`Channel` has it."""
+
+    seconds: Floats
+    usual_s: float
+    jitter_s: float
+    lost_frames: int
+    uneven: bool
+
+
+def _timing(t_ns: npt.NDArray[np.int64], start: int) -> _Timing:
+    seconds = (t_ns - start) * 1e-9
     steps = np.diff(seconds)
     usual = float(np.median(steps))
-    good = np.isfinite(one.value)
-    value = one.value[good]
-    at = seconds[good]
     regular = steps[steps < LOST * usual]
     jitter = float(np.std(regular)) if len(regular) else 0.0
+    lost, uneven = _surely_lost(seconds, _beat(steps, usual), jitter) if usual > 0 else (0, False)
+    return _Timing(seconds, usual, jitter, lost, uneven)
+
+
+def _channel(
+    signal: str, one: Series, timing: _Timing, start: int, speeds: Mapping[str, Series]
+) -> Channel:
+    good = np.isfinite(one.value)
+    value = one.value[good]
+    at = timing.seconds[good]
     runs = _equal_runs(value)
     quantum = _quantum(value)
-    lost, uneven = _surely_lost(seconds, _beat(steps, usual), jitter) if usual > 0 else (0, False)
     return Channel(
         signal=signal,
-        rate_hz=1.0 / usual if usual > 0 else 0.0,
-        jitter_s=jitter,
-        lost_frames=lost,
-        frames=len(steps) + 1,
-        gaps=_gaps(seconds, good),
+        rate_hz=1.0 / timing.usual_s if timing.usual_s > 0 else 0.0,
+        jitter_s=timing.jitter_s,
+        lost_frames=timing.lost_frames,
+        frames=len(timing.seconds),
+        gaps=_gaps(timing.seconds, good),
         clipped=_clipped(value, at, runs, quantum),
         stuck=_stuck(signal, value, at, runs, speeds, start),
         quantum=quantum,
         noise=noise_of(value) if len(value) > 10 else 0.0,
         bad_samples=int(np.sum(~good)),
-        uneven=uneven,
+        uneven=timing.uneven,
     )
 
 

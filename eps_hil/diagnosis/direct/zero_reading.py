@@ -7,6 +7,7 @@ reading goes into the model before the balance is looked at, and none takes its 
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from eps_hil.diagnosis.balance.fit import Fit
 from eps_hil.diagnosis.balance.problem import Problem, clipped, knee
 from eps_hil.diagnosis.data.entry import around, known
 from eps_hil.diagnosis.data.prepare import STEP_S, Floats, Prepared
+from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.identification.zero_torque import WINDOW_S, readings
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
@@ -162,7 +164,7 @@ def zero_readings(
     for signal, effect in SENSORS.items():
         if effect in without or not all(signal in one.raw for one in recordings):
             continue
-        values = [np.array(windows_nm(one, signal, model)) for one in recordings]
+        values = each(partial(_windows_nm, signal=signal, model=model), recordings)
         white = float(np.mean([one.noise[signal] for one in recordings]))
         most = _unit_nm(signal, recordings[0]) * _MOST_NM[signal]
         reading = _together(signal, values, _of_a_window(white), most)
@@ -238,6 +240,10 @@ def windows_nm(one: Prepared, signal: str, model: Model) -> list[float]:
         1.0 / (model.sensor_to_rotor * angle) if of_wheel else None,
     )
     return [unit * value for value in read]
+
+
+def _windows_nm(one: Prepared, signal: str, model: Model) -> Floats:
+    return np.array(windows_nm(one, signal, model))
 
 
 def _unit_nm(signal: str, one: Prepared) -> float:
