@@ -60,7 +60,7 @@ def test_a_name_is_weighed_against_what_is_left_where_it_acts(problem: Problem) 
     beside = Problem(problem.recordings, replace(problem.model, effects=(late, stribeck)))
     warm = {"effect": "friction_warmup", "time_s": 1.0, "amplitude": 0.2}
     found = fit(beside, [warm], 0)
-    everywhere, there = module._unexplained(beside, found), module._unexplained(beside, found, 0)
+    everywhere, there = module.unexplained(beside, found), module.unexplained(beside, found, 0)
     assert everywhere > 1e4
     assert there < 0.2 * everywhere
 
