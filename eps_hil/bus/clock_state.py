@@ -10,7 +10,8 @@ from eps_hil.bus.message_decoder import MessageDecoder
 from eps_hil.bus.sample_clock import SLOPE_BLOCKS
 
 Ints = npt.NDArray[np.int64]
-_MOST_SEEN = 16
+MOST_SEEN = 16
+"""Frames of a message that ``Seen`` remembers at most."""
 _PLAIN = (
     "counter", "cycle", "stamp", "late_total", "late_run", "late_last", "in_time", "in_a_row",
     "again", "again_run", "again_stamp", "again_still",
@@ -29,15 +30,15 @@ class ClockState:
         self._modulo = np.array([p.check.modulo if p.check else 0 for p in plans], np.int64)
         seen = [plan.seen for plan in plans]
         self._ring = instants.Ring(
-            np.full((n, _MOST_SEEN), -1, np.int64),
-            np.zeros((n, _MOST_SEEN), np.int64),
-            np.zeros((n, _MOST_SEEN), np.int64),
+            np.full((n, MOST_SEEN), -1, np.int64),
+            np.zeros((n, MOST_SEEN), np.int64),
+            np.zeros((n, MOST_SEEN), np.int64),
             np.array([0 if one is None else one.size for one in seen], np.int64),
             np.array([0 if one is None else one.recent_ns for one in seen], np.int64),
         )
-        self._ring.row[:] = np.arange(n * _MOST_SEEN).reshape(n, _MOST_SEEN)
+        self._ring.row[:] = np.arange(n * MOST_SEEN).reshape(n, MOST_SEEN)
         self._width = np.array([plan.length for plan in plans], np.int64)
-        self._payloads = np.zeros((n * _MOST_SEEN, self.widest), np.uint8)
+        self._payloads = np.zeros((n * MOST_SEEN, self.widest), np.uint8)
         self._line = np.zeros(1, instants.LINE)
         self._lows = np.zeros((SLOPE_BLOCKS, 2), np.int64)
 
@@ -68,7 +69,7 @@ class ClockState:
         if self._clock is None:
             instants.by_stamp(rows, self._lanes, self._ring, self._modulo, data, number, width)
             return restarted
-        self._load()
+        self.load()
         k = 0
         while k < len(rows.stamp):
             k = instants.by_counter(
@@ -78,17 +79,17 @@ class ClockState:
                 break
             restarted[k] = self._judged(rows, k)
             k += 1
-        self._store()
+        self.store()
         return restarted
 
     def _judged(self, rows: instants.Rows, k: int) -> bool:
         """Row ``k`` by the clock itself; whether it was found anew."""
         clock = self._clock
         assert clock is not None
-        self._store()
+        self.store()
         plan = self._plans[rows.lane[k]]
         at = clock.instant(int(rows.stamp[k]), int(rows.counter[k]), plan.name)
-        self._load()
+        self.load()
         if at is None:
             rows.state[k], rows.moved[k] = instants.REPEATED, clock.moved_ns
             return False
@@ -97,7 +98,7 @@ class ClockState:
         rows.moved[k] = clock.moved_ns
         return at.restarted
 
-    def _load(self) -> None:
+    def load(self) -> None:
         """From the clock into the arrays."""
         clock, line = self._clock, self._line[0]
         assert clock is not None
@@ -119,7 +120,7 @@ class ClockState:
             if lane is clock.last:
                 line["last"] = place
 
-    def _store(self) -> None:
+    def store(self) -> None:
         """From the arrays into the clock."""
         clock, line = self._clock, self._line[0]
         assert clock is not None

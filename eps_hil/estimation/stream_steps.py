@@ -12,6 +12,7 @@ from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment, levels
 from eps_hil.estimation.creep import carry, slide_on
 from eps_hil.estimation.gap import lose_way, misled
+from eps_hil.estimation.held import Held, arguments
 from eps_hil.estimation.plausibility import judge_sample, judge_step
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
@@ -106,16 +107,19 @@ def new_memory() -> Memory:
 
 
 class Waiting(NamedTuple):
-    """Samples in the order of their arrival, for one call at the sync frame; all (WAITING,)."""
+    """Samples in the order of their arrival, for one call at the sync frame: place in SIGNALS,
+    stamp (ns) and value, all (WAITING,), and how many there are, (1,)."""
 
     signal: Int64
     t_ns: Int64
     value: Float64
+    filled: Int64
 
 
 def new_waiting() -> Waiting:
     """Room for them."""
-    return Waiting(np.zeros(WAITING, np.int64), np.zeros(WAITING, np.int64), np.zeros(WAITING))
+    places, stamps = np.zeros(WAITING, np.int64), np.zeros(WAITING, np.int64)
+    return Waiting(places, stamps, np.zeros(WAITING), np.zeros(1, np.int64))
 
 
 @kernel(inline="always")
@@ -345,21 +349,29 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
 
 
 @kernel
-def take_all(m: Memory, timing: Timing, waiting: Waiting, n: int) -> None:
-    """The first ``n`` samples that wait."""
-    for k in range(n):
+def take_all(m: Memory, timing: Timing, waiting: Waiting) -> None:
+    """The samples that wait; none does then."""
+    for k in range(waiting.filled[0]):
         push(m, timing, waiting.signal[k], waiting.t_ns[k], waiting.value[k])
+    waiting.filled[0] = 0
 
 
 @kernel
-def take_and_advance(
-    m: Memory, timing: Timing, c: Constants, x: Physics, waiting: Waiting, n: int, t: int
-) -> tuple[int, int, float, float, int]:
-    """``n`` samples that wait, then a sync frame of stamp ``t``, in one call.
+def take_waiting(held: Held) -> None:
+    """:func:`take_all`; ``held``: memory, timing, constants, physics, waiting."""
+    m, timing, _, _, waiting = arguments(held)
+    take_all(m, timing, waiting)
 
-    (estimates that are new; of the newest: instant, force, friction, reason).
+
+@kernel
+def take_and_advance(held: Held, t: int) -> tuple[int, int, float, float, int]:
+    """The samples that wait, then a sync frame of stamp ``t``, in one call.
+
+    (estimates that are new; of the newest: instant, force, friction, reason). ``held`` as in
+    :func:`take_waiting`.
     """
-    take_all(m, timing, waiting, n)
+    m, timing, c, x, waiting = arguments(held)
+    take_all(m, timing, waiting)
     rows = advance(m, timing, c, x, t)
     k = max(rows - 1, 0)
     return rows, m.t_ns[k], m.estimate[k, 0], m.estimate[k, 1], m.reason[k]
