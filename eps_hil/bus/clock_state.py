@@ -1,6 +1,7 @@
 """A sample clock and its messages, between compiled columns and the objects that judge frames."""
 
 from collections.abc import Sequence
+from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +13,9 @@ from eps_hil.bus.sample_clock import SLOPE_BLOCKS
 Ints = npt.NDArray[np.int64]
 MOST_SEEN = 16
 """Frames of a message that ``Seen`` remembers at most."""
-_PLAIN = (
-    "counter", "cycle", "stamp", "late_total", "late_run", "late_last", "in_time", "in_a_row",
-    "again", "again_run", "again_stamp", "again_still",
-)  # fmt: skip
+_PLAIN = instants.PLAIN
+_PLAIN_OF = attrgetter(*_PLAIN)
+_LINE_NAMES = instants.LINE.names or ()
 
 
 class ClockState:
@@ -100,40 +100,37 @@ class ClockState:
 
     def load(self) -> None:
         """From the clock into the arrays."""
-        clock, line = self._clock, self._line[0]
+        clock = self._clock
         assert clock is not None
-        line["period"], line["modulo"] = clock.period_ns, clock.counter_modulo
-        for name, value in clock.line().items():
-            line[name] = value
-        line["lows"] = len(clock.lows)
+        line = clock.line() | {
+            "period": clock.period_ns, "modulo": clock.counter_modulo, "lows": len(clock.lows),
+            "last": int(self._line["last"][0]),
+        }  # fmt: skip
         if clock.lows:
             self._lows[: len(clock.lows)] = clock.lows
         for place, plan in enumerate(self._plans):
-            lane, at = clock.lane(plan.name), self._lanes[place]
-            for name in _PLAIN:
-                at[name] = getattr(lane, name)
-            at["joined"], at["repeated"] = lane.joined, lane.repeated
-            at["has_t"], at["t"] = lane.t is not None, lane.t or 0
-            at["has_behind"], at["behind_since"] = (
-                lane.behind_since is not None, lane.behind_since or 0,
+            lane = clock.lane(plan.name)
+            t, behind = lane.t, lane.behind_since
+            self._lanes[place] = (
+                *_PLAIN_OF(lane), lane.joined, lane.repeated, t is not None, t or 0,
+                behind is not None, behind or 0, *self._lanes[place].item()[-2:],
             )  # fmt: skip
             if lane is clock.last:
                 line["last"] = place
+        self._line[0] = tuple(map(line.__getitem__, _LINE_NAMES))
 
     def store(self) -> None:
         """From the arrays into the clock."""
-        clock, line = self._clock, self._line[0]
+        clock = self._clock
         assert clock is not None
-        lows = [(int(cycle), int(low)) for cycle, low in self._lows[: line["lows"]]]
-        clock.go_on(
-            {name: line[name].item() for name in clock.line()},
-            lows,
-            self._plans[line["last"]].name,
-        )
-        for place, plan in enumerate(self._plans):
-            lane, at = clock.lane(plan.name), self._lanes[place]
-            for name in _PLAIN:
-                setattr(lane, name, int(at[name]))
-            lane.joined, lane.repeated = bool(at["joined"]), bool(at["repeated"])
-            lane.t = int(at["t"]) if at["has_t"] else None
-            lane.behind_since = int(at["behind_since"]) if at["has_behind"] else None
+        line = dict(zip(_LINE_NAMES, self._line[0].item(), strict=True))
+        lows = list(map(tuple, self._lows[: line["lows"]].tolist()))
+        clock.go_on(line, lows, self._plans[line["last"]].name)
+        for plan, values in zip(self._plans, self._lanes.tolist(), strict=True):
+            lane = clock.lane(plan.name)
+            for name, value in zip(_PLAIN, values, strict=False):
+                setattr(lane, name, value)
+            joined, repeated, has_t, t, has_behind, behind = values[len(_PLAIN) : -2]
+            lane.joined, lane.repeated = bool(joined), bool(repeated)
+            lane.t = t if has_t else None
+            lane.behind_since = behind if has_behind else None

@@ -30,13 +30,17 @@ _DONE = -1
 
 Ints = npt.NDArray[np.int64]
 
+PLAIN = (
+    "counter", "cycle", "stamp", "late_total", "late_run", "late_last", "in_time", "in_a_row",
+    "again", "again_run", "again_stamp", "again_still",
+)  # fmt: skip
+"""What is kept of a message as ``Lane`` keeps it, too."""
 LANE = np.dtype(
     [
         (name, "i8")
         for name in (
-            "joined", "counter", "cycle", "stamp", "has_t", "t", "repeated", "late_total",
-            "late_run", "late_last", "has_behind", "behind_since", "in_time", "in_a_row",
-            "has_last", "last_ns", "again", "again_run", "again_stamp", "again_still",
+            *PLAIN, "joined", "repeated", "has_t", "t", "has_behind", "behind_since",
+            "has_last", "last_ns",
         )
     ]
 )  # fmt: skip

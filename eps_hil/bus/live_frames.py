@@ -36,8 +36,9 @@ from eps_hil.bus.protection import CrcRule
 from eps_hil.bus.signal_codec import ReadSignal, WriteSignal
 from eps_hil.compiled import direct
 
-_REST = 64
-"""Frames of a clock that the decoder takes by itself from an unusual one on."""
+_REST, _LONGEST_REST = 64, 4_096
+"""Frames of a clock that the decoder takes by itself from an unusual one on; twice as many each
+time that the first one after them is unusual, too."""
 _MOST_BITS = 52
 
 Key = tuple[int, bool]
@@ -88,6 +89,7 @@ class LiveFrames:
         if instant == UNUSUAL:
             clock.give_back()
             return None
+        clock.fresh = False
         self.names = message.names
         return instant
 
@@ -133,8 +135,9 @@ class _Clock(ClockState):
 
     def __init__(self, plans: Sequence[MessageDecoder]) -> None:
         super().__init__(plans)
-        self.here, self._rest = False, 0
-        """Whether the arrays hold what is known, or the decoder does, and for how many frames."""
+        self.here = self.fresh = False
+        """Whether the arrays hold what is known, and nothing was taken since then."""
+        self._rest, self._resting = 0, _REST
         shape = len(plans), MOST_SEEN, self.widest
         ring = self._ring
         self._seen = SeenPayloads(
@@ -157,14 +160,14 @@ class _Clock(ClockState):
         if self._rest > 0:
             self._rest -= 1
             return False
-        self._rest = _REST
+        self._rest = self._resting
         if self._clock is not None:
             if not all(self._clock.has(plan.name) for plan in self._plans):
                 return False
             self.load()
         for lane, plan in enumerate(self._plans):
             self._remember(lane, plan)
-        self.here = True
+        self.here = self.fresh = True
         return True
 
     def give_back(self) -> None:
@@ -175,14 +178,17 @@ class _Clock(ClockState):
             self.store()
         for lane, plan in enumerate(self._plans):
             self._recall(lane, plan)
-        self.here, self._rest = False, _REST
+        self._resting = min(2 * self._resting, _LONGEST_REST) if self.fresh else _REST
+        self.here, self._rest = False, self._resting
 
     def _remember(self, lane: int, plan: MessageDecoder) -> None:
         seen, at = self._seen, self._lanes[lane]
         if plan.seen is not None:
-            for k, (counter, stamp, payload) in enumerate(plan.seen.ring):
-                seen.counter[lane, k], seen.stamp[lane, k] = counter, stamp
-                seen.payload[lane, k, : len(payload)] = np.frombuffer(payload, np.uint8)
+            counters, stamps, payloads = zip(*plan.seen.ring, strict=True)
+            size, length = plan.seen.size, plan.length
+            whole = b"".join(payload.ljust(length, b"\0") for payload in payloads)
+            seen.counter[lane, :size], seen.stamp[lane, :size] = counters, stamps
+            seen.payload[lane, :size, :length] = np.frombuffer(whole, np.uint8).reshape(size, -1)
         if self._clock is None:
             last, stamped = None if plan.check is None else plan.check.last, plan.last_ns
             at["joined"], at["counter"] = last is not None, 0 if last is None else last
@@ -191,10 +197,11 @@ class _Clock(ClockState):
     def _recall(self, lane: int, plan: MessageDecoder) -> None:
         seen, at = self._seen, self._lanes[lane]
         if plan.seen is not None:
-            counters, stamps = seen.counter[lane].tolist(), seen.stamp[lane].tolist()
-            for k in range(plan.seen.size):
-                payload = seen.payload[lane, k, : plan.length].tobytes()
-                plan.seen.ring[k] = counters[k], stamps[k], payload
+            size, length = plan.seen.size, plan.length
+            whole = seen.payload[lane, :size, :length].tobytes()
+            payloads = (whole[k : k + length] for k in range(0, size * length, length))
+            counters, stamps = seen.counter[lane, :size].tolist(), seen.stamp[lane, :size].tolist()
+            plan.seen.ring[:] = zip(counters, stamps, payloads, strict=True)
         if self._clock is None:
             if plan.check is not None and at["joined"]:
                 plan.check.last = int(at["counter"])
