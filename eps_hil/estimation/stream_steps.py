@@ -59,6 +59,7 @@ _SOUND = int(Reason.SETTLING | Reason.OUT_OF_RANGE)
 """What leaves the state itself sound, and worth going back to."""
 _BAD, _IMPLAUSIBLE = int(Reason.BAD_SAMPLE), int(Reason.IMPLAUSIBLE)
 _JUMP_NS = 1_000_000_000
+_NEVER = (1 << 63) - 1
 BATCH_ROWS = 11_000
 """Steps that one sync frame can make due: a jump of a second and more starts anew."""
 WAITING = 64
@@ -186,8 +187,9 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool, bool]
             continue
         _learn(m, timing, i, at + timing.delay[i])
         value, why, apart = alignment.read_between(
-            m.stamps, m.values, m.filled, i, at + timing.delay[i], timing.stale[i], _LOST[i]
-        )
+            m.stamps, m.values, m.filled, i, at + timing.delay[i], timing.stale[i], _LOST[i],
+            m.learnt[i],
+        )  # fmt: skip
         if i == SENSOR and m.filled[i] == 0:  # never there: absent, not lost (CONTRACT 2)
             continue
         if i <= SENSOR and apart > timing.missing[i]:
@@ -425,15 +427,22 @@ def merge(
 
     Of equal stamps the earlier lane comes first; the last lane are sync stamps (signal −1).
     """
-    lanes = len(at)
-    for k in range(len(signal)):
-        lane, earliest = -1, 0
+    lanes, last, k = len(at), len(at) - 1, 0
+    while k < len(signal):
+        earliest = _NEVER
         for i in range(lanes):
-            if at[i] < ends[i] and (lane < 0 or t_ns[at[i]] < earliest):
-                lane, earliest = i, t_ns[at[i]]
-        out_t[k] = earliest
-        if lane == lanes - 1:
-            signal[k], out[k] = -1, 0.0
-        else:
-            signal[k], out[k] = lane, value[at[lane]]
-        at[lane] += 1
+            if at[i] < ends[i]:
+                earliest = min(earliest, t_ns[at[i]])
+        back = False  # a lane whose stamps go back goes first
+        for i in range(lanes):
+            while at[i] < ends[i] and not back:
+                t = t_ns[at[i]]
+                if t != earliest:
+                    back = t < earliest
+                    break
+                signal[k], out_t[k] = (-1, t) if i == last else (i, t)
+                out[k] = 0.0 if i == last else value[at[i]]
+                at[i] += 1
+                k += 1
+            if back:
+                break
