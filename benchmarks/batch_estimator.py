@@ -6,11 +6,13 @@
 The C peer (batch_estimator.c) is compiled here, by cc -O3, and judges nothing: it has no
 plausibility checks, gaps or effects. Both are given the same arrays by turns, in this process; the
 shortest of --runs counts for each. Forces are compared: exit status 1 if they differ by more than
-a millionth of a newton, or if the ratio is above --limit.
+a millionth of a newton, or if the ratio is above --limit. One BLAS thread, as every command has:
+others spin beside what is timed.
 """
 
 import argparse
 import ctypes
+import os
 import subprocess
 import sys
 import tempfile
@@ -18,6 +20,8 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 

@@ -179,7 +179,8 @@ def kernel(
 
     def decorate(kernel: F) -> F:
         hot = kernel.__module__.startswith(_INLINED)
-        return _decorator(inline=inline, forceinline=hot, _nrt=False)(kernel)
+        model = "numpy" if hot else "python"  # whether each division looks for a zero
+        return _decorator(inline=inline, forceinline=hot, error_model=model, _nrt=False)(kernel)
 
     return decorate if function is None else decorate(function)
 

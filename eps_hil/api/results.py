@@ -3,22 +3,24 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from eps_hil.api import show
 from eps_hil.api.recording import Recording
-from eps_hil.diagnosis import given_load
 from eps_hil.estimation.score import Score
 from eps_hil.estimation.stream import Trace
 from eps_hil.estimation.validity import Reason
-from eps_hil.fmu import fit as simulator_fit
 from eps_hil.growing import blocks
-from eps_hil.identification import result as identifying
 from eps_hil.physics.model import Model
 from eps_hil.report.comparison import Candidate, summary
+
+if TYPE_CHECKING:  # over a second of imports, which an estimate does not need
+    from eps_hil.diagnosis import given_load
+    from eps_hil.fmu import fit as simulator_fit
+    from eps_hil.identification import result as identifying
 
 Floats = npt.NDArray[np.float64]
 
@@ -179,7 +181,7 @@ class Simulation:
 class Identification:
     """The numbers of a rig with their intervals, and the model file that they make."""
 
-    result: identifying.Identification
+    result: "identifying.Identification"
 
     @property
     def model(self) -> Model:
@@ -243,7 +245,7 @@ class Finding:
 class Diagnosis:
     """What a model lacks; ``content`` is the JSON of ``eps-hil diagnose`` (CONTRACT 7)."""
 
-    result: given_load.Diagnosis
+    result: "given_load.Diagnosis"
     written: Model | None = None
     """The model to go on with, where it is not that of ``result``."""
 
@@ -339,7 +341,7 @@ class Diagnosis:
 class SimulatorFit:
     """Parameters of a simulator that recordings ask for; ``notes``: how it was understood."""
 
-    result: simulator_fit.Fitted
+    result: "simulator_fit.Fitted"
     notes: tuple[str, ...]
 
     @property

@@ -1,6 +1,7 @@
 """A sample clock and its messages, between compiled columns and the objects that judge frames."""
 
 from collections.abc import Sequence
+from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -10,11 +11,11 @@ from eps_hil.bus.message_decoder import MessageDecoder
 from eps_hil.bus.sample_clock import SLOPE_BLOCKS
 
 Ints = npt.NDArray[np.int64]
-_MOST_SEEN = 16
-_PLAIN = (
-    "counter", "cycle", "stamp", "late_total", "late_run", "late_last", "in_time", "in_a_row",
-    "again", "again_run", "again_stamp", "again_still",
-)  # fmt: skip
+MOST_SEEN = 16
+"""Frames of a message that ``Seen`` remembers at most."""
+_PLAIN = instants.PLAIN
+_PLAIN_OF = attrgetter(*_PLAIN)
+_LINE_NAMES = instants.LINE.names or ()
 
 
 class ClockState:
@@ -29,15 +30,15 @@ class ClockState:
         self._modulo = np.array([p.check.modulo if p.check else 0 for p in plans], np.int64)
         seen = [plan.seen for plan in plans]
         self._ring = instants.Ring(
-            np.full((n, _MOST_SEEN), -1, np.int64),
-            np.zeros((n, _MOST_SEEN), np.int64),
-            np.zeros((n, _MOST_SEEN), np.int64),
+            np.full((n, MOST_SEEN), -1, np.int64),
+            np.zeros((n, MOST_SEEN), np.int64),
+            np.zeros((n, MOST_SEEN), np.int64),
             np.array([0 if one is None else one.size for one in seen], np.int64),
             np.array([0 if one is None else one.recent_ns for one in seen], np.int64),
         )
-        self._ring.row[:] = np.arange(n * _MOST_SEEN).reshape(n, _MOST_SEEN)
+        self._ring.row[:] = np.arange(n * MOST_SEEN).reshape(n, MOST_SEEN)
         self._width = np.array([plan.length for plan in plans], np.int64)
-        self._payloads = np.zeros((n * _MOST_SEEN, self.widest), np.uint8)
+        self._payloads = np.zeros((n * MOST_SEEN, self.widest), np.uint8)
         self._line = np.zeros(1, instants.LINE)
         self._lows = np.zeros((SLOPE_BLOCKS, 2), np.int64)
 
@@ -68,7 +69,7 @@ class ClockState:
         if self._clock is None:
             instants.by_stamp(rows, self._lanes, self._ring, self._modulo, data, number, width)
             return restarted
-        self._load()
+        self.load()
         k = 0
         while k < len(rows.stamp):
             k = instants.by_counter(
@@ -78,17 +79,17 @@ class ClockState:
                 break
             restarted[k] = self._judged(rows, k)
             k += 1
-        self._store()
+        self.store()
         return restarted
 
     def _judged(self, rows: instants.Rows, k: int) -> bool:
         """Row ``k`` by the clock itself; whether it was found anew."""
         clock = self._clock
         assert clock is not None
-        self._store()
+        self.store()
         plan = self._plans[rows.lane[k]]
         at = clock.instant(int(rows.stamp[k]), int(rows.counter[k]), plan.name)
-        self._load()
+        self.load()
         if at is None:
             rows.state[k], rows.moved[k] = instants.REPEATED, clock.moved_ns
             return False
@@ -97,42 +98,39 @@ class ClockState:
         rows.moved[k] = clock.moved_ns
         return at.restarted
 
-    def _load(self) -> None:
+    def load(self) -> None:
         """From the clock into the arrays."""
-        clock, line = self._clock, self._line[0]
+        clock = self._clock
         assert clock is not None
-        line["period"], line["modulo"] = clock.period_ns, clock.counter_modulo
-        for name, value in clock.line().items():
-            line[name] = value
-        line["lows"] = len(clock.lows)
+        line = clock.line() | {
+            "period": clock.period_ns, "modulo": clock.counter_modulo, "lows": len(clock.lows),
+            "last": int(self._line["last"][0]),
+        }  # fmt: skip
         if clock.lows:
             self._lows[: len(clock.lows)] = clock.lows
         for place, plan in enumerate(self._plans):
-            lane, at = clock.lane(plan.name), self._lanes[place]
-            for name in _PLAIN:
-                at[name] = getattr(lane, name)
-            at["joined"], at["repeated"] = lane.joined, lane.repeated
-            at["has_t"], at["t"] = lane.t is not None, lane.t or 0
-            at["has_behind"], at["behind_since"] = (
-                lane.behind_since is not None, lane.behind_since or 0,
+            lane = clock.lane(plan.name)
+            t, behind = lane.t, lane.behind_since
+            self._lanes[place] = (
+                *_PLAIN_OF(lane), lane.joined, lane.repeated, t is not None, t or 0,
+                behind is not None, behind or 0, *self._lanes[place].item()[-2:],
             )  # fmt: skip
             if lane is clock.last:
                 line["last"] = place
+        self._line[0] = tuple(map(line.__getitem__, _LINE_NAMES))
 
-    def _store(self) -> None:
+    def store(self) -> None:
         """From the arrays into the clock."""
-        clock, line = self._clock, self._line[0]
+        clock = self._clock
         assert clock is not None
-        lows = [(int(cycle), int(low)) for cycle, low in self._lows[: line["lows"]]]
-        clock.go_on(
-            {name: line[name].item() for name in clock.line()},
-            lows,
-            self._plans[line["last"]].name,
-        )
-        for place, plan in enumerate(self._plans):
-            lane, at = clock.lane(plan.name), self._lanes[place]
-            for name in _PLAIN:
-                setattr(lane, name, int(at[name]))
-            lane.joined, lane.repeated = bool(at["joined"]), bool(at["repeated"])
-            lane.t = int(at["t"]) if at["has_t"] else None
-            lane.behind_since = int(at["behind_since"]) if at["has_behind"] else None
+        line = dict(zip(_LINE_NAMES, self._line[0].item(), strict=True))
+        lows = list(map(tuple, self._lows[: line["lows"]].tolist()))
+        clock.go_on(line, lows, self._plans[line["last"]].name)
+        for plan, values in zip(self._plans, self._lanes.tolist(), strict=True):
+            lane = clock.lane(plan.name)
+            for name, value in zip(_PLAIN, values, strict=False):
+                setattr(lane, name, value)
+            joined, repeated, has_t, t, has_behind, behind = values[len(_PLAIN) : -2]
+            lane.joined, lane.repeated = bool(joined), bool(repeated)
+            lane.t = t if has_t else None
+            lane.behind_since = behind if has_behind else None

@@ -25,6 +25,8 @@ from eps_hil.errors import InputError
 
 if TYPE_CHECKING:
     from eps_hil.bus.column_decoder import ColumnDecoder
+    from eps_hil.bus.live_frames import CompiledPayload, LiveFrames
+    from eps_hil.bus.live_kernels import Samples
 
 __all__ = ["FAULTS", "STAMP_RESOLUTION_NS", "FrameDecoder", "FrameEncoder", "Sample"]
 
@@ -68,6 +70,7 @@ class FrameDecoder:
             self._message(database, message_name, f"messages.{message_name}")
         self._sync = self._sync_key(database, mapping)
         self._sync_clock = None if self._sync is None else self._plans[self._sync].clock
+        self._live: LiveFrames | None = None
 
     @property
     def receive_ids(self) -> tuple[int, ...]:
@@ -87,6 +90,9 @@ class FrameDecoder:
     @property
     def moved_ns(self) -> int:
         """By how much the sync message's instants moved against its counter, in all."""
+        moved_ns = None if self._live is None else self._live.moved_ns
+        if moved_ns is not None:
+            return moved_ns
         return 0 if self._sync_clock is None else self._sync_clock.moved_ns
 
     def sync(self, frame: Frame) -> bool:
@@ -97,7 +103,10 @@ class FrameDecoder:
         """The samples of one frame, in the order of the mapping; [] if it is not mapped."""
         if frame.error or frame.remote:
             return []
-        plan = self._plans.get((frame.can_id, frame.extended))
+        key = frame.can_id, frame.extended
+        if self._live is not None:
+            self._live.give_back(key)
+        plan = self._plans.get(key)
         samples = [] if plan is None else plan.decode(frame)
         return samples if self._power is None else self._power.replace(samples)
 
@@ -112,6 +121,19 @@ class FrameDecoder:
 
         plans = {key_of(*key): plan for key, plan in self._plans.items()}
         return ColumnDecoder(plans, None if self._sync is None else key_of(*self._sync))
+
+    def live(self, places: Mapping[str, int], samples: "Samples") -> "LiveFrames | None":
+        """What takes usual frames by compiled calls, which are compiled (or loaded) now.
+
+        ``places``: the number of each signal in ``samples``. Frames that it does not take are for
+        :meth:`decode`. None where the mapping asks for more than one message tells.
+        """
+        if self._power is not None:
+            return None
+        from eps_hil.bus.live_frames import LiveFrames  # compiles; a recorder does not need it
+
+        self._live = LiveFrames(self._plans, places, samples, self._sync)
+        return self._live
 
     def _add(
         self, database: Any, mapping: SignalMapping, message_name: str, names: Sequence[str]
@@ -261,10 +283,26 @@ class FrameEncoder:
         self._packing = packing_of(message)
         places = {} if self._packing is None else self._packing.places
         self._fields = tuple((s, s.name, *places[s.name][:2]) for s in self._signals if places)
+        self._compiled: CompiledPayload | None = None
+
+    def warm_up(self) -> None:
+        """Encode by a compiled call from here on, which is compiled (or loaded) now."""
+        if self._packing is not None:
+            from eps_hil.bus.live_frames import compiled_payload
+
+            self._compiled = compiled_payload(self._packing, self._signals, self._crc)
 
     def encode(self, values: Mapping[str, float]) -> bytes:
         """Payload for values by DBC signal name; a signal not given is sent as not available."""
-        packing, crc = self._packing, self._crc
+        packing, crc, compiled = self._packing, self._crc, self._compiled
+        if compiled is not None and packing is not None:
+            place = packing.places.get(self._counter)
+            counter = 0 if place is None else (self._next & place[1]) << place[0]
+            found = compiled.payload(values, counter)
+            if found is not None:
+                if place is not None:
+                    self._next = (self._next + 1) % self._modulo
+                return found
         data = self._by_cantools(values) if packing is None else self._packed(packing, values)
         if crc is None:
             return data

@@ -30,13 +30,17 @@ _DONE = -1
 
 Ints = npt.NDArray[np.int64]
 
+PLAIN = (
+    "counter", "cycle", "stamp", "late_total", "late_run", "late_last", "in_time", "in_a_row",
+    "again", "again_run", "again_stamp", "again_still",
+)  # fmt: skip
+"""What is kept of a message as ``Lane`` keeps it, too."""
 LANE = np.dtype(
     [
         (name, "i8")
         for name in (
-            "joined", "counter", "cycle", "stamp", "has_t", "t", "repeated", "late_total",
-            "late_run", "late_last", "has_behind", "behind_since", "in_time", "in_a_row",
-            "has_last", "last_ns", "again", "again_run", "again_stamp", "again_still",
+            *PLAIN, "joined", "repeated", "has_t", "t", "has_behind", "behind_since",
+            "has_last", "last_ns",
         )
     ]
 )  # fmt: skip
@@ -100,7 +104,7 @@ def _again(r: Ring, i: int, stamp: int, counter: int, row: int, data: Any, width
 
 
 @kernel
-def _after(lane: Any, stamp: int) -> int:
+def after_last(lane: Any, stamp: int) -> int:
     """As ``MessageDecoder._after``."""
     if lane.has_last != 0 and lane.last_ns - _STRAIGHT_NS < stamp <= lane.last_ns:
         stamp = lane.last_ns + _STAMP_NS
@@ -109,7 +113,8 @@ def _after(lane: Any, stamp: int) -> int:
 
 
 @kernel
-def _due(line: Any, cycle: int) -> int:
+def due_of(line: Any, cycle: int) -> int:
+    """When a ``cycle`` is due on the line (ns)."""
     ahead = line.level + line.slope * (cycle - line.anchor)
     return line.origin + cycle * line.period + int(np.rint(ahead))
 
@@ -145,14 +150,14 @@ def by_stamp(
         lane = lanes[i]
         stamp, counter = rows.stamp[k], rows.counter[k]
         if rows.state[k] == BAD or modulo[i] == 0:
-            rows.t_ns[k] = _after(lane, stamp)
+            rows.t_ns[k] = after_last(lane, stamp)
             continue
         again = _again(ring, i, stamp, counter, number[k], data, width)
         rows.state[k] = again
         if again == REPEATED:
             continue
         if again == SECOND_SENDER:
-            rows.t_ns[k] = _after(lane, stamp)
+            rows.t_ns[k] = after_last(lane, stamp)
             continue
         advance = (counter - lane.counter) % modulo[i] if lane.joined != 0 else 1
         lane.joined, lane.counter = 1, counter
@@ -160,7 +165,31 @@ def by_stamp(
             rows.state[k] = REPEATED
             continue
         rows.lost[k] = advance - 1
-        rows.t_ns[k] = _after(lane, stamp)
+        rows.t_ns[k] = after_last(lane, stamp)
+
+
+@kernel
+def on_the_line(c: Any, lane: Any, i: int, lows: Ints, t: int, counter: int, cycles: int) -> int:
+    """The instant of a frame of lane ``i`` that is in time, as ``SampleClock`` places it.
+
+    ``cycles``: how many went by since the lane's last frame.
+    """
+    lane.repeated = lane.in_a_row = 0
+    lane.late_total = lane.late_run = lane.late_last = lane.has_behind = 0
+    lane.in_time += 1
+    cycle = lane.cycle + cycles
+    lane.counter, lane.cycle, lane.stamp, c.last = counter, cycle, t, i
+    residual = t - c.origin - cycle * c.period
+    if cycle - c.block_start >= BLOCK * c.scale:
+        _block_ends(c, lows)
+        c.block_start, c.low_cycle, c.low = cycle, cycle, residual
+    elif residual - c.low < c.slope * (cycle - c.low_cycle):
+        c.low_cycle, c.low = cycle, residual
+    lower = residual - c.level - c.slope * (cycle - c.anchor)
+    if lower < 0.0:
+        c.anchor, c.level = cycle, residual
+        c.moved += int(np.rint(lower))
+    return _forward(c, lane, t, due_of(c, cycle))
 
 
 @kernel
@@ -185,7 +214,7 @@ def by_counter(
             if again != GOOD:
                 _came_again(c, lane, t, counter, again == SECOND_SENDER)
         if rows.state[k] == BAD or again == SECOND_SENDER:
-            due = _due(c, lane.cycle + 1) if lane.joined != 0 else t
+            due = due_of(c, lane.cycle + 1) if lane.joined != 0 else t
             rows.t_ns[k] = _forward(c, lane, t, min(due, t))
             continue
         if again == REPEATED:
@@ -193,7 +222,7 @@ def by_counter(
         if lane.joined == 0:
             return k
         skip = (counter - lane.counter) % c.modulo
-        early = t + c.period // 2 - _due(c, lane.cycle)
+        early = t + c.period // 2 - due_of(c, lane.cycle)
         elapsed = early // c.period
         if skip == 0 and (lane.repeated != 0 or elapsed < c.modulo):
             lane.repeated = 1
@@ -205,23 +234,8 @@ def by_counter(
         late = early - c.period // 2 - cycles * c.period
         if late > LATE * c.unit:
             return k
-        lane.repeated = lane.in_a_row = 0
-        lane.late_total = lane.late_run = lane.late_last = lane.has_behind = 0
-        lane.in_time += 1
-        cycle = lane.cycle + cycles
-        lane.counter, lane.cycle, lane.stamp, c.last = counter, cycle, t, i
-        residual = t - c.origin - cycle * c.period
-        if cycle - c.block_start >= BLOCK * c.scale:
-            _block_ends(c, lows)
-            c.block_start, c.low_cycle, c.low = cycle, cycle, residual
-        elif residual - c.low < c.slope * (cycle - c.low_cycle):
-            c.low_cycle, c.low = cycle, residual
-        lower = residual - c.level - c.slope * (cycle - c.anchor)
-        if lower < 0.0:
-            c.anchor, c.level = cycle, residual
-            c.moved += int(np.rint(lower))
-            rows.moved[k] = c.moved
-        rows.t_ns[k] = _forward(c, lane, t, _due(c, cycle))
+        rows.t_ns[k] = on_the_line(c, lane, i, lows, t, counter, cycles)
+        rows.moved[k] = c.moved
         rows.lost[k] = cycles - 1
     return _DONE
 

@@ -46,7 +46,8 @@ class MessageDecoder:
         self._packing = packing_of(message)
         self._fields = self._mapped_fields()
         self._faults = faults
-        self._last_ns: int | None = None
+        self.last_ns: int | None = None
+        """The last instant that is a stamp."""
 
     @property
     def length(self) -> int:
@@ -57,6 +58,11 @@ class MessageDecoder:
     def signals(self) -> tuple[ReadSignal, ...]:
         """What is read of it, in the order of the mapping."""
         return self._signals
+
+    @property
+    def packed(self) -> bool:
+        """Whether it is read by shifts."""
+        return self._packing is not None
 
     @property
     def needed(self) -> tuple[str, ...]:
@@ -177,8 +183,8 @@ class MessageDecoder:
 
     def _after(self, stamp: int) -> int:
         """The stamp, kept strictly increasing where two frames share one microsecond."""
-        last = self._last_ns
+        last = self.last_ns
         if last is not None and last - 1_000_000 < stamp <= last:
             stamp = last + STAMP_RESOLUTION_NS
-        self._last_ns = stamp
+        self.last_ns = stamp
         return stamp

@@ -55,6 +55,23 @@ class CrcRule:
         """Whether ``data`` carries the CRC that it should."""
         return self.expected(data) == data[self.byte]
 
+    def table(self, length: int) -> list[list[int]]:
+        """What each value of each byte changes in :meth:`expected`, (``length`` + 1, 256).
+
+        A CRC is linear but for what it starts from, which is the first number of the last row: the
+        exclusive or of that and one number a byte is the CRC of a payload.
+        """
+        none = self.expected(bytes(length))
+        rows = []
+        for place in range(length):
+            row = [0]
+            for bit in range(8):
+                one = bytes(place) + bytes((1 << bit,)) + bytes(length - place - 1)
+                changed = self.expected(one) ^ none
+                row += [before ^ changed for before in row]
+            rows.append(row)
+        return [*rows, [none] * 256]
+
 
 def crc_byte(signal: Any) -> int | None:
     """Index of the byte that a cantools signal fills exactly; None if it is no whole byte."""
@@ -66,11 +83,12 @@ def crc_byte(signal: Any) -> int | None:
 class CounterCheck:
     """Counts the frames missing between two that arrived, by their message counter."""
 
-    __slots__ = ("_last", "modulo")
+    __slots__ = ("last", "modulo")
 
     def __init__(self, modulo: int) -> None:
         self.modulo = modulo
-        self._last: int | None = None
+        self.last: int | None = None
+        """The counter of the last frame."""
 
     def advance(self, counter: int) -> int:
         """Cycles since the last frame: 1 in sequence, 0 repeated, n + 1 with n frames lost.
@@ -78,7 +96,7 @@ class CounterCheck:
         1 for the first frame. A loss of ``modulo`` frames or more at a stretch shows as the
         remainder only; :class:`~eps_hil.bus.sample_clock.SampleClock` sees those by their time.
         """
-        last, self._last = self._last, counter
+        last, self.last = self.last, counter
         return 1 if last is None else (counter - last) % self.modulo
 
 
@@ -88,12 +106,13 @@ class Seen:
     ``period_ns``: the message's cycle; ``modulo``: where its counter wraps.
     """
 
-    __slots__ = ("_ring", "recent_ns", "size")
+    __slots__ = ("recent_ns", "ring", "size")
 
     def __init__(self, modulo: int, period_ns: int) -> None:
         self.size = max(1, min(16, modulo // 2))
         self.recent_ns = self.size * period_ns
-        self._ring: list[tuple[int, int, bytes]] = [(-1, 0, b"")] * self.size
+        self.ring: list[tuple[int, int, bytes]] = [(-1, 0, b"")] * self.size
+        """Counter, stamp and payload at the counter's place."""
 
     def again(self, t_ns: int, counter: int, data: bytes) -> bool | None:
         """None: a new counter; True: the same frame again, bit for bit; False: other data.
@@ -102,9 +121,9 @@ class Seen:
         sender's counter stands still; either way nobody knows which frame is true.
         """
         place = counter % self.size
-        before, stamp, payload = self._ring[place]
+        before, stamp, payload = self.ring[place]
         if before == counter and abs(t_ns - stamp) < self.recent_ns:
-            self._ring[place] = (counter, t_ns, payload)
+            self.ring[place] = (counter, t_ns, payload)
             return payload == data
-        self._ring[place] = (counter, t_ns, data)
+        self.ring[place] = (counter, t_ns, data)
         return None

@@ -139,6 +139,10 @@ class SampleClock:
         if self.last is not None:
             self.last = self.lane(last)
 
+    def has(self, name: str) -> bool:
+        """Whether a frame of that message came."""
+        return name in self._lanes
+
     def lane(self, name: str) -> Lane:
         """The message of that name, from its first frame on."""
         return self._lanes.setdefault(name, Lane())

@@ -2,7 +2,7 @@
 
 import math
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,19 @@ def no_value_raws(signal: Any) -> frozenset[int]:
     """Raw numbers that the value table labels as 'signal not available', 'invalid' or alike."""
     labels = {raw: str(label).replace("_", " ") for raw, label in (signal.choices or {}).items()}
     return frozenset(raw for raw, label in labels.items() if _NO_VALUE.fullmatch(label.strip()))
+
+
+class Law(NamedTuple):
+    """How a raw number becomes a value: none where it is ``labelled``, or raw · ``scale`` +
+    ``shifted`` lies outside of ``low`` to ``high``; else that times ``factor`` plus ``offset``."""
+
+    labelled: frozenset[int]
+    scale: float
+    shifted: float
+    low: float
+    high: float
+    factor: float
+    offset: float
 
 
 class ReadSignal:
@@ -39,6 +52,14 @@ class ReadSignal:
         self._low = -math.inf if signal.minimum is None else float(signal.minimum) - slack
         self._high = math.inf if signal.maximum is None else float(signal.maximum) + slack
 
+    @property
+    def law(self) -> Law:
+        """The numbers behind :meth:`read`."""
+        return Law(
+            self._none, self._linear, self._shift, self._low, self._high,
+            self._factor, self._offset,
+        )  # fmt: skip
+
     def read(self, raw: Any) -> float:
         """Canonical value of a raw number, or NaN."""
         if raw in self._none:
@@ -55,14 +76,14 @@ class ReadSignal:
         none = np.isin(raw, list(self._none)) if self._none else np.zeros(len(raw), bool)
         if raw.dtype.kind == "f":
             none |= np.isnan(raw)
-        elif len(raw) and not self._exact(int(raw.min()), int(raw.max())):
+        elif len(raw) and not self.exact(int(raw.min()), int(raw.max())):
             return np.array([self.read(each) for each in raw.tolist()]), none
         with np.errstate(all="ignore"):
             value = raw.astype(np.float64) * self._linear + self._shift
             good = (self._low <= value) & (value <= self._high) & ~none
             return np.where(good, value * self._factor + self._offset, math.nan), none
 
-    def _exact(self, least: int, most: int) -> bool:
+    def exact(self, least: int, most: int) -> bool:
         """Whether floats hold what whole numbers in this range come to on the way."""
         size = max(abs(least), abs(most))
         if isinstance(self._linear, int):
@@ -103,6 +124,17 @@ class WriteSignal:
         self._none: int | None = none[-1] if none else None
         initial = signal.raw_initial
         self._missing = initial if initial is not None else min(max(0, self._low), self._high)
+
+    @property
+    def real(self) -> bool:
+        """Whether the raw number is a float."""
+        return self._float
+
+    @property
+    def law(self) -> tuple[float, float, float, float]:
+        """(scale, offset, low, high): the raw number of a value is (value - offset) / scale, and
+        lies between the last two."""
+        return self._scale, self._offset, self._low, self._high
 
     def write(self, value: float) -> tuple[int | float, int]:
         """Raw number, and its fate: 0 as it was, 1 clipped, -1 there was no value."""

@@ -56,10 +56,18 @@ def read_at(
 
 @kernel
 def read_between(
-    stamps: Stamps, values: Values, count: Stamps, i: int, t: int, stale: int, lost: int
+    stamps: Stamps,
+    values: Values,
+    count: Stamps,
+    i: int,
+    t: int,
+    stale: int,
+    lost: int,
+    before: int = 1 << 62,
 ) -> tuple[float, int, int]:
     """As :func:`read_at`, and how far apart (ns) the neighbours are; beyond the newest sample, how
-    far that is; 0 without any."""
+    far that is; 0 without any. Samples numbered ``before`` and higher are known to be of after
+    ``t``."""
     n = count[i]
     if n == 0:
         return 0.0, lost, 0
@@ -70,7 +78,7 @@ def read_between(
             return value, lost, t - newest
         return value, (0 if math.isfinite(value) else _BAD), t - newest
     oldest = max(0, n - RING)
-    k = n - 2
+    k = min(n - 2, before - 1)
     while k >= oldest and stamps[i, k & WRAP] > t:
         k -= 1
     if k < oldest:
@@ -99,9 +107,14 @@ def learn_noise(
     bend, period = _bend(stamps, values, n, i)
     if not math.isfinite(bend):
         return
-    known[i, 1] = min(known[i, 1] + 1.0, memory_ns / period)
-    power = min(bend * bend / 20.0, _CLIP * max(known[i, 0], _LEAST * first))
-    known[i, 0] += (power - known[i, 0]) / known[i, 1]
+    share = period / memory_ns
+    if share * (known[i, 1] + 1.0) < 1.0:
+        known[i, 1] += 1.0
+        share = 1.0 / known[i, 1]
+    else:
+        known[i, 1] = memory_ns / period
+    power = min(0.05 * bend * bend, _CLIP * max(known[i, 0], _LEAST * first))
+    known[i, 0] += share * (power - known[i, 0])
 
 
 @kernel

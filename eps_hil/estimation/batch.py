@@ -4,8 +4,10 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from eps_hil.compiled import interpreted
 from eps_hil.estimation.age import run_aged
 from eps_hil.estimation.levels import LevelChange
+from eps_hil.estimation.plain import plain
 from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.stream import SIGNALS, Events, Rows, StreamEstimator, Trace
 from eps_hil.estimation.stream_steps import merge
@@ -44,6 +46,8 @@ def events(series: Mapping[str, Series]) -> Events:
     signal, t_ns, value = np.empty(n, np.int8), np.empty(n, np.int64), np.empty(n)
     stamps = np.concatenate([one.t_ns for one in there])
     values = np.concatenate([one.value for one in there])
+    if interpreted():
+        stamps, values, begin, end = (plain(each) for each in (stamps, values, begin, end))
     merge(stamps, values, begin, end, signal, t_ns, value)
     return signal, t_ns, value
 

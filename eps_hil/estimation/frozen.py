@@ -33,8 +33,14 @@ def take_equal(w: Watch, p: Limits, i: int, before: float, v: float) -> None:
         w.still[i] += 1
     if w.moving and w.same[i] < p.frozen_samples:
         w.learnt[i] = min(w.learnt[i] + 1, _REPEATS_MEMORY)
-        w.repeats[i] += ((1.0 if v == before else 0.0) - w.repeats[i]) / w.learnt[i]
+        w.repeats[i] += _share(w.learnt[i]) * ((1.0 if v == before else 0.0) - w.repeats[i])
     _judge_frozen(w, p, i, v != 0.0)
+
+
+@kernel
+def _share(learnt: int) -> float:
+    """What the newest of so many counts; mostly of as many as are remembered."""
+    return 1.0 / _REPEATS_MEMORY if learnt == _REPEATS_MEMORY else 1.0 / learnt
 
 
 @kernel
@@ -92,7 +98,7 @@ def _judge_both(w: Watch, p: Limits) -> None:
     run = min(w.same[_TORQUE] + w.still[_TORQUE], w.same[_SENSOR] + w.still[_SENSOR])
     if run < p.frozen_samples:
         w.paired = min(w.paired + 1, _REPEATS_MEMORY)
-        w.both += ((1.0 if run > 0 else 0.0) - w.both) / w.paired
+        w.both += _share(w.paired) * ((1.0 if run > 0 else 0.0) - w.both)
         return
     rate = _equal_by_accident(w, _TORQUE) * _equal_by_accident(w, _SENSOR)
     rate = max(rate, w.both)
@@ -110,7 +116,7 @@ def _learn_rest(w: Watch, i: int, change: float) -> None:
     if not w.moving and not w.frozen[i]:
         n = min(w.still[i] + 1, _REPEATS_MEMORY)
         w.rested[i] = min(w.rested[i] + n, _REPEATS_MEMORY)
-        turned = 1.0 if change * w.change[i] < 0.0 else 0.0
-        w.turns[i] += (turned / n - w.turns[i]) * n / w.rested[i]
-        w.equals[i] += ((n - 1.0) / n - w.equals[i]) * n / w.rested[i]
+        turned, share = 1.0 if change * w.change[i] < 0.0 else 0.0, _share(w.rested[i])
+        w.turns[i] += share * (turned - n * w.turns[i])
+        w.equals[i] += share * (n - 1.0 - n * w.equals[i])
     w.still[i], w.change[i] = 0, change

@@ -113,7 +113,7 @@ def learn_relation(w: Watch, p: Limits, u: Inputs) -> None:
     −g turned + τ change. Looked at now and then, in motion; what is old is forgotten.
     """
     w.unlike = max(w.unlike - 1, 0)
-    if w.unlike > 0 or w.dark > 0 or w.stalled > 0 or w.steps % p.learn_every != 0:
+    if w.unlike > 0 or w.dark > 0 or w.stalled > 0 or w.relation_turn != 0:
         return
     noise = max(u.angle_noise, p.angle_noise) + p.slow_noise * max(u.speed_noise, 0.0)
     if w.turned * w.turned + (SMOOTHED_S * w.slow_gain) ** 2 < p.jump * noise:

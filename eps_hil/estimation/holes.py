@@ -8,7 +8,7 @@ as after a hole that is too long to be bridged, what may have begun unseen is wa
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation.validity import Reason
-from eps_hil.estimation.watch import WRAP, Limits, Watch
+from eps_hil.estimation.watch import NO_STEP, WRAP, Limits, Watch
 
 _SETTLING = int(Reason.SETTLING)
 _SUDDEN = 0.7
@@ -49,6 +49,7 @@ def unseen(w: Watch, p: Limits) -> int:
 def lose_course(w: Watch) -> None:
     """Nobody knows how the torque should go on: it is looked at anew from here."""
     w.missed_now, w.started = 1, 0
+    w.swing_turn, w.relation_turn, w.guessed_at = 0, 0, NO_STEP
     w.steps, w.missed, w.hole, w.guesses, w.hole_first = 0, 1, 0, 0, -1
 
 
@@ -129,7 +130,10 @@ def guessed(w: Watch, p: Limits, noise: float) -> float:
     w.guesses += 1
     far = w.guesses / n
     bent = 0.5 * far * (far + 1.0)
-    w.doubt[k & WRAP] = bent * bent * w.swing + far * far * (2.0 * noise + w.guess_before)
+    doubt = bent * bent * w.swing + far * far * (2.0 * noise + w.guess_before)
+    w.doubt[k & WRAP] = doubt
+    if doubt > 0.0:
+        w.guessed_at = k
     return float(w.torque[(k - 1) & WRAP] + w.slope_nm)
 
 

@@ -23,6 +23,10 @@ class Numbers(list[Any]):
         return self
 
 
+class Table(dict[tuple[int, int], Any]):
+    """Numbers of an array of two dimensions, by their places."""
+
+
 class Records(list[Record]):
     """Records of an array; setting one sets its fields, as numpy does."""
 
@@ -39,7 +43,7 @@ class Records(list[Record]):
 def plain(value: Any) -> Any:
     """``value``, a named tuple of arrays, records and named tuples, with what it holds as Python.
 
-    Arrays of one dimension become lists, those of more stay.
+    Arrays of one dimension become lists, those of two :class:`Table`, those of more stay.
     """
     if isinstance(value, tuple) and hasattr(value, "_fields"):
         return type(value)(*(plain(part) for part in value))
@@ -47,6 +51,9 @@ def plain(value: Any) -> Any:
         return value
     if value.dtype.names:
         return Records(_record(one) for one in value)
+    if value.ndim == 2:
+        rows = value.tolist()
+        return Table(((i, k), one) for i, row in enumerate(rows) for k, one in enumerate(row))
     return Numbers(value.tolist()) if value.ndim == 1 else value
 
 

@@ -40,7 +40,7 @@ from eps_hil.estimation.torque_jumps import (
     watch_jump,
 )
 from eps_hil.estimation.validity import Reason
-from eps_hil.estimation.watch import COUNT, WRAP, Limits, Watch
+from eps_hil.estimation.watch import COUNT, WRAP, Limits, Watch, next_step
 from eps_hil.physics.model import Model
 
 _TORQUE, _SENSOR, _SPEED, _ANGLE = range(4)
@@ -199,7 +199,7 @@ def judge_step(
     w.torque[at] = course(w, p, torque - w.unexplained_nm, u.drive_noise, seen)
     w.speed[at] = u.motor_speed_rad_s
     add_pace(w, p)
-    w.steps += 1
+    next_step(w, p)
     w.moving = 1 if abs(u.motor_speed_rad_s) > _MOVING_RAD_S else 0
     watch_jump(w, p, u)
     reason |= latched(w, p)

@@ -7,8 +7,9 @@ wall time or on how frames were bunched, so frames replayed as fast as possible 
 what the live loop published.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,17 +19,19 @@ from eps_hil.compiled import direct, interpreted
 from eps_hil.estimation import levels, setup
 from eps_hil.estimation.bristle_filter import PhysicsInside, physics_inside
 from eps_hil.estimation.bristle_setup import new_belief
+from eps_hil.estimation.held import Held
 from eps_hil.estimation.levels import FrictionLevels, LevelChange
 from eps_hil.estimation.plain import plain
 from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.stream_steps import (
     BATCH_ROWS,
     WAITING,
+    Waiting,
     new_memory,
     new_waiting,
     run,
-    take_all,
     take_and_advance,
+    take_waiting,
 )
 from eps_hil.estimation.stream_timing import SIGNALS, timing_of
 from eps_hil.estimation.validity import Reason, reason_of
@@ -103,6 +106,7 @@ class Rows:
         return self._only or Trace(*(each.whole() for each in self._columns))
 
 
+_Step = tuple[int, int, float, float, int]
 _BLOCK = 2_000_000
 """Rows of one compiled call: half an hour at 1 kHz, 64 MB."""
 
@@ -131,8 +135,9 @@ class StreamEstimator:
         self._places = {name: i for i, name in enumerate(SIGNALS) if name in periods_s}
         self.memory = new_memory()
         self._newest = _NOTHING
-        self._waiting, self._waits = new_waiting(), 0
-        self._take, self._advance = take_all, take_and_advance
+        self._waiting = new_waiting()
+        self._take: Callable[[], None] = self._take_first
+        self._advance: Callable[[int], _Step] = self._advance_first
 
     @property
     def latency_s(self) -> float:
@@ -156,20 +161,26 @@ class StreamEstimator:
         place = self._places.get(signal)
         if place is None:
             return
-        k = self._waits
+        signals, stamps, values, filled = self._waiting
+        k = filled[0]
         if k == WAITING:
-            self._take(self.memory, self.timing, self._waiting, k)
+            self._take()
             k = 0
-        signals, stamps, values = self._waiting
-        signals[k], stamps[k], values[k] = place, t_ns, value
-        self._waits = k + 1
+        signals[k], stamps[k], values[k], filled[0] = place, t_ns, value, k + 1
+
+    @property
+    def places(self) -> Mapping[str, int]:
+        """The number of each signal that is used, as it stands in :attr:`waiting`."""
+        return self._places
+
+    @property
+    def waiting(self) -> Waiting:
+        """Samples that wait; who appends some there need not :meth:`push` them."""
+        return self._waiting
 
     def advance(self, t_ns: int) -> int:
         """A sync frame with stamp ``t_ns``: run what is due, return the number of estimates."""
-        waits, self._waits = self._waits, 0
-        n, at_ns, force_n, friction_nm, bits = self._advance(
-            self.memory, self.timing, self.constants, self.physics, self._waiting, waits, t_ns
-        )
+        n, at_ns, force_n, friction_nm, bits = self._advance(t_ns)
         if n:
             self._newest = Estimate(at_ns, force_n, friction_nm, bits == 0, reason_of(bits))
         return n
@@ -211,17 +222,27 @@ class StreamEstimator:
         if isinstance(twin.physics, PhysicsInside):
             twin.physics = twin.physics._replace(belief=new_belief())
         twin.settings, twin._places, twin._newest = self.settings, self._places, _NOTHING
-        twin.memory, twin._waiting, twin._waits = new_memory(), new_waiting(), 0
-        twin._take, twin._advance = take_all, take_and_advance
+        twin.memory, twin._waiting = new_memory(), new_waiting()
+        twin._hold()
         for k in range(WAITING):  # more than may wait, so that both are called
             for name in self._places:
                 twin.push(name, k * self.timing.step_ns, 0.0)
         twin.advance(WAITING * self.timing.step_ns)
-        m, waits = self.memory, self._waiting
-        self._take = direct(take_all, m, self.timing, waits, 0)
-        self._advance = direct(
-            take_and_advance, m, self.timing, self.constants, self.physics, waits, 0, 0
-        )
+        self._hold()
+
+    def _hold(self) -> None:
+        """Let the step have what it works with; before the first one, and where that changes."""
+        held = Held((self.memory, self.timing, self.constants, self.physics, self._waiting))
+        self._take = partial(direct(take_waiting, held), held)
+        self._advance = partial(direct(take_and_advance, held, 0), held)
+
+    def _take_first(self) -> None:
+        self._hold()
+        self._take()
+
+    def _advance_first(self, t_ns: int) -> _Step:
+        self._hold()
+        return self._advance(t_ns)
 
     def run(
         self,
@@ -235,18 +256,19 @@ class StreamEstimator:
         ``changes``: friction levels set meanwhile, in the order of their stamps; no jump of time
         may lie between them.
         """
-        self._take(self.memory, self.timing, self._waiting, self._waits)
-        self._waits = 0
+        if self._waiting.filled[0]:
+            self._take()
         if changes:
             queue = levels.queue_of(changes, self.physics)
             self.memory = self.memory._replace(levels=queue)
-            self._take, self._advance = take_all, take_and_advance  # other types, perhaps
+            self._take, self._advance = self._take_first, self._advance_first
         # about as many rows as are due; where time jumps, another block follows
         due = int(t_ns[-1] - t_ns[0]) // self.timing.step_ns + 1 if len(t_ns) else 0
         size = min(max(due, 0), _BLOCK) + 2 * BATCH_ROWS
         if interpreted():
             self.memory, self.timing = plain(self.memory), plain(self.timing)
             signal, t_ns, value = plain(signal), plain(t_ns), plain(value)
+            self._take, self._advance = self._take_first, self._advance_first
         blocks: list[tuple[Int64, Float64, Int64]] = []
         since = 0
         while not blocks or since < len(signal):

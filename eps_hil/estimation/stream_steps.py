@@ -12,6 +12,7 @@ from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment, levels
 from eps_hil.estimation.creep import carry, slide_on
 from eps_hil.estimation.gap import lose_way, misled
+from eps_hil.estimation.held import Held, arguments
 from eps_hil.estimation.plausibility import judge_sample, judge_step
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
@@ -58,6 +59,7 @@ _SOUND = int(Reason.SETTLING | Reason.OUT_OF_RANGE)
 """What leaves the state itself sound, and worth going back to."""
 _BAD, _IMPLAUSIBLE = int(Reason.BAD_SAMPLE), int(Reason.IMPLAUSIBLE)
 _JUMP_NS = 1_000_000_000
+_NEVER = (1 << 63) - 1
 BATCH_ROWS = 11_000
 """Steps that one sync frame can make due: a jump of a second and more starts anew."""
 WAITING = 64
@@ -106,16 +108,19 @@ def new_memory() -> Memory:
 
 
 class Waiting(NamedTuple):
-    """Samples in the order of their arrival, for one call at the sync frame; all (WAITING,)."""
+    """Samples in the order of their arrival, for one call at the sync frame: place in SIGNALS,
+    stamp (ns) and value, all (WAITING,), and how many there are, (1,)."""
 
     signal: Int64
     t_ns: Int64
     value: Float64
+    filled: Int64
 
 
 def new_waiting() -> Waiting:
     """Room for them."""
-    return Waiting(np.zeros(WAITING, np.int64), np.zeros(WAITING, np.int64), np.zeros(WAITING))
+    places, stamps = np.zeros(WAITING, np.int64), np.zeros(WAITING, np.int64)
+    return Waiting(places, stamps, np.zeros(WAITING), np.zeros(1, np.int64))
 
 
 @kernel(inline="always")
@@ -182,8 +187,9 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool, bool]
             continue
         _learn(m, timing, i, at + timing.delay[i])
         value, why, apart = alignment.read_between(
-            m.stamps, m.values, m.filled, i, at + timing.delay[i], timing.stale[i], _LOST[i]
-        )
+            m.stamps, m.values, m.filled, i, at + timing.delay[i], timing.stale[i], _LOST[i],
+            m.learnt[i],
+        )  # fmt: skip
         if i == SENSOR and m.filled[i] == 0:  # never there: absent, not lost (CONTRACT 2)
             continue
         if i <= SENSOR and apart > timing.missing[i]:
@@ -345,21 +351,29 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
 
 
 @kernel
-def take_all(m: Memory, timing: Timing, waiting: Waiting, n: int) -> None:
-    """The first ``n`` samples that wait."""
-    for k in range(n):
+def take_all(m: Memory, timing: Timing, waiting: Waiting) -> None:
+    """The samples that wait; none does then."""
+    for k in range(waiting.filled[0]):
         push(m, timing, waiting.signal[k], waiting.t_ns[k], waiting.value[k])
+    waiting.filled[0] = 0
 
 
 @kernel
-def take_and_advance(
-    m: Memory, timing: Timing, c: Constants, x: Physics, waiting: Waiting, n: int, t: int
-) -> tuple[int, int, float, float, int]:
-    """``n`` samples that wait, then a sync frame of stamp ``t``, in one call.
+def take_waiting(held: Held) -> None:
+    """:func:`take_all`; ``held``: memory, timing, constants, physics, waiting."""
+    m, timing, _, _, waiting = arguments(held)
+    take_all(m, timing, waiting)
 
-    (estimates that are new; of the newest: instant, force, friction, reason).
+
+@kernel
+def take_and_advance(held: Held, t: int) -> tuple[int, int, float, float, int]:
+    """The samples that wait, then a sync frame of stamp ``t``, in one call.
+
+    (estimates that are new; of the newest: instant, force, friction, reason). ``held`` as in
+    :func:`take_waiting`.
     """
-    take_all(m, timing, waiting, n)
+    m, timing, c, x, waiting = arguments(held)
+    take_all(m, timing, waiting)
     rows = advance(m, timing, c, x, t)
     k = max(rows - 1, 0)
     return rows, m.t_ns[k], m.estimate[k, 0], m.estimate[k, 1], m.reason[k]
@@ -413,15 +427,22 @@ def merge(
 
     Of equal stamps the earlier lane comes first; the last lane are sync stamps (signal −1).
     """
-    lanes = len(at)
-    for k in range(len(signal)):
-        lane, earliest = -1, 0
+    lanes, last, k = len(at), len(at) - 1, 0
+    while k < len(signal):
+        earliest = _NEVER
         for i in range(lanes):
-            if at[i] < ends[i] and (lane < 0 or t_ns[at[i]] < earliest):
-                lane, earliest = i, t_ns[at[i]]
-        out_t[k] = earliest
-        if lane == lanes - 1:
-            signal[k], out[k] = -1, 0.0
-        else:
-            signal[k], out[k] = lane, value[at[lane]]
-        at[lane] += 1
+            if at[i] < ends[i]:
+                earliest = min(earliest, t_ns[at[i]])
+        back = False  # a lane whose stamps go back goes first
+        for i in range(lanes):
+            while at[i] < ends[i] and not back:
+                t = t_ns[at[i]]
+                if t != earliest:
+                    back = t < earliest
+                    break
+                signal[k], out_t[k] = (-1, t) if i == last else (i, t)
+                out[k] = 0.0 if i == last else value[at[i]]
+                at[i] += 1
+                k += 1
+            if back:
+                break

@@ -24,7 +24,7 @@ from eps_hil.estimation.holes import (
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.state import Records
 from eps_hil.estimation.validity import Reason
-from eps_hil.estimation.watch import WRAP, Limits, Watch
+from eps_hil.estimation.watch import WRAP, Limits, Watch, next_step
 
 _INCONSISTENT = int(Reason.INCONSISTENT)
 _FOLLOWS = 0.3
@@ -97,9 +97,9 @@ def watch_jump(w: Watch, p: Limits, u: Inputs) -> None:
     if k < 2 * n:
         return
     torque, speeds, weights = w.torque, w.pace, p.hinge
-    done = 0.0
-    for j in range(2 * n + 1):
-        done += weights[j] * speeds[(k - 2 * n + j) & WRAP]
+    done = weights[n] * speeds[(k - n) & WRAP]
+    for j in range(n):  # the weights are even
+        done += weights[j] * (speeds[(k - 2 * n + j) & WRAP] + speeds[(k - j) & WRAP])
     w.bend[k & WRAP] = done
     if k < 3 * n:
         return
@@ -174,18 +174,13 @@ def _residual(w: Watch, p: Limits) -> float:
 def _seen_for_long(w: Watch, p: Limits) -> bool:
     """Whether all that :func:`_residual` looks at was seen."""
     length = p.swing_before + p.window
-    if w.steps <= length or w.dark > 0:
-        return False
-    guessed_most = 0.0
-    for j in range(length + 1):
-        guessed_most = max(guessed_most, w.doubt[(w.steps - 1 - j) & WRAP])
-    return bool(guessed_most == 0.0)
+    return bool(w.steps > length and w.dark <= 0 and w.guessed_at < w.steps - 1 - length)
 
 
 @kernel
 def _learn_residual(w: Watch, p: Limits) -> None:
     """How large :func:`_residual` is by itself (mean square); looked at every few steps."""
-    if w.steps % p.swing_every or not _seen_for_long(w, p):
+    if w.swing_turn != 0 or not _seen_for_long(w, p):
         return
     off = _residual(w, p)
     share = p.swing_every * p.spread_memory
@@ -380,7 +375,7 @@ def bridge(w: Watch, p: Limits, u: Inputs) -> None:
             w.speed[at] = speed + j * slope
             in_the_dark(w, p, True)
         add_pace(w, p)
-        w.steps += 1
+        next_step(w, p)
         watch_jump(w, p, u)
         if w.steps == 0:
             return

@@ -20,6 +20,8 @@ WRAP = RING - 1
 """``n & WRAP`` is ``n % RING``, of which there are dozens a step."""
 CREPT_RING = 1024
 _FIRST_SPREAD = 1.0
+NO_STEP = -(1 << 40)
+"""Before any step that is looked at."""
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -61,7 +63,11 @@ class Watch:
     friction_nm: float
     friction_known: int
     bristle: float
+    # Steps that the torque's course is known for; the same, by which the bend beside a swing and
+    # the relation of speed and angle are due: a division takes longer than to count.
     steps: int
+    swing_turn: int
+    relation_turn: int
     # The step at which the torque left its course last, what it was, and its slope (Nm a step).
     edge_at: int
     edge_nm: float
@@ -73,6 +79,8 @@ class Watch:
     # How wrong a torque may be that was guessed (Nm², 0: it was seen), and the one before the hole;
     # how many were guessed in a row; how far the torque bends by itself (Nm²; holes.py).
     doubt: Annotated[Floats, RING]
+    # The newest step whose torque was guessed.
+    guessed_at: int
     guess_before: float
     guesses: int
     swing: float
@@ -223,10 +231,19 @@ def new_watch() -> Records:
     watch = np.zeros(1, WATCH)
     watch["spread"], watch["residual"], watch["repeats"] = _FIRST_SPREAD, _FIRST_SPREAD, 1.0
     watch["missed_now"], watch["started"], watch["hole_first"] = 1, 1, -1
+    watch["guessed_at"] = NO_STEP
     return watch
 
 
 _NEW = new_watch()
+
+
+@kernel
+def next_step(w: Watch, p: Limits) -> None:
+    """Another step of which torque and speed are known."""
+    w.steps += 1
+    w.swing_turn = w.swing_turn + 1 if w.swing_turn + 1 < p.swing_every else 0
+    w.relation_turn = w.relation_turn + 1 if w.relation_turn + 1 < p.learn_every else 0
 
 
 @kernel

@@ -53,6 +53,19 @@ class Decoder(Protocol):
         """Whether the estimator steps on it."""
 
 
+class Live(Protocol):
+    """What the core needs of :class:`~eps_hil.bus.live_frames.LiveFrames`."""
+
+    names: tuple[str, ...]
+    """Signals of the frame that was taken last."""
+
+    def take(self, key: tuple[int, bool], frame: Frame) -> int | None:
+        """Put a frame's samples where the estimator's wait; their instant, or None: decode it."""
+
+    def newest(self, signal: str) -> float:
+        """The value of one of them."""
+
+
 class Estimator(Protocol):
     """What the core needs of :class:`~eps_hil.estimation.stream.StreamEstimator`."""
 
@@ -132,6 +145,8 @@ class ServiceCore:
         start_wait_s: float = 0.0,
     ) -> None:
         self.decoder, self.estimator = decoder, estimator
+        self.live: Live | None = None
+        """What takes usual frames in place of ``decoder``; not with a method that wants them."""
         self.levels = levels
         self._method = None if levels is None else levels.method
         self.steps = self.valid_steps = self.skipped = self.foreign = 0
@@ -172,27 +187,37 @@ class ServiceCore:
         a jump of the message counter.
         """
         newest: tuple[int, Estimate] | None = None
-        decoder, estimator, method = self.decoder, self.estimator, self._method
+        sync, send_ids, live = self.decoder.sync, self._send_ids, self.live
         for frame in frames:
             if frame.error or frame.own:
                 continue
-            if (frame.can_id, frame.extended) in self._send_ids:
+            key = frame.can_id, frame.extended
+            if key in send_ids:
                 self.foreign += 1
                 self._foreign_t_ns = frame.t_ns
                 continue
-            samples = decoder.decode(frame)
-            for signal, t_ns, value in samples:
-                estimator.push(signal, t_ns, value)
-                if method is not None:
-                    method.take(signal, t_ns, value)
-                if signal == _LOAD_CELL:
-                    self.load_cell.append((t_ns, value))
-            if samples and decoder.sync(frame):
+            sample_ns = None if live is None else live.take(key, frame)
+            if sample_ns is None:
+                sample_ns = self._decode(frame)
+            elif live is not None and _LOAD_CELL in live.names:
+                self.load_cell.append((sample_ns, live.newest(_LOAD_CELL)))
+            if sample_ns is not None and sync(frame):
                 if newest is not None:
                     self.skipped += 1
                     self._encode(newest[1], 0)  # the counter counts what is left out
-                newest = self._step(frame.t_ns, samples[0].t_ns)
+                newest = self._step(frame.t_ns, sample_ns)
         return [] if newest is None else self._published(*newest, now)
+
+    def _decode(self, frame: Frame) -> int | None:
+        """Push a frame's samples; their instant, None if there are none."""
+        samples, method = self.decoder.decode(frame), self._method
+        for signal, t_ns, value in samples:
+            self.estimator.push(signal, t_ns, value)
+            if method is not None:
+                method.take(signal, t_ns, value)
+            if signal == _LOAD_CELL:
+                self.load_cell.append((t_ns, value))
+        return samples[0].t_ns if samples else None
 
     def _step(self, receive_ns: int, sample_ns: int) -> tuple[int, Estimate]:
         """Sync stamp and estimate; where no grid point was due, the last one, older by now."""

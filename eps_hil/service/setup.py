@@ -78,7 +78,14 @@ class Parts:
 
     def warm_up(self) -> None:
         """Compile (or load) all machine code now, so that no frame waits for it."""
+        from eps_hil.bus.live_kernels import Samples
+
         self.estimator.warm_up()
+        estimator = self.estimator
+        if self.levels.method is None:
+            self.core.live = self.decoder.live(estimator.places, Samples(*estimator.waiting))
+        if self.silent is not None:
+            self.silent.warm_up()
         signal_verdicts(self.estimator, Reason.FINE)
         if self.levels.method is not None:
             self.levels.method.warm_up()

@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from eps_hil.bus.sample_clock import SampleClock
 from eps_hil.estimation.age import AgeDoubt, ShiftDoubt
 from eps_hil.estimation.stream import SIGNALS, Estimate
 from eps_hil.estimation.validity import Reason
+from eps_hil.service.adaptation_config import AdaptationConfig
 from eps_hil.service.config import ServiceConfig
 from eps_hil.service.core import ServiceCore, Status, status_of
 from eps_hil.service.setup import Parts, prepare
@@ -278,6 +280,40 @@ def test_without_an_encoder_nothing_is_ever_returned(parts: Parts, rig: TinyRig)
     core = ServiceCore(parts.decoder, parts.estimator)
     assert drive(core, rig, 0, 50) == []
     assert core.steps == 50
+
+
+@pytest.mark.parametrize("adapted", [False, True])
+def test_a_warm_service_answers_bit_for_bit_as_a_cold_one(
+    config: ServiceConfig, rig: TinyRig, adapted: bool
+) -> None:
+    """Compiled calls for usual frames; lost, late, repeated and spoilt ones between them."""
+    if adapted:
+        config = replace(config, adaptation=AdaptationConfig(method="reversals"))
+    cold, warm = prepare(config, CONFIG), prepare(config, CONFIG)
+    warm.warm_up()
+    assert (warm.core.live is None) == adapted
+    rng, answers = np.random.default_rng(7), 0
+    for k in range(1_500):
+        frames = rig.millisecond(k)
+        kind, which = rng.integers(60), int(rng.integers(3))
+        if kind == 0:
+            del frames[which]
+        elif kind == 1:
+            frames.insert(which, frames[which])
+        elif kind == 2:
+            frames[which] = replace(frames[which], data=bytes([*frames[which].data[:7], 0]))
+        elif kind == 3:
+            frames = [replace(frame, t_ns=frame.t_ns + 3_000_000) for frame in frames]
+        elif kind == 4:
+            frames.insert(0, replace(frames[0], own=True))
+        now = partial(int, frames[-1].t_ns)
+        said = [parts.core.on_frames(frames, now) for parts in (cold, warm)]
+        assert said[0] == said[1]
+        answers += len(said[0])
+    assert answers > 1_400
+    assert list(cold.core.load_cell) == list(warm.core.load_cell)
+    assert cold.decoder.faults == warm.decoder.faults
+    assert sum(warm.decoder.faults.values()) > 20
 
 
 def test_load_cell_beside_the_estimate_is_of_the_same_instant(parts: Parts, rig: TinyRig) -> None:
