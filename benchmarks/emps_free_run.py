@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
 """What a free run over DATA_EMPS can tell of the one over DATA_EMPS_PULSES.
 
-    python benchmarks/emps_free_run.py DATA_DIR
+    python benchmarks/emps_free_run.py DATA_DIR [--windows]
 
 Models of a few numbers are fitted to nothing but the position of a free run (motor force in,
 position out, no measurement fed back): to the one recording, to the other and to both. Where a fit
 to both is nearly as good on the first as a fit to the first alone, and far better on the second,
 the first recording does not hold what the second one needs. Nothing of `eps_hil.diagnosis` is used.
+With --windows the first one is fitted in free runs over windows of some seconds, each from its
+measured state: whether a loss that drifts less finds what a whole run does not.
 
 Columns: RMSE in mm after the first 20 samples on either recording, then mass (kg), drag to and fro
 (N s/m), sliding friction to and fro (N), and what friction is higher by at standstill (N).
@@ -20,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 from scipy.optimize import least_squares
+from scipy.signal import butter, filtfilt
 
 from eps_hil.axis.emps import (
     COULOMB_N,
@@ -35,7 +38,8 @@ Floats = npt.NDArray[np.float64]
 
 STEP_S, PARTS, DELAY_S, UNJUDGED = 1e-3, 4, 0.78e-3, 20
 """The delay is what `eps-hil prove emps` finds."""
-BRISTLE_N_PER_M = 1e6
+BRISTLE_N_PER_M, SLIDES_M_S = 1e6, 2e-3
+WINDOWS_S, STATE_HZ = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0), 60.0
 NAMES = ("published form", "by direction", "by direction, standstill")
 START = np.array(
     [
@@ -52,10 +56,12 @@ SIZE = np.array([10.0, 50.0, 50.0, 5.0, 5.0, 4.0, 0.01])
 
 
 @njit(cache=False)
-def simulated(force: Floats, start_m: float, p: Floats) -> Floats:
-    """Position (n,), m, from rest: a mass, drag and a bristle whose level is ``p``'s."""
+def simulated(force: Floats, start_m: float, p: Floats, start_m_s: float = 0.0) -> Floats:
+    """Position (n,), m: a mass, drag and a bristle whose level is ``p``'s, full where it slides."""
     out = np.empty(len(force))
-    x, v, z = start_m, 0.0, 0.0
+    x, v, z = start_m, start_m_s, 0.0
+    if abs(v) > SLIDES_M_S:
+        z = np.sign(v) * (p[3] if v > 0.0 else p[4]) / BRISTLE_N_PER_M
     h = STEP_S / PARTS
     for i in range(len(force)):
         out[i] = x
@@ -93,18 +99,43 @@ def numbers(name: str, q: Floats) -> Floats:
     return p
 
 
-def fitted(name: str, records: Sequence[AxisRecord]) -> Floats:
-    """The numbers with the least squared error of position in the free runs of ``records``."""
-    given = [(forces(one), one.position_m) for one in records]
+Run = tuple[Floats, Floats, float, float]
+"""Force (n,), measured position (n,), and where and how fast a free run begins."""
+
+
+def whole(record: AxisRecord) -> Run:
+    """The run over all of a recording, from rest."""
+    return forces(record), record.position_m, float(record.position_m[0]), 0.0
+
+
+def windows(record: AxisRecord, length_s: float) -> list[Run]:
+    """Half overlapping runs, each from the measured state, smoothed without phase."""
+    b, a = butter(4, STATE_HZ, fs=1 / STEP_S)
+    place = filtfilt(b, a, record.position_m)
+    speed, force, n = np.gradient(place, STEP_S), forces(record), round(length_s / STEP_S)
+    return [
+        (force[k : k + n], record.position_m[k : k + n], float(place[k]), float(speed[k]))
+        for k in range(0, len(place) - n + 1, n // 2)
+    ]
+
+
+def fitted(name: str, runs: Sequence[Run]) -> Floats:
+    """The numbers with the least squared error of position in free runs."""
 
     def off_mm(q: Floats) -> Floats:
         p = numbers(name, q)
         return np.concatenate(
-            [1e3 * (simulated(force, at[0], p) - at)[UNJUDGED:] for force, at in given]
+            [1e3 * (simulated(force, x, p, v) - at)[UNJUDGED:] for force, at, x, v in runs]
         )
 
     free = {NAMES[0]: 4, NAMES[1]: 5, NAMES[2]: 7}[name]
     return numbers(name, least_squares(off_mm, np.zeros(free), x_scale="jac").x)
+
+
+def rmse_mm(record: AxisRecord, p: Floats) -> float:
+    """Of the free run over a whole recording."""
+    force, at, x, _ = whole(record)
+    return 1e3 * float(np.sqrt(np.mean((simulated(force, x, p) - at)[UNJUDGED:] ** 2)))
 
 
 def main() -> int:
@@ -113,35 +144,26 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     told.add_argument("folder", type=Path)
+    told.add_argument("--windows", action="store_true", help="fit windows of the first recording")
+    asked = told.parse_args()
     try:
-        first, second = read(told.parse_args().folder)
+        first, second = read(asked.folder)
     except EpsHilError as error:
         told.error(str(error))
+    fits = {
+        "DATA_EMPS": [whole(first)],
+        "DATA_EMPS_PULSES": [whole(second)],
+        "both": [whole(first), whole(second)],
+    }
+    if asked.windows:
+        fits = {f"DATA_EMPS, {one:g} s": windows(first, one) for one in WINDOWS_S}
     print(f"{'model':26}{'fitted to':22}{'EMPS':>7}{'PULSES':>8}   numbers")
-    for name in NAMES:
-        for label, records in (
-            ("DATA_EMPS", [first]),
-            ("DATA_EMPS_PULSES", [second]),
-            ("both", [first, second]),
-        ):
-            p = fitted(name, records)
-            rmse = [
-                float(
-                    np.sqrt(
-                        np.mean(
-                            (simulated(forces(one), one.position_m[0], p) - one.position_m)[
-                                UNJUDGED:
-                            ]
-                            ** 2
-                        )
-                    )
-                )
-                for one in (first, second)
-            ]
+    for name in NAMES[: 2 if asked.windows else 3]:
+        for label, runs in fits.items():
+            p = fitted(name, runs)
+            off = "".join(f"{rmse_mm(one, p):{w}.2f}" for one, w in ((first, 7), (second, 8)))
             shown = " ".join(f"{value:.4g}" for value in p[: 7 if name == NAMES[2] else 5])
-            print(
-                f"{name:26}{label:22}{1e3 * rmse[0]:7.2f}{1e3 * rmse[1]:8.2f}   {shown}", flush=True
-            )
+            print(f"{name:26}{label:22}{off}   {shown}", flush=True)
     return 0
 
 
