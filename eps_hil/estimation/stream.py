@@ -7,9 +7,8 @@ wall time or on how frames were bunched, so frames replayed as fast as possible 
 what the live loop published.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +18,6 @@ from eps_hil.compiled import direct, interpreted
 from eps_hil.estimation import levels, setup
 from eps_hil.estimation.bristle_filter import PhysicsInside, physics_inside
 from eps_hil.estimation.bristle_setup import new_belief
-from eps_hil.estimation.held import Held
 from eps_hil.estimation.levels import FrictionLevels, LevelChange
 from eps_hil.estimation.plain import plain
 from eps_hil.estimation.settings import EstimatorSettings, problem
@@ -30,8 +28,8 @@ from eps_hil.estimation.stream_steps import (
     new_memory,
     new_waiting,
     run,
+    take_all,
     take_and_advance,
-    take_waiting,
 )
 from eps_hil.estimation.stream_timing import SIGNALS, timing_of
 from eps_hil.estimation.validity import Reason, reason_of
@@ -106,7 +104,6 @@ class Rows:
         return self._only or Trace(*(each.whole() for each in self._columns))
 
 
-_Step = tuple[int, int, float, float, int]
 _BLOCK = 2_000_000
 """Rows of one compiled call: half an hour at 1 kHz, 64 MB."""
 
@@ -136,8 +133,7 @@ class StreamEstimator:
         self.memory = new_memory()
         self._newest = _NOTHING
         self._waiting = new_waiting()
-        self._take: Callable[[], None] = self._take_first
-        self._advance: Callable[[int], _Step] = self._advance_first
+        self._take, self._advance = take_all, take_and_advance
 
     @property
     def latency_s(self) -> float:
@@ -164,7 +160,7 @@ class StreamEstimator:
         signals, stamps, values, filled = self._waiting
         k = filled[0]
         if k == WAITING:
-            self._take()
+            self._take(self.memory, self.timing, self._waiting)
             k = 0
         signals[k], stamps[k], values[k], filled[0] = place, t_ns, value, k + 1
 
@@ -180,7 +176,9 @@ class StreamEstimator:
 
     def advance(self, t_ns: int) -> int:
         """A sync frame with stamp ``t_ns``: run what is due, return the number of estimates."""
-        n, at_ns, force_n, friction_nm, bits = self._advance(t_ns)
+        n, at_ns, force_n, friction_nm, bits = self._advance(
+            self.memory, self.timing, self.constants, self.physics, self._waiting, t_ns
+        )
         if n:
             self._newest = Estimate(at_ns, force_n, friction_nm, bits == 0, reason_of(bits))
         return n
@@ -223,26 +221,16 @@ class StreamEstimator:
             twin.physics = twin.physics._replace(belief=new_belief())
         twin.settings, twin._places, twin._newest = self.settings, self._places, _NOTHING
         twin.memory, twin._waiting = new_memory(), new_waiting()
-        twin._hold()
+        twin._take, twin._advance = take_all, take_and_advance
         for k in range(WAITING):  # more than may wait, so that both are called
             for name in self._places:
                 twin.push(name, k * self.timing.step_ns, 0.0)
         twin.advance(WAITING * self.timing.step_ns)
-        self._hold()
-
-    def _hold(self) -> None:
-        """Let the step have what it works with; before the first one, and where that changes."""
-        held = Held((self.memory, self.timing, self.constants, self.physics, self._waiting))
-        self._take = partial(direct(take_waiting, held), held)
-        self._advance = partial(direct(take_and_advance, held, 0), held)
-
-    def _take_first(self) -> None:
-        self._hold()
-        self._take()
-
-    def _advance_first(self, t_ns: int) -> _Step:
-        self._hold()
-        return self._advance(t_ns)
+        m, waits = self.memory, self._waiting
+        self._take = direct(take_all, m, self.timing, waits)
+        self._advance = direct(
+            take_and_advance, m, self.timing, self.constants, self.physics, waits, 0
+        )
 
     def run(
         self,
@@ -257,18 +245,17 @@ class StreamEstimator:
         may lie between them.
         """
         if self._waiting.filled[0]:
-            self._take()
+            self._take(self.memory, self.timing, self._waiting)
         if changes:
             queue = levels.queue_of(changes, self.physics)
             self.memory = self.memory._replace(levels=queue)
-            self._take, self._advance = self._take_first, self._advance_first
+            self._take, self._advance = take_all, take_and_advance  # other types, perhaps
         # about as many rows as are due; where time jumps, another block follows
         due = int(t_ns[-1] - t_ns[0]) // self.timing.step_ns + 1 if len(t_ns) else 0
         size = min(max(due, 0), _BLOCK) + 2 * BATCH_ROWS
         if interpreted():
             self.memory, self.timing = plain(self.memory), plain(self.timing)
             signal, t_ns, value = plain(signal), plain(t_ns), plain(value)
-            self._take, self._advance = self._take_first, self._advance_first
         blocks: list[tuple[Int64, Float64, Int64]] = []
         since = 0
         while not blocks or since < len(signal):

@@ -12,7 +12,6 @@ from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment, levels
 from eps_hil.estimation.creep import carry, slide_on
 from eps_hil.estimation.gap import lose_way, misled
-from eps_hil.estimation.held import Held, arguments
 from eps_hil.estimation.plausibility import judge_sample, judge_step
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
@@ -359,20 +358,13 @@ def take_all(m: Memory, timing: Timing, waiting: Waiting) -> None:
 
 
 @kernel
-def take_waiting(held: Held) -> None:
-    """:func:`take_all`; ``held``: memory, timing, constants, physics, waiting."""
-    m, timing, _, _, waiting = arguments(held)
-    take_all(m, timing, waiting)
-
-
-@kernel
-def take_and_advance(held: Held, t: int) -> tuple[int, int, float, float, int]:
+def take_and_advance(
+    m: Memory, timing: Timing, c: Constants, x: Physics, waiting: Waiting, t: int
+) -> tuple[int, int, float, float, int]:
     """The samples that wait, then a sync frame of stamp ``t``, in one call.
 
-    (estimates that are new; of the newest: instant, force, friction, reason). ``held`` as in
-    :func:`take_waiting`.
+    (estimates that are new; of the newest: instant, force, friction, reason).
     """
-    m, timing, c, x, waiting = arguments(held)
     take_all(m, timing, waiting)
     rows = advance(m, timing, c, x, t)
     k = max(rows - 1, 0)

@@ -282,8 +282,7 @@ def test_a_warm_stream_takes_the_short_way_to_the_same_numbers(
     cold = StreamEstimator(reference_model, settings, sample_periods_s(series))
     warm = StreamEstimator(reference_model, settings, sample_periods_s(series))
     warm.warm_up()
-    machine_code: Any = warm._advance  # not numba's dispatcher
-    assert type(machine_code.func).__name__ == "builtin_function_or_method"
+    assert type(warm._advance).__name__ == "builtin_function_or_method"  # not numba's dispatcher
     assert same(live(cold, series), live(warm, series))
 
 
