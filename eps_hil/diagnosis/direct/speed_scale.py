@@ -1,9 +1,9 @@
 """A speed whose scale is not the angle's: a gear ratio or a factor that one of the two lacks.
 
 Of means over windows of 2 s, which a delay or a filter of milliseconds hardly changes, the angle's
-rate is a factor times the speed, beside a constant and τ ω̇. Noise of the speed makes that factor
-too small where the rate is regressed on it, noise of the angle too large where it is the other way
-round: the true one is between them.
+rate is a factor times the speed, beside a constant, τ ω̇ and, for tens of milliseconds, ω̈. Noise of
+the speed makes that factor too small where the rate is regressed on it, noise of the angle too
+large where it is the other way round: the true one is between them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -120,14 +120,14 @@ def speed_scale(recordings: Sequence[Prepared]) -> SpeedScale | None:
 
 
 def _rows(one: Prepared) -> tuple[Floats, Floats, Integers]:
-    """(mean speeds and their derivative (n, 2), the angle's rates (n,), block (n,)), each without
+    """(mean speeds and their derivatives (n, 3), the angle's rates (n,), block (n,)), each without
     its mean: of the same windows, so that ends and gaps of a recording bend neither.
     """
     ends = np.arange(0, len(one.time_s), _EVERY)
     step_s = _EVERY * STEP_S
     taps = round(_WINDOW_S / step_s)
     if len(ends) < 2 * taps:
-        return np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64)
+        return np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64)
     window = np.hanning(taps + 2)[1:-1]
     window /= np.sum(window)
     speed = one.raw["motor_speed_rad_s"]
@@ -140,7 +140,8 @@ def _rows(one: Prepared) -> tuple[Floats, Floats, Integers]:
     if one.barred is not None:
         at = np.searchsorted(one.thin_time_s, one.time_s[ends]).clip(0, len(one.barred) - 1)
         good = np.convolve(one.barred[at][1:], np.ones(taps), mode="valid") < 0.5
-    columns = np.column_stack([mean, np.gradient(mean, step_s)])[good]
+    slope = np.gradient(mean, step_s)
+    columns = np.column_stack([mean, slope, np.gradient(slope, step_s)])[good]
     rate = rate[good]
     block = (step_s * np.flatnonzero(good) // BLOCK_S).astype(np.int64)
     if len(rate):
