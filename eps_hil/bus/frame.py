@@ -4,8 +4,7 @@ Times are integer nanoseconds, because a float of seconds since the epoch resolv
 200 ns and two runs of one log would no longer agree bit for bit (DESIGN.md, decision 2).
 """
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
 
 STANDARD_ID_MAX = 0x7FF
 EXTENDED_ID_MAX = 0x1FFF_FFFF
@@ -33,11 +32,10 @@ class Frame:
     brs: bool = False
 
 
-class _Made(Frame):
-    """A frame while its fields are set."""
-
-    __slots__ = ()
-    __setattr__ = object.__setattr__
+_new = object.__new__
+(_t_ns, _can_id, _data, _extended, _fd, _error, _own, _remote, _brs) = (
+    getattr(Frame, each.name).__set__ for each in fields(Frame)
+)
 
 
 def frame_of(
@@ -51,11 +49,15 @@ def frame_of(
     remote: bool,
     brs: bool,
 ) -> Frame:
-    """A frame in a fifth of the time that ``Frame(...)`` takes: for ports, which make every one."""
-    made: Any = object.__new__(_Made)
-    made.t_ns, made.can_id, made.data = t_ns, can_id, data
-    made.extended, made.fd = extended, fd
-    made.error, made.own, made.remote, made.brs = error, own, remote, brs
-    made.__class__ = Frame
-    found: Frame = made
-    return found
+    """A frame in half the time that ``Frame(...)`` takes: for ports, which make every one."""
+    made = _new(Frame)
+    _t_ns(made, t_ns)
+    _can_id(made, can_id)
+    _data(made, data)
+    _extended(made, extended)
+    _fd(made, fd)
+    _error(made, error)
+    _own(made, own)
+    _remote(made, remote)
+    _brs(made, brs)
+    return made
