@@ -10,6 +10,7 @@ leaves behind (clocks, counters, the last payloads) the next one begins with.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,12 +20,12 @@ from eps_hil.bus.bits import Bits, bits_of
 from eps_hil.bus.clock_state import ClockState
 from eps_hil.bus.frame_columns import FrameColumns
 from eps_hil.bus.message_decoder import STAMP_RESOLUTION_NS, MessageDecoder
-from eps_hil.bus.protection import CrcRule
 from eps_hil.growing import Growing
 from eps_hil.series import Arrivals
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
+Bytes = npt.NDArray[np.uint8]
 _MOST_MODULO = 1 << 52
 
 
@@ -53,23 +54,30 @@ class _Column:
     value: Growing
 
 
+class _Layout(NamedTuple):
+    """Where what is needed of a message stands; ``crc``: ``CrcRule.table`` of its length."""
+
+    bits: Mapping[str, Bits]
+    crc: Bytes | None
+
+
 class _Message:
     """Frames of one message, and what is found of them; all (n,)."""
 
     def __init__(
-        self, plan: MessageDecoder, bits: Mapping[str, Bits], frames: FrameColumns, rows: Ints
+        self, plan: MessageDecoder, layout: _Layout, frames: FrameColumns, rows: Ints
     ) -> None:
+        bits = layout.bits
         self.plan, self.bits, self.rows = plan, bits, rows
-        self.data = frames.data[rows, : plan.length]
+        self.data = np.take(frames.data, rows, axis=0)[:, : plan.length]
         if self.data.shape[1] < plan.length:
             short = plan.length - self.data.shape[1]
             self.data = np.pad(self.data, ((0, 0), (0, short)))
         self.short = frames.length[rows] < plan.length
         self.wrong = np.zeros(len(rows), bool)
-        if plan.crc is not None:
-            self.wrong = (expected_crc(plan.crc, self.data) != self.data[:, plan.crc.byte]) & ~(
-                self.short
-            )
+        if plan.crc is not None and layout.crc is not None:
+            self.wrong = expected_crc(layout.crc, self.data) != self.data[:, plan.crc.byte]
+            self.wrong &= ~self.short
         self.stamp = (frames.t_ns[rows] + STAMP_RESOLUTION_NS // 2) // STAMP_RESOLUTION_NS
         self.stamp *= STAMP_RESOLUTION_NS
         self.counter = np.full(len(rows), -1, np.int64)
@@ -91,7 +99,7 @@ class ColumnDecoder:
     def __init__(self, plans: Mapping[int, MessageDecoder], sync: int | None = None) -> None:
         self._plans, self._sync = plans, sync
         self._arrivals = [Growing(np.int64) for _ in Arrivals._fields]
-        self._bits: dict[int, Mapping[str, Bits]] = {}
+        self._layouts: dict[int, _Layout] = {}
         self._before = 0
         self._columns: dict[str, _Column] = {}
         self._stamps: dict[int, Growing] = {}
@@ -111,11 +119,11 @@ class ColumnDecoder:
             rows = np.flatnonzero(frames.key == key)
             if not len(rows):
                 continue
-            bits = self._bits.get(key) or _bits(plan)
-            if bits is None:
+            layout = self._layouts.get(key) or _layout(plan)
+            if layout is None:
                 return False
-            self._bits[key] = bits
-            messages[key] = _Message(plan, bits, frames, rows)
+            self._layouts[key] = layout
+            messages[key] = _Message(plan, layout, frames, rows)
         for keys, state in self._clocks:
             mine = [(lane, messages[key]) for lane, key in enumerate(keys) if key in messages]
             if mine:
@@ -155,19 +163,20 @@ class ColumnDecoder:
         if not there.any():
             return
         first = self._before + int(message.rows[int(np.argmax(there))])
+        read, kept = _those(good), _those(there)
         stamps = self._stamps.setdefault(key, Growing(np.int64))
-        stamps.add(message.t_ns[there])
+        stamps.add(message.t_ns[kept])
         missing, outside = np.zeros(len(there), np.int64), np.zeros(len(there), np.int64)
         for place, signal in enumerate(message.plan.signals):
             value = np.full(len(there), math.nan)
-            raw = message.bits[signal.name].raw(message.data[good])
-            value[good], none = signal.read_all(raw)
-            missing[good] += none
-            outside[good] += np.isnan(value[good]) & ~none
+            raw = message.bits[signal.name].raw(message.data[read])
+            value[read], none = signal.read_all(raw)
+            missing[read] += none
+            outside[read] += np.isnan(value[read]) & ~none
             column = self._columns.setdefault(
                 signal.canonical, _Column((first, place), stamps, Growing(np.float64))
             )
-            column.value.add(value[there])
+            column.value.add(value[kept])
         self._note(message, "not_available", missing > 0, int(missing.sum()))
         self._note(message, "out_of_range", outside > 0, int(outside.sum()))
 
@@ -181,33 +190,28 @@ class ColumnDecoder:
             self._faults[fault, message.plan.name] = first, count
 
 
-def _bits(plan: MessageDecoder) -> Mapping[str, Bits] | None:
-    """Where what is needed of a message stands; None where it is decoded frame by frame."""
+def _those(where: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_] | slice:
+    """What takes them out of an array: all of them without a copy."""
+    return slice(None) if where.all() else where
+
+
+def _layout(plan: MessageDecoder) -> _Layout | None:
+    """None where a message is decoded frame by frame."""
     bits = {name: bits_of(plan.signal(name), plan.length) for name in plan.needed}
     known = {name: each for name, each in bits.items() if each is not None}
     modulo = 0 if plan.check is None else plan.check.modulo
     if plan.multiplexed or len(known) < len(bits) or modulo > _MOST_MODULO:
         return None
-    return known
+    crc = None if plan.crc is None else np.array(plan.crc.table(plan.length), np.uint8)
+    return _Layout(known, crc)
 
 
-def expected_crc(rule: CrcRule, data: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """The CRC of payloads (n, width), (n,).
-
-    A CRC of messages of one length is affine over their bits: that of zeros, and on top of it
-    what each bit adds.
-    """
-    width = data.shape[1]
-    nothing = rule.expected(bytes(width))
-    crc = np.full(len(data), nothing, np.uint8)
-    for at in range(width):
-        if at != rule.byte:
-            before, after = bytes(at), bytes(width - at - 1)
-            adds = np.zeros(1, np.uint8)  # of every value of the byte, by its bits
-            for bit in range(8):
-                one = rule.expected(before + bytes((1 << bit,)) + after) ^ nothing
-                adds = np.concatenate([adds, adds ^ np.uint8(one)])
-            crc ^= adds[data[:, at]]
+def expected_crc(table: Bytes, data: Bytes) -> Bytes:
+    """The CRC of payloads (n, width), (n,), by the ``table`` of that width."""
+    crc = np.full(len(data), table[-1, 0])
+    for row, column in zip(table[:-1], data.T, strict=True):
+        if row.any():  # not the CRC's own byte
+            crc ^= row[column]
     return crc
 
 
@@ -231,8 +235,9 @@ def _find_instants(mine: Sequence[tuple[int, _Message]], clock: ClockState) -> N
         np.zeros(len(order), np.int64),
     )
     restarted = clock.run(rows, data, order)
-    for lane, each in mine:
-        its = rows.lane == lane
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    for (_, each), its in zip(mine, np.split(place, np.cumsum(many)[:-1]), strict=True):
         each.state, each.t_ns = rows.state[its], rows.t_ns[its]
         each.lost, each.moved = rows.lost[its], rows.moved[its]
         each.restarted = np.flatnonzero(restarted[its])

@@ -24,7 +24,7 @@ _LONGEST = 400
 _MOST_SHAPES = 400
 _FD_DATA, _FD_FLAGS, _DATA = 7, 6, 8
 _NEWLINE, _RETURN = 10, 13
-_SECONDS, _FRACTION, _IDENTIFIER, _FLAGS, _PAYLOAD, _FIXED = range(6)
+_SECONDS, _FRACTION, _IDENTIFIER, _FLAGS, _PAYLOAD = range(5)
 _NS = 1_000_000_000
 _HEX = np.full(256, 255, np.uint8)
 _HEX[[*b"0123456789ABCDEF"]] = np.arange(16)
@@ -36,13 +36,15 @@ Bools = npt.NDArray[np.bool_]
 
 
 class _Shape(NamedTuple):
-    """What stands where in a line, (length,) each: a kind, and the character of a fixed place.
+    """What stands where in a line.
 
-    ``width``: bytes of payload; ``digits``: of the fraction of a second.
+    ``spans``: first place of each kind and the one after its last, (5, 2). ``fixed``: all other
+    places and the characters that stand there, (2, n). ``digits``: of the fraction of a second;
+    ``width``: bytes of payload.
     """
 
-    kind: Bytes
-    text: Bytes
+    spans: Ints
+    fixed: Ints
     digits: int
     width: int
     channel: bytes
@@ -51,43 +53,42 @@ class _Shape(NamedTuple):
 
 
 @kernel
+def _number(text: Bytes, begin: int, end: int, base: int, values: Bytes) -> int:
+    """Digits as a number; -1 where one of them is none."""
+    number = wrong = 0
+    for k in range(begin, end):
+        digit = int(values[text[k]])
+        wrong |= base - 1 - digit
+        number = number * base + digit
+    return number if wrong >= 0 else -1
+
+
+@kernel
 def _take(
-    text: Bytes, starts: Ints, kind: Bytes, fixed: Bytes, hexes: Bytes, fits: Bools,
+    text: Bytes, starts: Ints, spans: Ints, fixed: Ints, values: Bytes, fits: Bools,
     numbers: Ints, data: Bytes,
 ) -> int:  # fmt: skip
     """Lines at ``starts`` (n,) that are of a shape: ``fits`` (n,), how many.
 
-    Of those, ``numbers`` (n, 3): seconds, fraction, identifier; and ``data`` (n, width).
+    Of those, ``numbers`` (n, 4): seconds, fraction, identifier, flags; and ``data`` (n, width).
     """
-    rows = 0
+    rows, width = 0, data.shape[1]
     for k in range(len(starts)):
-        at, place, good = starts[k], 0, True
-        numbers[rows, 0] = numbers[rows, 1] = numbers[rows, 2] = 0
-        for j in range(len(kind)):
-            c = text[at + j]
-            what = kind[j]
-            if what == _FIXED:
-                if c != fixed[j]:
-                    good = False
-                    break
-                continue
-            digit = hexes[c]
-            if digit > (9 if what <= _FRACTION else 15):
-                good = False
-                break
-            if what <= _FRACTION:
-                numbers[rows, what] = numbers[rows, what] * 10 + digit
-            elif what == _IDENTIFIER:
-                numbers[rows, 2] = numbers[rows, 2] * 16 + digit
-            elif what == _PAYLOAD:
-                if place % 2 == 0:
-                    data[rows, place // 2] = digit * 16
-                else:
-                    data[rows, place // 2] += digit
-                place += 1
-        fits[k] = good
-        if good:
-            rows += 1
+        at, wrong = starts[k], 0
+        for j in range(fixed.shape[1]):
+            wrong |= int(text[at + fixed[0, j]]) ^ fixed[1, j]
+        for j in range(_PAYLOAD):
+            base = 10 if j <= _FRACTION else 16
+            found = _number(text, at + spans[j, 0], at + spans[j, 1], base, values)
+            numbers[rows, j] = found
+            wrong |= int(found < 0)
+        at += spans[_PAYLOAD, 0]
+        for j in range(width):
+            high, low = int(values[text[at + 2 * j]]), int(values[text[at + 2 * j + 1]])
+            wrong |= (high | low) & 0xF0
+            data[rows, j] = (high << 4 | low) & 0xFF
+        fits[k] = wrong == 0
+        rows += fits[k]
     return rows
 
 
@@ -160,9 +161,9 @@ class CandumpColumns:
                 known.append(shape)
             shape = known[tried]
             fits = np.zeros(len(starts), bool)
-            numbers = np.empty((len(starts) + 1, 3), np.int64)
+            numbers = np.empty((len(starts) + 1, _PAYLOAD), np.int64)
             data = np.empty((len(starts) + 1, shape.width), np.uint8)
-            many = _take(text, starts, shape.kind, shape.text, _HEX, fits, numbers, data)
+            many = _take(text, starts, shape.spans, shape.fixed, _HEX, fits, numbers, data)
             if many == len(starts):
                 self._keep_of(shape, number, numbers[:many], data[:many], parts)
                 return True
@@ -177,13 +178,13 @@ class CandumpColumns:
         """What is wanted of lines of a shape."""
         if shape.remote or not len(number):
             return
-        identifier = numbers[:, 2]
+        identifier = numbers[:, _IDENTIFIER]
         key = identifier & ID_MASK
         kept = self._keep(key, shape.channel)
         if shape.extended:
             kept &= identifier & ERROR_FLAG == 0
             key |= EXTENDED
-        t_ns = numbers[:, 0] * _NS + numbers[:, 1] * 10 ** (9 - shape.digits)
+        t_ns = numbers[:, _SECONDS] * _NS + numbers[:, _FRACTION] * 10 ** (9 - shape.digits)
         if not kept.all():
             number, key, t_ns, data = number[kept], key[kept], t_ns[kept], data[kept]
         if len(key):
@@ -197,13 +198,13 @@ def _shape_of(line: bytes) -> _Shape | None:
     if match is None:
         return None
     payload = _FD_DATA if match[_FD_FLAGS] is not None else _DATA
-    kind = np.full(len(line), _FIXED, np.uint8)
-    for group, what in (
-        (1, _SECONDS), (2, _FRACTION), (4, _IDENTIFIER), (_FD_FLAGS, _FLAGS), (payload, _PAYLOAD)
-    ):  # fmt: skip
-        if match.span(group)[0] >= 0:
-            kind[slice(*match.span(group))] = what
+    groups = (1, 2, 4, _FD_FLAGS, payload)
+    spans = np.array([match.span(group) for group in groups], np.int64)
+    spans[spans < 0] = 0
+    free = np.concatenate([np.arange(*span) for span in spans])
+    places = np.delete(np.arange(len(line)), free)
     return _Shape(
-        kind, np.frombuffer(line, np.uint8), len(match[2]), len(match[payload] or b"") // 2,
+        spans, np.array([places, np.frombuffer(line, np.uint8)[places]], np.int64),
+        len(match[2]), len(match[payload] or b"") // 2,
         match[3], len(match[4]) == 8, match[5] is not None,
     )  # fmt: skip
