@@ -58,7 +58,7 @@ ROWS = (
         "candump", "candump log to checked signals",
         "python-can, cantools, unchecked",
         "decode_log.py --seconds 120", r"ratio ([\d.]+)", "times as fast", 20.0, True,
-        "reading characters",
+        "copies on the way from lines to columns",
         "decode_log.py --seconds 5 --runs 1",
     ),
     Row(
@@ -88,13 +88,13 @@ ROWS = (
     Row(
         "first", "first `estimate` after installation", "–",
         "first_estimate.py", r"first +([\d.]+) s", "s", 5.0, False,
-        "starting Python",
+        "importing and compiling",
         "first_estimate.py",
     ),
     Row(
         "live", "live step: three frames in, estimate frame out", "a cycle of 1 ms",
         "live_step.py", r"p50 ([\d.]+) us", "us", 25.0, False,
-        "decoding, checks and encoding in Python",
+        "Python between the compiled calls",
         "live_step.py --cycles 500",
     ),
     Row(
@@ -105,7 +105,7 @@ ROWS = (
     Row(
         "latency", "sync frame to estimate frame, p50", "bare python-can loop",
         "latency.py", r"ratio +([\d.]+)", "times its time", 2.0, False,
-        "decoding, checks and encoding in Python",
+        "waking up, and Python between the compiled calls",
         "latency.py --cycles 200 --warm-up 100",
     ),
     Row(

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from eps_hil.bus.frame import EXTENDED_ID_MAX, STANDARD_ID_MAX, Frame
+from eps_hil.bus.live_senders import LiveSenders
 from eps_hil.bus.port import Port
-from eps_hil.bus.replay_choice import Choice, LiveSenders
+from eps_hil.bus.replay_choice import Choice
 from eps_hil.bus.replay_controls import ReplayControls
 from eps_hil.errors import InputError
 

@@ -1,26 +1,18 @@
-"""Which frames of a log a replay plays, what it leaves out, and whether somebody else is talking.
+"""Which frames of a log a replay plays, and what it leaves out.
 
-Two rules that no option turns off: commands stay out (``bus/commands.py``), and an id that a live
-sender uses is not talked over. A receiver cannot tell the two apart, and a rig that gets torque and
-position from two sources at once moves by neither.
+No option plays commands (``bus/commands.py``) or talks over a live sender (``live_senders.py``).
 """
 
-import time
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
 from eps_hil.bus.commands import OWN, Commands
 from eps_hil.bus.frame import Frame
-from eps_hil.bus.port import Port
-from eps_hil.errors import BusError, InputError
+from eps_hil.bus.live_senders import Key
+from eps_hil.errors import InputError
 
 SCAN_FRAMES = 100_000
-_LISTEN_ON_S = 1.0
-_LOOK_NS = 20_000_000
-
-Key = tuple[int, bool]
-"""(id, whether it has 29 bits)."""
 
 
 class Choice:
@@ -77,59 +69,6 @@ def scan(frames: Iterable[Frame], choice: Choice, limit: int = SCAN_FRAMES) -> S
         if count == limit:
             break
     return Scan(count, frozenset(keys), choice, count < limit)
-
-
-class LiveSenders:
-    """Hears who else is on the bus and ends a replay that would talk over somebody.
-
-    A port does not deliver what it sends itself, so whatever arrives is somebody else's.
-    """
-
-    def __init__(self, port: Port, ours: Collection[Key]) -> None:
-        self._port = port
-        self._ours = set(ours)
-        self._heard: set[Key] = set()
-        self._next_ns = 0
-
-    def listen(self, listen_s: float) -> None:
-        """Before the first frame, also to what came since the port was opened;
-        :class:`BusError` names the ids that are taken."""
-        until_s = time.monotonic() + max(listen_s, 0.0)
-        while True:
-            left_s = until_s - time.monotonic()
-            frames = self._port.recv(max(left_s, 0.0))
-            self._hear(frames)
-            if left_s <= 0.0 and (not frames or left_s < -_LISTEN_ON_S):
-                break
-        self._refuse(self._heard & self._ours, "are sent by somebody else already")
-
-    def look(self) -> None:
-        """While playing: whoever began to send meanwhile; at most every 20 ms a look."""
-        now_ns = time.monotonic_ns()
-        if now_ns >= self._next_ns:
-            self._next_ns = now_ns + _LOOK_NS
-            self._hear(self._port.recv(0.0))
-            self._refuse(self._heard & self._ours, "are now sent by somebody else too")
-
-    def sending(self, frame: Frame) -> None:
-        """Asked before each frame: an id that the first frames of the log did not have."""
-        key = (frame.can_id, frame.extended)
-        if key not in self._ours:
-            self._ours.add(key)
-            self._refuse(self._heard & {key}, "are sent by somebody else")
-
-    def _hear(self, frames: Iterable[Frame]) -> None:
-        for frame in frames:
-            if not (frame.own or frame.error or frame.remote):
-                self._heard.add((frame.can_id, frame.extended))
-
-    def _refuse(self, taken: Collection[Key], words: str) -> None:
-        if taken:
-            ids = ",".join(f"0x{can_id:X}" for can_id, _ in sorted(taken))
-            raise BusError(
-                f"{self._port.name}: the ids {ids} {words}; nothing is talked over: "
-                f"end that sender, or leave them out with --without {ids}"
-            )
 
 
 def refuse_asked(ids: Collection[int], commands: Commands) -> None:

@@ -16,9 +16,10 @@ from eps_hil.errors import InputError
 if TYPE_CHECKING:
     from eps_hil.bus.commands import Commands
     from eps_hil.bus.frame import Frame
+    from eps_hil.bus.live_senders import LiveSenders
     from eps_hil.bus.port import Port
     from eps_hil.bus.replay import ReplayReport
-    from eps_hil.bus.replay_choice import Choice, LiveSenders
+    from eps_hil.bus.replay_choice import Choice
     from eps_hil.bus.replay_controls import ReplayControls
 
 _REALTIME_PACE_MAX = 2.0  # faster, and a replay might not sleep enough to be let ahead of others
@@ -131,7 +132,8 @@ def _look_first(
     frames: "Iterable[Frame]", port: "Port", choice: "Choice", listen_s: float, log: Path
 ) -> "LiveSenders":
     """Say what will be left out, and refuse to talk over anybody."""
-    from eps_hil.bus.replay_choice import LiveSenders, scan
+    from eps_hil.bus.live_senders import LiveSenders
+    from eps_hil.bus.replay_choice import scan
 
     opened_s = time.monotonic()
     seen = scan(frames, choice)
@@ -139,7 +141,7 @@ def _look_first(
     if left_out := seen.choice.left_out():
         typer.echo(f"commands are left out{part}: {left_out}", err=True)
     typer.echo(f"replaying {log} on {port.name}", err=True)
-    live = LiveSenders(port, seen.keys)
+    live = LiveSenders(port, seen.keys, lambda ids: f"leave them out with --without {ids}")
     live.listen(opened_s + listen_s - time.monotonic())
     return live
 

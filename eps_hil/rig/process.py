@@ -1,7 +1,8 @@
 """The simulated rig and ECU as a process of its own, in real time on a bus.
 
-It waits for nobody and keeps nothing: killed at any moment it leaves a bus that has simply gone
-silent. What it knows and a real rig does not (true friction, true speed) stays inside.
+It sends as the ECU, so it listens first: where somebody sends what it would, it does not begin, and
+it ends where somebody does later. It keeps nothing: killed at any moment it leaves a bus that has
+simply gone silent. What it knows and a real rig does not (true friction, true speed) stays inside.
 """
 
 import math
@@ -16,6 +17,7 @@ from eps_hil.bus.commands import of_database, refuse_command
 from eps_hil.bus.config import describe_ids
 from eps_hil.bus.database import find_message, load_database
 from eps_hil.bus.frame import Frame
+from eps_hil.bus.live_senders import LISTEN_S, LiveSenders
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.bus.port import Port, open_port
 from eps_hil.bus.reconnecting_port import ReconnectingPort
@@ -148,13 +150,19 @@ class Rig:
                 bus.interface,
                 bus.channel,
                 fd=bus.fd,
-                receive_ids=self._heard,
+                receive_ids=(*self._heard, *self._sent),
                 send_ids=self._sent,
                 never_send_ids=self._simulation.never_send_ids,
                 options=bus.options,
             )
 
         self._port = ReconnectingPort(opener, say, name=str(bus)) if bus.reconnect else opener()
+        encoders = [message.encoder for message in self._simulation.messages]
+        self._live = LiveSenders(
+            self._port,
+            [(each.can_id, each.extended) for each in encoders],
+            lambda _: "simulate on a bus of its own",
+        )
 
     def stop(self) -> None:
         """End after the present tick (callable from a signal handler)."""
@@ -170,6 +178,7 @@ class Rig:
         """Run in real time for one manoeuvre, ``duration_s``, or (``loop``) until stopped.
 
         ``loaded`` is called once, when the code is compiled and before anything is sent.
+        :class:`BusError` where somebody else sends one of the rig's ids.
         """
         simulation = self._simulation
         per_ms = simulation.per_ms
@@ -182,11 +191,14 @@ class Rig:
         notice.end()
         loaded()
         self._say(f"timing: {settle(self._setup.rig.realtime)}")
-        self._say("READY")
-        while self._port.recv(0.0):
-            pass  # what was commanded before we were ready is out of date
-        pacer = Pacer(simulation.tick_ns)
         try:
+            while self._port.recv(0.0):
+                pass  # of before the code was there
+            self._live.listen(LISTEN_S)
+            self._say("READY")
+            while frames := self._port.recv(0.0):  # commands of before READY are out of date
+                self._live.hear(frames)
+            pacer = Pacer(simulation.tick_ns)
             while not self._stop and simulation.ticks < limit_ms * per_ms:
                 due = pacer.wait()
                 self._receive()
@@ -201,7 +213,9 @@ class Rig:
         return self._report(pacer)
 
     def _receive(self) -> None:
-        for frame in self._port.recv(0.0):
+        frames = self._port.recv(0.0)
+        self._live.hear(frames)
+        for frame in frames:
             self._simulation.hear(frame, time.monotonic_ns())
 
     def _send(self, now_ns: int, *, stopping: bool) -> None:

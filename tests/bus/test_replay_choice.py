@@ -15,8 +15,9 @@ import pytest
 from eps_hil.bus import replay
 from eps_hil.bus.commands import OWN, Command, Kind
 from eps_hil.bus.frame import Frame
+from eps_hil.bus.live_senders import LiveSenders
 from eps_hil.bus.port import Port, open_port
-from eps_hil.bus.replay_choice import Choice, LiveSenders, between, refuse_asked, scan
+from eps_hil.bus.replay_choice import Choice, between, refuse_asked, scan
 from eps_hil.bus.replay_controls import ReplayControls
 from eps_hil.errors import BusError, InputError
 
@@ -96,7 +97,7 @@ def two_ports(udp_port: int) -> Iterator[tuple[Port, Port]]:
 
 def test_a_live_sender_is_not_talked_over(two_ports: tuple[Port, Port]) -> None:
     ours, other = two_ports
-    live = LiveSenders(ours, {(0x101, False), (0x100, False)})
+    live = LiveSenders(ours, {(0x101, False), (0x100, False)}, lambda ids: f"say --without {ids}")
     live.listen(0.05)  # nobody
     for can_id, extended in ((0x101, False), (0x100, True), (0x200, False)):
         other.send(Frame(0, can_id, b"", extended=extended))

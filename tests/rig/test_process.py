@@ -18,7 +18,7 @@ from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.bus.port import Port, open_port
-from eps_hil.errors import InputError
+from eps_hil.errors import BusError, InputError
 from eps_hil.rig.config import RigSetup, load_rig_setup
 from eps_hil.rig.ecu import COMMAND
 from eps_hil.rig.frames import resolutions
@@ -193,6 +193,49 @@ class TestOnABus:
 
         monkeypatch.setattr("eps_hil.rig.process.Pacer", Lagging)
         assert Rig(setup).run(duration_s=0.1).simulated_s == pytest.approx(0.12, abs=1e-9)
+
+    def test_it_does_not_talk_over_an_ecu(self, setup: RigSetup) -> None:
+        """Two ECUs on one bus: no receiver can tell whose torque it was."""
+        bus = setup.bus.bus
+        ecu = open_port(bus.interface, bus.channel)
+        lines: list[str] = []
+        rig = Rig(setup, lines.append)
+        errors: list[str] = []
+
+        def run() -> None:
+            try:
+                rig.run(duration_s=30.0)
+            except BusError as error:
+                errors.append(str(error))
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        heard: list[Frame] = []
+        while thread.is_alive():
+            ecu.send(Frame(0, MOTOR_STATE_ID, bytes(8)))
+            heard += ecu.recv(0.01)
+        thread.join()
+        ecu.close()
+        assert heard == []
+        assert "READY" not in lines
+        (error,) = errors
+        assert "the ids 0x100 are sent by somebody else already; nothing is talked over" in error
+        assert error.endswith("end that sender, or simulate on a bus of its own")
+
+    def test_it_ends_where_an_ecu_begins_to_send(self, setup: RigSetup) -> None:
+        bus = setup.bus.bus
+        ecu = open_port(bus.interface, bus.channel)
+        timer = threading.Timer(0.1, lambda: ecu.send(Frame(0, MOTOR_STATE_ID, bytes(8))))
+
+        def begin(line: str) -> None:
+            if line == "READY":
+                timer.start()
+
+        rig = Rig(setup, begin)
+        with pytest.raises(BusError, match=r"0x100 are now sent by somebody else too"):
+            rig.run(duration_s=30.0)
+        timer.join()
+        ecu.close()
 
     @pytest.fixture
     def process_config(self, config_file: Path) -> Path:
