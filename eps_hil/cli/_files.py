@@ -54,6 +54,25 @@ def check_kept(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) ->
             raise InputError(path, "", "is read by this command", "write to another file")
 
 
+def check_model_place(path: Path | None) -> None:
+    """Refuse before long work where a model cannot be written, or would replace another file."""
+    if path is None:
+        return
+    from eps_hil import yaml_file
+    from eps_hil.recordings.files import check_writable
+
+    check_places(path)
+    check_writable(path)
+    if not path.is_file() or path.stat().st_size == 0:
+        return
+    try:
+        content = yaml_file.read(path)
+    except InputError:
+        content = None
+    if not isinstance(content, dict) or not isinstance(content.get("model"), dict):
+        raise InputError(path, "", "is no model file and would be lost", "name another file")
+
+
 def outputs_for(out: Path, recordings: Sequence[Path]) -> dict[Path, Path]:
     """The output file of each recording; no two of them the same."""
     targets: dict[Path, Path] = {}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.board import Notice
+from eps_hil.cli._files import check_model_place
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import reads_recordings
 from eps_hil.cli._levels import accept, reset_levels
@@ -84,6 +85,7 @@ def torque_injection(
     from eps_hil.service.override_setup import prepare_override
 
     setup = load_config(config)
+    check_model_place(write_model)
     if reset:
         reset_levels(setup, write_model)
         return
@@ -131,6 +133,7 @@ def error_injection(
     from eps_hil.service.online_methods import warm_up_error_injection
 
     setup = load_config(config)
+    check_model_place(write_model)
     if reset:
         reset_levels(setup, write_model)
         return

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from eps_hil.cli._files import check_kept, write_json
+from eps_hil.cli._files import check_kept, check_model_place, write_json
 from eps_hil.cli._inputs import ModelPath, Reading, progress, read_all, reads_recordings, stages
 
 
@@ -47,6 +47,7 @@ def changes(
     from eps_hil.recordings.files import replacing
 
     check_kept((json, report, write_model), (model, *before, *after))
+    check_model_place(write_model)
     if report:
         from eps_hil.report import diagnosis_page, page
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from eps_hil.cli._files import check_kept, write_json
+from eps_hil.cli._files import check_kept, check_model_place, write_json
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import (
     ModelPath,
@@ -127,6 +127,7 @@ def diagnose(
         (json, report, write_model, write_manoeuvre, write_effect),
         (model, *recording, *(holdout or []), *(simulation or [])),
     )
+    check_model_place(write_model)
     if write_effect:
         _check_effect(write_effect)
     _check_simulation(simulation or [], simulation_signals, simulation_values)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eps_hil.cli._files import check_kept, check_places, write_json
+from eps_hil.cli._files import check_kept, check_model_place, check_places, write_json
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import (
     ModelPath,
@@ -87,6 +87,7 @@ def identify(
 
         page.check("--report", "matplotlib")
     check_kept((write_model, json, report), (model, *recordings))
+    check_model_place(write_model)
     rig = load_model(model)
     read = read_all(recordings, reading)
     given = [eps_hil.Recording(name, series) for name, series in read.items()]

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.cli._files import check_model_place
 from eps_hil.cli.main import main
 
 ROOT = Path(__file__).parents[2]
@@ -109,3 +110,52 @@ def test_outputs_never_replace_each_other_nor_what_is_read(
         assert said.count("\n") == 1
     assert not (tmp_path / "x.csv").exists()
     assert (mine.read_bytes(), same[1].read_bytes()) == before
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ["identify", "{one}", "--model", "{model}"],
+        ["diagnose", "--recording", "{one}", "--model", "{model}"],
+        ["changes", "--before", "{one}", "--after", "{other}", "--model", "{model}"],
+        ["calibrate", "torque-injection", "--config", "{config}"],
+        ["calibrate", "error-injection", "--config", "{config}"],
+        ["programme", "{one}", "--config", "{config}", "--out", "{out}"],
+        ["investigate", "--config", "{config}", "--out", "{out}", "--budget", "1min"],
+    ],
+    ids=lambda verb: " ".join(verb[:2]).split(" -")[0],
+)
+def test_a_model_is_not_written_over_another_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: list[str]
+) -> None:
+    config = ROOT / "configs" / "calibrate_udp.yaml"
+    mine, broken = tmp_path / "my_rig.yaml", tmp_path / "broken.yaml"
+    one, other = tmp_path / "one.csv", tmp_path / "other.csv"
+    mine.write_bytes(config.read_bytes())
+    broken.write_text("model: {")
+    for path in (one, other):
+        path.write_bytes(HEADER + b"0,1,2\n")
+    names = {
+        "one": one, "other": other, "config": config, "out": tmp_path / "out",
+        "model": ROOT / "configs" / "reference_rig.yaml",
+    }  # fmt: skip
+    words = [word.format(**names) for word in verb]
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    for target in (mine, broken):
+        assert main([*words, "--write-model", str(target)]) == 2
+        said = capsys.readouterr()
+        expected = f"eps-hil: {target}: is no model file and would be lost; name another file\n"
+        assert said.err == expected
+        assert "READY" not in said.out
+    assert main([*words, "--write-model", str(tmp_path / "nowhere" / "m.yaml")]) == 2
+    assert "does not exist" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_model_is_written_over_a_model_and_an_empty_file(tmp_path: Path) -> None:
+    model, empty = tmp_path / "model.yaml", tmp_path / "empty.yaml"
+    model.write_bytes((ROOT / "configs" / "reference_rig.yaml").read_bytes())
+    empty.touch()
+    for path in (None, model, empty, tmp_path / "new.yaml"):
+        check_model_place(path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty.yaml", "model.yaml"]
