@@ -126,11 +126,16 @@ class FrameDecoder:
         """What takes usual frames by compiled calls, which are compiled (or loaded) now.
 
         ``places``: the number of each signal in ``samples``. Frames that it does not take are for
-        :meth:`decode`. None where the mapping asks for more than one message tells.
+        :meth:`decode`. None where the mapping asks for more than one message tells, and where
+        kernels are not compiled.
         """
-        if self._power is not None:
+        from eps_hil.compiled import interpreted  # and what it stands for; no recorder needs them
+
+        if self._power is not None or interpreted():
             return None
-        from eps_hil.bus.live_frames import LiveFrames  # compiles; a recorder does not need it
+        if self._live is not None:
+            self._live.give_all_back()
+        from eps_hil.bus.live_frames import LiveFrames
 
         self._live = LiveFrames(self._plans, places, samples, self._sync)
         return self._live
@@ -287,7 +292,9 @@ class FrameEncoder:
 
     def warm_up(self) -> None:
         """Encode by a compiled call from here on, which is compiled (or loaded) now."""
-        if self._packing is not None:
+        from eps_hil.compiled import interpreted
+
+        if self._packing is not None and not interpreted():
             from eps_hil.bus.live_frames import compiled_payload
 
             self._compiled = compiled_payload(self._packing, self._signals, self._crc)

@@ -25,7 +25,6 @@ from eps_hil.bus.live_kernels import (
     NO_PAYLOAD,
     UNUSUAL,
     WRITTEN,
-    Ints,
     Samples,
     SeenPayloads,
     payload_of,
@@ -80,7 +79,7 @@ class LiveFrames:
         None: they do not, and the frame is for the decoder.
         """
         message = self._messages.get(key)
-        if message is None:
+        if message is None or frame.remote:
             return None
         clock = message.clock
         if not clock.here and not clock.ready():
@@ -102,6 +101,11 @@ class LiveFrames:
         """Let the decoder go on by itself with a message, and all others of its clock."""
         message = self._messages.get(key)
         if message is not None:
+            message.clock.give_back()
+
+    def give_all_back(self) -> None:
+        """Let the decoder go on by itself with all messages."""
+        for message in self._messages.values():
             message.clock.give_back()
 
     @property
@@ -143,7 +147,6 @@ class _Clock(ClockState):
         self._seen = SeenPayloads(
             ring.counter, ring.stamp, np.zeros(shape, np.uint8), ring.size, ring.recent
         )
-        self._moved: Ints = self._line["moved"]
 
     @property
     def arrays(self) -> tuple[Any, ...]:
@@ -153,7 +156,7 @@ class _Clock(ClockState):
     @property
     def moved_ns(self) -> int | None:
         """As ``SampleClock.moved_ns``, where that is behind."""
-        return self._moved.item() if self.here else None
+        return int(self._line["moved"][0]) if self.here else None
 
     def ready(self) -> bool:
         """Take what the decoder knows, now and then; whether the arrays hold it now."""
@@ -237,10 +240,11 @@ def _put_bits(field: Any, plan: MessageDecoder, name: str) -> bool:
 
 def _put_value(field: Any, signal: ReadSignal) -> bool:
     law, mask, sign = signal.law, int(field["mask"]), int(field["sign"])
-    if len(law.labelled) > MOST_LABELS or not signal.exact(-sign, mask - sign):
+    labelled = sorted(raw for raw in law.labelled if -sign <= raw <= mask - sign)
+    if len(labelled) > MOST_LABELS or not signal.exact(-sign, mask - sign):
         return False
-    field["labels"] = len(law.labelled)
-    field["labelled"][: len(law.labelled)] = sorted(law.labelled)
+    field["labels"] = len(labelled)
+    field["labelled"][: len(labelled)] = labelled
     for name in ("scale", "shifted", "low", "high", "factor", "offset"):
         field[name] = getattr(law, name)
     return not math.isnan(law.factor)
@@ -262,6 +266,7 @@ class CompiledPayload:
     def payload(self, values: Mapping[str, float], counter: int) -> bytes | None:
         """The payload with ``counter`` at its place, and its CRC; None where a value is none, or
         beyond its range."""
+        counter = (counter ^ 1 << 63) - (1 << 63)  # machine code has 64 bits with a sign
         number = self._call(counter, *map(values.get, self._names, self._nan), *self._others)
         if number == NO_PAYLOAD:
             return None
@@ -281,10 +286,10 @@ def compiled_payload(
     fields = np.zeros(len(signals), WRITTEN)
     for field, signal in zip(fields, signals, strict=True):
         shift, mask, _ = packing.places[signal.name]
-        field["shift"], field["mask"] = shift, mask
-        field["scale"], field["offset"], field["low"], field["high"] = signal.law
         if mask >= 1 << _MOST_BITS:
             return None
+        field["shift"], field["mask"] = shift, mask
+        field["scale"], field["offset"], field["low"], field["high"] = signal.law
     told, table = np.zeros(1, MESSAGE), np.zeros((length + 1, 256), np.uint8)
     told["length"], told["crc_byte"] = length, -1
     if crc is not None:

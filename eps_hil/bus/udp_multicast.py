@@ -114,7 +114,8 @@ class UdpMulticastPort(SocketPort):
     def _unpack(self, data: bytes, t_ns: int) -> Frame | None:
         try:
             fields = msgpack.unpackb(data)
-            payload = fields["data"]
+            remote = bool(fields["is_remote_frame"])
+            payload = b"" if remote else fields["data"]
             return frame_of(
                 t_ns,
                 int(fields["arbitration_id"]),
@@ -123,7 +124,7 @@ class UdpMulticastPort(SocketPort):
                 bool(fields["is_fd"]),
                 bool(fields["is_error_frame"]),
                 False,
-                bool(fields["is_remote_frame"]),
+                remote,
                 bool(fields["bitrate_switch"]),
             )
         except (

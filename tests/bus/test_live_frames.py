@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -33,8 +34,8 @@ def mapping(clock: Literal["counter", "stamp"] = "counter") -> SignalMapping:
 class Both:
     """A decoder with compiled calls beside one without."""
 
-    def __init__(self, of: SignalMapping) -> None:
-        self.plain, self.decoder = (FrameDecoder(load_database([DBC]), of) for _ in range(2))
+    def __init__(self, of: SignalMapping, dbc: Path = DBC) -> None:
+        self.plain, self.decoder = (FrameDecoder(load_database([dbc]), of) for _ in range(2))
         names = list(of.signals)
         self.names = names
         self.room = Samples(

@@ -263,6 +263,16 @@ def test_a_known_envelope_says_what_unpacking_says(udp_port: int, collect: Colle
     assert [replace(frame, t_ns=0) for frame in got] == frames
 
 
+def test_a_request_carries_no_data(udp_port: int, collect: Collect) -> None:
+    """Whatever its datagram holds: on a wire it has none."""
+    ours, other = opened(udp_port), opened(udp_port)
+    other.send(Frame(0, 0x101, b"12345678", remote=True))
+    (got,) = collect(ours, 1)
+    assert (got.remote, got.data) == (True, b"")
+    ours.close()
+    other.close()
+
+
 def test_envelopes_are_few_and_never_of_errors_or_requests() -> None:
     seen = Envelopes()
     for can_id in range(3_000):
