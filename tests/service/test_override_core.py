@@ -268,7 +268,7 @@ class TestTrips:
     def test_the_hand_lets_go_of_the_key(self, bench: Lockstep) -> None:
         injecting(bench)
         bench.beating = False
-        bench.step(490)
+        bench.step(690)
         assert bench.state is State.INJECTING, bench.story()
         zero_from_here(bench, 22)
         assert trips(bench) == Trip.HEARTBEAT
