@@ -26,7 +26,8 @@ WHERE = {
     Slot.MOTOR: "Between reported and shaft torque",
     Slot.SENSOR: "Between reported and true torsion-bar torque",
     Slot.JOINT: "On the joint between rotor and rack",
-    Slot.DATA: "In the recording only ([a simulated rig's](reference-rig.md#effects) model; there with `signal`)",
+    Slot.DATA: "In the recording only ([a simulated rig's](reference-rig.md#effects) model; "
+    "there with `signal`)",
 }
 ANYWHERE = "Where its entry says"
 
