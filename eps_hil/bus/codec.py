@@ -129,7 +129,7 @@ class FrameDecoder:
         :meth:`decode`. None where the mapping asks for more than one message tells, and where
         kernels are not compiled.
         """
-        from eps_hil.compiled import interpreted  # and what it stands for; no recorder needs them
+        from eps_hil.compiled import interpreted  # imports numba, which no recorder needs
 
         if self._power is not None or interpreted():
             return None
