@@ -3,14 +3,14 @@
 Asked by the service's core frame by frame, and of a whole log afterwards.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from eps_hil.estimation.levels import LevelChange
-from eps_hil.estimation.stream import Estimate, Events, Rows, StreamEstimator, Trace
+from eps_hil.estimation.stream import Estimate, Lanes, Rows, StreamEstimator, Trace, ends
 from eps_hil.estimation.validity import Reason
 from eps_hil.growing import Growing, blocks
 from eps_hil.series import Arrivals
@@ -116,13 +116,14 @@ class ShiftDoubt:
 
 def run_aged(
     stream: StreamEstimator,
-    stretches: Iterable[Events],
+    lanes: Lanes,
     arrivals: Arrivals,
-    changes: Sequence[LevelChange] = (),
+    changes: Sequence[LevelChange],
+    stretch: int,
 ) -> Trace:
     """As ``stream.run``, each estimate judged by the arrival of its sync frame, as live.
 
-    The syncs of all stretches are those that arrived.
+    The syncs are those that arrived; so many of them (``stretch``) are run through at once.
     """
     receive, sample, moved = arrivals
     look_back = round(stream.latency_s * 1e9)
@@ -130,36 +131,33 @@ def run_aged(
     shift = ShiftDoubt(look_back, stream, 0)
     stale = np.zeros(len(sample), bool)
     rows, newest, first = Rows(), Growing(np.int64), 0
-    for signal, t_ns, value in stretches:
-        syncs = np.flatnonzero(signal == -1)
-        mine = slice(first, first + len(syncs))
+    for end in ends(len(sample), stretch):
+        mine = slice(first, end)
         cuts = np.flatnonzero(np.diff(moved[mine], prepend=moved[first - 1] if first else 0))
-        made, since, begun = Rows(), 0, len(rows)
-        for cut in cuts.tolist():
-            until = int(syncs[cut]) + 1
-            made.add(
-                stream.run(signal[since:until], t_ns[since:until], value[since:until], changes)
-            )
-            since, changes = until, ()
-            for k in range(first + cut, len(sample)):
-                if k > first + cut and moved[k] != moved[k - 1]:
+        made, begun = Rows(), len(rows)
+        for cut in (first + cuts).tolist():
+            made.add(stream.run(lanes, changes, cut + 1))
+            changes = ()
+            for k in range(cut, len(sample)):
+                if k > cut and moved[k] != moved[k - 1]:
                     break
                 stale[k] = shift.stale(int(moved[k]), int(receive[k]))
                 if not stale[k]:
                     break
-        made.add(stream.run(signal[since:], t_ns[since:], value[since:], changes))
+        made.add(stream.run(lanes, changes, end))
         changes = ()
         part = made.whole()
         rows.add(part)
         # the sync frame of each row, and the newest row of each sync frame
+        count = end - first
         of = np.searchsorted(sample[mine], part.t_ns + look_back - half)
-        last = np.searchsorted(of, np.arange(len(syncs)), "right") - 1
+        last = np.searchsorted(of, np.arange(count), "right") - 1
         newest.add(np.maximum(last + begun, 0))
         if len(of):
-            there = (last >= 0) & (of[np.maximum(last, 0)] == np.arange(len(syncs)))
+            there = (last >= 0) & (of[np.maximum(last, 0)] == np.arange(count))
             age = receive[mine] - part.t_ns[np.maximum(last, 0)]
             stale[mine] |= there & (np.abs(age - look_back) > round(AGE_LIMIT_S * 1e9))
-        first += len(syncs)
+        first = end
     trace = rows.whole()
     _look_back_doubt(stale, trace, newest.whole(), arrivals, look_back)
     for at in blocks(len(trace.t_ns)):

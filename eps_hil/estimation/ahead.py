@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from eps_hil import compiled
-from eps_hil.estimation.batch import events
+from eps_hil.estimation.batch import lanes
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator
 from eps_hil.examples import CONFIGS
@@ -33,7 +33,7 @@ def main() -> None:
         drive = dict.fromkeys(("motor_torque_nm", "motor_speed_rad_s"), once)
         for rig in (model, replace(model, effects=(effect,))):
             stream = StreamEstimator(rig, EstimatorSettings(), dict.fromkeys(SIGNALS, 1e-3))
-            stream.run(*events(drive))
+            stream.run(lanes(drive))
             if rig is model:
                 stream.warm_up()
 

@@ -1,21 +1,24 @@
 """A whole recording through the stream estimator, in one compiled run."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from eps_hil.compiled import interpreted
 from eps_hil.estimation.age import run_aged
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.plain import plain
 from eps_hil.estimation.settings import EstimatorSettings, problem
-from eps_hil.estimation.stream import SIGNALS, Events, Rows, StreamEstimator, Trace
+from eps_hil.estimation.stream import SIGNALS, Lanes, Rows, StreamEstimator, Trace, ends
 from eps_hil.estimation.stream_steps import merge
 from eps_hil.physics.model import Model
 from eps_hil.series import Arrivals, Series, usual_step_ns
 
 STRETCH = 1 << 20
-"""Syncs of a recording that are merged at once: 17 minutes at 1 kHz."""
+"""Syncs of a recording that are run through at once: 17 minutes at 1 kHz."""
+Events = tuple[npt.NDArray[np.int8], npt.NDArray[np.int64], npt.NDArray[np.float64]]
+"""Samples and syncs in the order of their stamps: place in SIGNALS or −1, stamp (ns), value."""
 
 
 def sample_periods_s(series: Mapping[str, Series]) -> dict[str, float]:
@@ -52,20 +55,18 @@ def events(series: Mapping[str, Series]) -> Events:
     return signal, t_ns, value
 
 
-def stretches(series: Mapping[str, Series]) -> Iterator[Events]:
-    """:func:`events`, cut after every so many syncs: a long recording is merged bit by bit."""
-    sync = series[sync_signal(series)].t_ns
-    begin = dict.fromkeys(series, 0)
-    for last in [*range(STRETCH - 1, len(sync) - 1, STRETCH), None]:
-        part = {}
-        for name in [name for name in SIGNALS if name in series]:
-            one = series[name]
-            end = len(one.t_ns)
-            if last is not None:
-                end = int(np.searchsorted(one.t_ns, sync[last], "right"))
-            cut = slice(begin[name], end)
-            part[name], begin[name] = Series(one.t_ns[cut], one.value[cut]), end
-        yield events(part)
+def lanes(series: Mapping[str, Series]) -> Lanes:
+    """The samples as :meth:`StreamEstimator.run` takes them; not copied where they lie in a row."""
+    none = Series(np.empty(0, np.int64), np.empty(0))
+    there = [series.get(name, none) for name in SIGNALS]
+    stamps = (*(one.t_ns for one in there), series[sync_signal(series)].t_ns)
+    values = tuple(np.require(one.value, np.float64, ["C", "W"]) for one in there)
+    stamps = tuple(np.require(one, np.int64, ["C", "W"]) for one in stamps)
+    at, due = np.zeros(len(stamps), np.int64), np.zeros(len(stamps), np.int64)
+    if interpreted():
+        stamps, values = tuple(map(plain, stamps)), tuple(map(plain, values))
+        at, due = plain(at), plain(due)
+    return Lanes(stamps, values, at, due)
 
 
 def latency_s(model: Model, settings: EstimatorSettings, periods_s: Mapping[str, float]) -> float:
@@ -122,11 +123,11 @@ def estimate(
             series[sync_signal(series)].t_ns, arrivals.sample_ns
         )
         if arrivals is not None and aged:
-            trace = run_aged(stream, stretches(series), arrivals, changes)
+            trace = run_aged(stream, lanes(series), arrivals, changes, STRETCH)
         else:  # where other samples arrived, nothing is known of the age of these
-            rows = Rows()
-            for part in stretches(series):
-                rows.add(stream.run(*part, changes))
+            rows, samples = Rows(), lanes(series)
+            for end in ends(len(samples.t_ns[-1]), STRETCH):
+                rows.add(stream.run(samples, changes, end))
                 changes = ()
             trace = rows.whole()
     first = min(int(s.t_ns[0]) for name, s in series.items() if name in SIGNALS)

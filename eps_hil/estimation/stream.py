@@ -7,7 +7,7 @@ wall time or on how frames were bunched, so frames replayed as fast as possible 
 what the live loop published.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -68,8 +68,23 @@ class Trace:
         return np.equal(self.reason, 0)
 
 
-Events = tuple[npt.NDArray[np.int8], Int64, Float64]
-"""Samples and syncs in the order of their stamps: place in SIGNALS or −1, stamp (ns), value."""
+class Lanes(NamedTuple):
+    """A recording's samples: stamps (ns) and values of each of SIGNALS, empty where there are none.
+
+    The stamps of the syncs come last. ``at``: which is next of each lane, which a run moves on;
+    ``due``: room for its stamp.
+    """
+
+    t_ns: tuple[Int64, ...]
+    value: tuple[Float64, ...]
+    at: Int64
+    due: Int64
+
+
+def ends(count: int, stretch: int) -> Iterator[int]:
+    """Where stretches of so many syncs end, of ``count``; at least once."""
+    yield from range(stretch, count, stretch)
+    yield count
 
 
 class Rows:
@@ -233,13 +248,9 @@ class StreamEstimator:
         )
 
     def run(
-        self,
-        signal: npt.NDArray[np.int8],
-        t_ns: Int64,
-        value: Float64,
-        changes: Sequence[LevelChange] = (),
+        self, lanes: Lanes, changes: Sequence[LevelChange] = (), until: int | None = None
     ) -> Trace:
-        """All events of a recording at once: places in SIGNALS, −1 for a sync; all shape (n,).
+        """The samples of a recording, to its end or up to sync ``until``, which is still to come.
 
         ``changes``: friction levels set meanwhile, in the order of their stamps; no jump of time
         may lie between them.
@@ -250,21 +261,21 @@ class StreamEstimator:
             queue = levels.queue_of(changes, self.physics)
             self.memory = self.memory._replace(levels=queue)
             self._take, self._advance = take_all, take_and_advance  # other types, perhaps
+        syncs = lanes.t_ns[-1]
+        since, end = int(lanes.at[-1]), len(syncs) if until is None else until
         # about as many rows as are due; where time jumps, another block follows
-        due = int(t_ns[-1] - t_ns[0]) // self.timing.step_ns + 1 if len(t_ns) else 0
+        due = int(syncs[end - 1] - syncs[since]) // self.timing.step_ns + 1 if since < end else 0
         size = min(max(due, 0), _BLOCK) + 2 * BATCH_ROWS
         if interpreted():
             self.memory, self.timing = plain(self.memory), plain(self.timing)
-            signal, t_ns, value = plain(signal), plain(t_ns), plain(value)
         blocks: list[tuple[Int64, Float64, Int64]] = []
-        since = 0
-        while not blocks or since < len(signal):
+        while not blocks or lanes.at[-1] < end:
             out_t, out, out_reason = (
                 np.empty(size, np.int64), np.empty((size, 2)), np.empty(size, np.int64)
             )  # fmt: skip
-            since, n = run(
+            n = run(
                 self.memory, self.timing, self.constants, self.physics,
-                signal, t_ns, value, out_t, out, out_reason, since,
+                *lanes, end, out_t, out, out_reason,
             )  # fmt: skip
             blocks.append((out_t[:n], out[:n], out_reason[:n]))
         if len(blocks) == 1:

@@ -371,38 +371,58 @@ def take_and_advance(
     return rows, m.t_ns[k], m.estimate[k, 0], m.estimate[k, 1], m.reason[k]
 
 
+@kernel(inline="always")
+def _stamp(t_ns: Int64, k: int) -> int:
+    """The stamp of sample ``k`` (ns), or one that never comes."""
+    return t_ns[k] if k < len(t_ns) else _NEVER
+
+
 @kernel
 def run(
     m: Memory,
     timing: Timing,
     c: Constants,
     x: Physics,
-    signal: npt.NDArray[np.int8],
-    t_ns: Int64,
-    value: Float64,
+    t_ns: tuple[Int64, ...],
+    value: tuple[Float64, ...],
+    at: Int64,
+    due: Int64,
+    until: int,
     out_t: Int64,
     out: Float64,
     out_reason: Int64,
-    since: int,
-) -> tuple[int, int]:
-    """Events ``since`` onwards (signal −1 is a sync) until done or ``out`` is full.
+) -> int:
+    """The samples of a recording in the order of their stamps, to sync ``until`` or a full ``out``.
 
-    Returns (next event, rows written).
+    Lane by lane, those of SIGNALS and then the syncs: stamps, values, which is next (moved on), and
+    room for its stamp. Of equal stamps the earlier lane comes first. Returns the rows written.
     """
-    rows = 0
-    k = since
-    while k < len(signal) and rows + BATCH_ROWS <= len(out_t):
-        place = int(signal[k])
-        if place >= 0:
-            push(m, timing, place, t_ns[k], value[k])
-        else:
-            n = advance(m, timing, c, x, t_ns[k])
-            for j in range(n):
-                out_t[rows + j], out_reason[rows + j] = m.t_ns[j], m.reason[j]
-                out[rows + j, 0], out[rows + j, 1] = m.estimate[j, 0], m.estimate[j, 1]
-            rows += n
-        k += 1
-    return k, rows
+    last, rows = len(at) - 1, 0
+    for i in range(last + 1):
+        due[i] = _stamp(t_ns[i], at[i])
+    while at[last] < until and rows + BATCH_ROWS <= len(out_t):
+        earliest = due[last]
+        for i in range(last):
+            earliest = min(earliest, due[i])
+        back = False  # a lane whose stamps go back goes first
+        for i in range(last):
+            while due[i] == earliest:
+                push(m, timing, i, earliest, value[i][at[i]])
+                at[i] += 1
+                due[i] = _stamp(t_ns[i], at[i])
+            back = due[i] < earliest
+            if back:
+                break
+        if back or due[last] != earliest:
+            continue
+        n = advance(m, timing, c, x, earliest)
+        at[last] += 1
+        due[last] = _stamp(t_ns[last], at[last])
+        for j in range(n):
+            out_t[rows + j], out_reason[rows + j] = m.t_ns[j], m.reason[j]
+            out[rows + j, 0], out[rows + j, 1] = m.estimate[j, 0], m.estimate[j, 1]
+        rows += n
+    return rows
 
 
 @kernel

@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 from eps_hil.estimation import bristle_smoother
-from eps_hil.estimation.batch import estimate, events, latency_s, sample_periods_s
+from eps_hil.estimation.batch import estimate, events, lanes, latency_s, sample_periods_s
 from eps_hil.estimation.bristle_filter import PhysicsInside, filter_step
 from eps_hil.estimation.bristle_model import Step, transition
 from eps_hil.estimation.bristle_setup import BRISTLE, FORCE, OMEGA, PHI, RATE, SIZE, Drive
@@ -200,7 +200,7 @@ def test_without_friction_it_is_a_kalman_filter_with_a_lag(linear_model: Model) 
     lag = 17
     _, late, smoothed = plain_kalman(linear_model, series, lag)
     believing = replace(FILTER, plausibility=PlausibilitySettings(enabled=False))
-    live = StreamEstimator(linear_model, believing, sample_periods_s(series)).run(*events(series))
+    live = StreamEstimator(linear_model, believing, sample_periods_s(series)).run(lanes(series))
     started = int(np.argmax((live.reason & int(Reason.SETTLING)) > 0))
     ours = live.rack_force_n[started + lag :]
     theirs = late[lag : lag + len(ours)]
@@ -231,7 +231,7 @@ def test_steady_gain_is_the_riccati_equations(linear_model: Model) -> None:
     expected = p[:, 0] / (p[0, 0] + s.speed_noise_rad_s**2)
     series = linear_rig(linear_model)
     stream = StreamEstimator(linear_model, FILTER, sample_periods_s(series))
-    stream.run(*events(series))
+    stream.run(lanes(series))
     assert isinstance(stream.physics, PhysicsInside)
     found = stream.physics.belief.gain[0][[OMEGA, FORCE, RATE]]
     assert found == pytest.approx(expected, rel=2e-2)
@@ -327,7 +327,7 @@ def test_live_and_batch_agree_bit_for_bit(
             stream.push(SIGNALS[kind], int(t_ns), float(value))
         else:
             rows += stream.estimates(stream.advance(int(t_ns)))
-    batch = StreamEstimator(reference_model, FILTER, sample_periods_s(series)).run(*events(series))
+    batch = StreamEstimator(reference_model, FILTER, sample_periods_s(series)).run(lanes(series))
     assert [one.rack_force_n for one in rows] == batch.rack_force_n.tolist()
     assert [one.friction_torque_nm for one in rows] == batch.friction_torque_nm.tolist()
     assert [int(one.reason) for one in rows] == batch.reason.tolist()
@@ -396,7 +396,7 @@ def test_it_starts_again_from_the_impossible(reference_model: Model, weave_truth
     series["motor_torque_nm"].value[2000] = 1e12
     believing = replace(FILTER, plausibility=PlausibilitySettings(enabled=False))
     stream = StreamEstimator(reference_model, believing, sample_periods_s(series))
-    trace = stream.run(*events(series))
+    trace = stream.run(lanes(series))
     assert np.any(trace.reason & int(Reason.DIVERGED))
     assert np.all(trace.valid[-800:])
     assert np.max(np.abs(trace.rack_force_n[-800:])) < 3000

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eps_hil.estimation.batch import estimate, events, sample_periods_s
+from eps_hil.estimation.batch import estimate, events, lanes, sample_periods_s
 from eps_hil.estimation.levels import FrictionLevels, LevelChange
 from eps_hil.estimation.rack_force import RackForceEstimator
 from eps_hil.estimation.settings import EstimatorSettings
@@ -98,7 +98,8 @@ def test_a_change_is_replayed_bit_for_bit(reference_model: Model, weave_truth: A
             live.push(SIGNALS[i], int(t), float(v))
         else:
             rows += live.estimates(live.advance(int(t)))
-    replayed = StreamEstimator(model, EstimatorSettings(), periods).run(kind, t_ns, value, changes)
+    again = StreamEstimator(model, EstimatorSettings(), periods)
+    replayed = again.run(lanes(series), changes)
     assert np.array_equal(replayed.rack_force_n, [row.rack_force_n for row in rows])
     assert np.array_equal(replayed.friction_torque_nm, [row.friction_torque_nm for row in rows])
     assert live.friction_levels == pytest.approx(levels_of(reference_model))

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from eps_hil.estimation.aligned_rows import AlignedRows
-from eps_hil.estimation.batch import estimate, events, sample_periods_s
+from eps_hil.estimation.batch import estimate, events, lanes, sample_periods_s
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.stream import SIGNALS, Estimate, StreamEstimator, Trace
 from eps_hil.estimation.validity import Reason
@@ -102,7 +102,7 @@ def test_live_and_batch_agree_bit_for_bit(
     series = {n: Series(s.t_ns[:8_000], s.value[:8_000]) for n, s in
               sampled(weave_truth, rate_hz).items()}  # fmt: skip
     periods = sample_periods_s(series)
-    batch = StreamEstimator(reference_model, stepping(rate_hz), periods).run(*events(series))
+    batch = StreamEstimator(reference_model, stepping(rate_hz), periods).run(lanes(series))
     stream = StreamEstimator(reference_model, stepping(rate_hz), periods)
     live: list[Estimate] = []
     for kind, t_ns, value in zip(*events(series), strict=True):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eps_hil.estimation import batch
-from eps_hil.estimation.batch import estimate, events, sample_periods_s
+from eps_hil.estimation.batch import estimate, events, lanes, sample_periods_s
 from eps_hil.estimation.rack_force import RackForceEstimator
 from eps_hil.estimation.settings import EstimatorSettings, PlausibilitySettings
 from eps_hil.estimation.setup import Inputs
@@ -39,8 +39,12 @@ def moving(seconds: float = 3.0, start_ns: int = 0, seed: int = 0) -> dict[str, 
 
 def live(stream: StreamEstimator, series: dict[str, Series]) -> Trace:
     """Feed events one by one, as the service does."""
+    return fed(stream, *events(series))
+
+
+def fed(stream: StreamEstimator, kinds: Any, stamps: Any, values: Any) -> Trace:
     rows: list[Estimate] = []
-    for kind, t_ns, value in zip(*events(series), strict=True):
+    for kind, t_ns, value in zip(kinds, stamps, values, strict=True):
         if kind >= 0:
             stream.push(SIGNALS[kind], int(t_ns), float(value))
         else:
@@ -83,9 +87,29 @@ def test_a_recording_cut_into_stretches_gives_the_same(
     assert same(estimate(series, reference_model), whole)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_samples_of_any_stamps_are_taken_in_the_order_in_which_they_come_live(
+    reference_model: Model, seed: int
+) -> None:
+    """Lost, doubled and early ones, other rates, and a clock that is set back in some of them."""
+    rng = np.random.default_rng(seed)
+    series = moving()
+    for name, one in series.items():
+        kept = np.sort(rng.choice(len(one.t_ns), rng.integers(1500, 2900), replace=seed % 2 == 1))
+        t_ns = one.t_ns[kept] + rng.integers(-400, 400, len(kept)) * (rng.random() < 0.5) * 1000
+        t_ns[rng.integers(1000, 1500) :] -= int(rng.choice([0, 3, 2000])) * MS
+        series[name] = Series(t_ns, one.value[kept])
+    one_by_one = live(
+        StreamEstimator(reference_model, EstimatorSettings(), sample_periods_s(series)), series
+    )
+    whole = stream_run(reference_model, series)
+    assert same(one_by_one, whole)
+    assert len(whole.t_ns) > 1000
+
+
 def stream_run(model: Model, series: dict[str, Series]) -> Trace:
     stream = StreamEstimator(model, EstimatorSettings(), sample_periods_s(series))
-    return stream.run(*events(series))
+    return stream.run(lanes(series))
 
 
 def test_order_of_frames_within_a_millisecond_does_not_matter(reference_model: Model) -> None:
@@ -99,8 +123,8 @@ def test_order_of_frames_within_a_millisecond_does_not_matter(reference_model: M
     sync_first = np.lexsort((kind, t_ns))  # -1 sorts before every signal of the same stamp
     assert kind[sync_first][0] == -1
     assert kind[0] != -1
-    late = streams[0].run(kind, t_ns, value)
-    early = streams[1].run(kind[sync_first], t_ns[sync_first], value[sync_first])
+    late = fed(streams[0], kind, t_ns, value)
+    early = fed(streams[1], kind[sync_first], t_ns[sync_first], value[sync_first])
     started = 20  # the very first grid points precede the first samples
     assert np.array_equal(late.rack_force_n[started:], early.rack_force_n[started:])
 
@@ -196,7 +220,7 @@ def test_a_torque_sensor_that_never_was_is_absent_not_lost(reference_model: Mode
     # announced by the DBC, but nobody sends it
     periods = dict.fromkeys(NAMES[:3], 1e-3)
     stream = StreamEstimator(reference_model, EstimatorSettings(), periods)
-    assert np.mean(stream.run(*events(series)).valid) > 0.9
+    assert np.mean(stream.run(lanes(series)).valid) > 0.9
 
 
 @pytest.mark.parametrize("jump_s", [-100, 3600])
@@ -322,7 +346,7 @@ def test_a_new_state_is_the_first_one(reference_model: Model) -> None:
     """Nothing that a run left behind is kept, but the rig's: its time and its levels."""
     series = {n: one for n, one in moving().items() if n in NAMES}
     stream = StreamEstimator(reference_model, EstimatorSettings(), sample_periods_s(series))
-    stream.run(*events(series))
+    stream.run(lanes(series))
     used = stream.memory.carried
     rig = used.rig.copy()
     assert used.moment[0].omega != 0.0
@@ -370,8 +394,7 @@ def test_two_transmitters_by_turns_leave_no_noise_behind(reference_model: Model)
     noise = []
     for series in (clean, turns):
         stream = StreamEstimator(reference_model, EstimatorSettings(), sample_periods_s(series))
-        kind, t_ns, value = events(series)
-        before = t_ns < t_ns[0] + 3_200 * MS
-        stream.run(kind[before], t_ns[before], value[before])
+        sync = series[NAMES[2]].t_ns
+        stream.run(lanes(series), until=int(np.searchsorted(sync, sync[0] + 3_200 * MS)))
         noise.append(stream.memory.noise[: len(NAMES), 0].copy())
     assert np.all(noise[1] < 2.0 * noise[0])
