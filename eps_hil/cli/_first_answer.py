@@ -31,7 +31,7 @@ def _is_compiled(effects: bool) -> bool:
         return False
     table = b"Added" if effects else b"Nothing"  # the type by which it was compiled
     # in which folder depends on numba's version
-    found = compiled.FOLDER.rglob("stream_steps.run-*.nbi")
+    found = compiled.FOLDER.rglob("lanes.run-*.nbi")
     return any(table in index.read_bytes() for index in found)
 
 

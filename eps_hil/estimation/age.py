@@ -9,8 +9,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.estimation.lanes import Lanes
 from eps_hil.estimation.levels import LevelChange
-from eps_hil.estimation.stream import Estimate, Lanes, Rows, StreamEstimator, Trace, ends
+from eps_hil.estimation.stream import Estimate, Rows, StreamEstimator, Trace, ends
 from eps_hil.estimation.validity import Reason
 from eps_hil.growing import Growing, blocks
 from eps_hil.series import Arrivals

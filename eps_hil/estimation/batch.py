@@ -7,11 +7,11 @@ import numpy.typing as npt
 
 from eps_hil.compiled import interpreted
 from eps_hil.estimation.age import run_aged
+from eps_hil.estimation.lanes import Lanes, merge
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.plain import plain
 from eps_hil.estimation.settings import EstimatorSettings, problem
-from eps_hil.estimation.stream import SIGNALS, Lanes, Rows, StreamEstimator, Trace, ends
-from eps_hil.estimation.stream_steps import merge
+from eps_hil.estimation.stream import SIGNALS, Rows, StreamEstimator, Trace, ends
 from eps_hil.physics.model import Model
 from eps_hil.series import Arrivals, Series, usual_step_ns
 

@@ -18,6 +18,7 @@ from eps_hil.compiled import direct, interpreted
 from eps_hil.estimation import levels, setup
 from eps_hil.estimation.bristle_filter import PhysicsInside, physics_inside
 from eps_hil.estimation.bristle_setup import new_belief
+from eps_hil.estimation.lanes import Lanes, run
 from eps_hil.estimation.levels import FrictionLevels, LevelChange
 from eps_hil.estimation.plain import plain
 from eps_hil.estimation.settings import EstimatorSettings, problem
@@ -27,7 +28,6 @@ from eps_hil.estimation.stream_steps import (
     Waiting,
     new_memory,
     new_waiting,
-    run,
     take_all,
     take_and_advance,
 )
@@ -66,19 +66,6 @@ class Trace:
     def valid(self) -> npt.NDArray[np.bool_]:
         """Where the estimate may be used."""
         return np.equal(self.reason, 0)
-
-
-class Lanes(NamedTuple):
-    """A recording's samples: stamps (ns) and values of each of SIGNALS, empty where there are none.
-
-    The stamps of the syncs come last. ``at``: which is next of each lane, which a run moves on;
-    ``due``: room for its stamp.
-    """
-
-    t_ns: tuple[Int64, ...]
-    value: tuple[Float64, ...]
-    at: Int64
-    due: Int64
 
 
 def ends(count: int, stretch: int) -> Iterator[int]:

@@ -66,7 +66,7 @@ def test_it_is_interpreted_and_the_same(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "folder",
-    ["functions/estimation/stream_steps", "estimation_0f3a"],
+    ["functions/estimation/lanes", "estimation_0f3a"],
     ids=["by our locator", "by numba's own, before 0.62"],
 )
 def test_what_is_compiled_already_is_found(
@@ -75,9 +75,9 @@ def test_what_is_compiled_already_is_found(
     monkeypatch.setattr(compiled, "FOLDER", tmp_path)
     place = tmp_path / folder
     place.mkdir(parents=True)
-    (place / "stream_steps.merge-395.py311.nbi").write_bytes(b"Nothing")
+    (place / "lanes.merge-395.py311.nbi").write_bytes(b"Nothing")
     assert not _first_answer._is_compiled(effects=False)
-    (place / "stream_steps.run-369.py311.nbi").write_bytes(b"a record, Nothing, an array")
+    (place / "lanes.run-369.py311.nbi").write_bytes(b"a record, Nothing, an array")
     assert _first_answer._is_compiled(effects=False)
     assert not _first_answer._is_compiled(effects=True)
 

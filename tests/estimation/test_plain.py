@@ -23,7 +23,7 @@ from eps_hil.series import Series
 from eps_hil.physics.model import load_model
 assert compiled.interpret()
 from eps_hil.estimation.batch import estimate
-from eps_hil.estimation.stream_steps import run
+from eps_hil.estimation.lanes import run
 assert not hasattr(run, "overloads"), "it is compiled"
 read = np.load(sys.argv[2])
 names = [name for name in read if name.endswith(("nm", "rad_s", "rad"))]
