@@ -2,7 +2,7 @@
 
     python override_process.py CONFIG.yaml JOURNAL.jsonl [PEAK_NM]
 
-What the kill tests and scripts/kill_transcript.py start and kill. It is unattended, so whoever
+What the kill tests and scripts/kill_transcript start and kill. It is unattended, so whoever
 starts it must be sure that the bus is a simulated rig's.
 """
 
