@@ -3,16 +3,18 @@
 import math
 import os
 import socket
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from eps_hil.bus.codec import FrameDecoder, FrameEncoder
 from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.mapping import SignalMapping, load_mapping
+from eps_hil.series import Series
 from eps_hil.service.config import PublishConfig, ServiceConfig, load_config
 from eps_hil.service.setup import Parts, prepare
 
@@ -128,3 +130,15 @@ def vcan0() -> str:
 def quick(config: ServiceConfig) -> ServiceConfig:
     """Without the wait for another transmitter."""
     return replace(config, publish=PublishConfig(listen_first_s=0.0))
+
+
+def decoded(decoder: FrameDecoder, frames: Iterable[Frame]) -> dict[str, Series]:
+    """The signals that frames hold, as a recording of them would."""
+    found: dict[str, list[tuple[int, float]]] = {}
+    for frame in frames:
+        for signal, t_ns, value in decoder.decode(frame):
+            found.setdefault(signal, []).append((t_ns, value))
+    return {
+        signal: Series(np.array([t for t, _ in rows], np.int64), np.array([v for _, v in rows]))
+        for signal, rows in found.items()
+    }

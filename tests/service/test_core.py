@@ -15,14 +15,15 @@ from hypothesis import strategies as st
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.sample_clock import SampleClock
 from eps_hil.estimation.age import AgeDoubt, ShiftDoubt
-from eps_hil.estimation.stream import SIGNALS, Estimate
+from eps_hil.estimation.batch import lanes
+from eps_hil.estimation.stream import Estimate
 from eps_hil.estimation.validity import Reason
 from eps_hil.service.adaptation_config import AdaptationConfig
 from eps_hil.service.config import ServiceConfig
 from eps_hil.service.core import ServiceCore, Status, status_of
 from eps_hil.service.setup import Parts, prepare
 
-from .conftest import T0_NS, Receiver, TinyRig
+from .conftest import T0_NS, Receiver, TinyRig, decoded
 
 CONFIG = Path("c.yaml")
 
@@ -193,16 +194,7 @@ def test_batch_run_over_the_decoded_frames_gives_the_same_floats(
     live.record = []
     live.on_frames(frames)
     parts = prepare(config, CONFIG)
-    events: list[tuple[int, int, float]] = []
-    for frame in frames:
-        samples = parts.decoder.decode(frame)
-        events += [(SIGNALS.index(s.signal), s.t_ns, s.value) for s in samples]
-        if parts.decoder.sync(frame):
-            events.append((-1, samples[0].t_ns, 0.0))
-    kind, t_ns, value = zip(*events, strict=True)
-    trace = parts.estimator.run(
-        np.array(kind, np.int8), np.array(t_ns, np.int64), np.array(value, float)
-    )
+    trace = parts.estimator.run(lanes(decoded(parts.decoder, frames)))
     by_instant = {int(t): k for k, t in enumerate(trace.t_ns)}
     assert len(live.record) == 1440
     for _, estimate in live.record:
