@@ -37,11 +37,11 @@ CEILINGS = {
 
 
 def _below(name: str) -> object:
-    return Field(gt=0, le=CEILINGS[name])
+    return Field(strict=True, gt=0, le=CEILINGS[name])
 
 
 def _within(name: str) -> object:
-    return Field(ge=-CEILINGS[name], le=CEILINGS[name])
+    return Field(strict=True, ge=-CEILINGS[name], le=CEILINGS[name])
 
 
 @with_config(ConfigDict(extra="forbid"))

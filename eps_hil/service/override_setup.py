@@ -1,6 +1,5 @@
 """From a configuration to the parts of an override session, or one line that says why not."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from eps_hil.bus.signal_codec import ReadSignal
 from eps_hil.errors import InputError
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator
 from eps_hil.physics.model import Model, load_model
+from eps_hil.service.command_check import check_command
 from eps_hil.service.config import OverrideConfig, ServiceConfig
 from eps_hil.service.guard import Command
 from eps_hil.service.setup import GATING, commands_of, make_estimator, service_mapping
@@ -136,6 +136,14 @@ def prepare_override(config: ServiceConfig, file: str | Path) -> OverrideParts:
     if state:
         refuse_command(commands, state.can_id, file, "override.state_message")
     model = load_model(config.model)
+    check_command(
+        override,
+        find_message(database, override.command_message),
+        CommandEncoder(database, override, dbc_file).frame,
+        model.sensor_to_rotor,
+        file,
+        dbc_file,
+    )
     position = _position(mapping, model, config)
     _check_ages(mapping, decoder, override, file, position > 0)
     return OverrideParts(
@@ -179,22 +187,6 @@ def _check_messages(config: ServiceConfig, database: Any, file: object, dbc_file
             )  # fmt: skip
         if message.is_fd and not config.bus.fd:
             raise InputError(file, f"override.{field}", "is a CAN FD message", "set bus.fd: true")
-    _check_reach(override, database, file)
-
-
-def _check_reach(override: OverrideConfig, database: Any, file: object) -> None:
-    """A torque that the message cannot carry would be clipped behind the guard's back."""
-    message = find_message(database, override.command_message)
-    signal = message.get_signal_by_name(override.torque_signal)  # type: ignore[union-attr]
-    most = override.limits.max_torque_nm / abs(override.torque_scale or math.nan)
-    low = -math.inf if signal.minimum is None else signal.minimum
-    high = math.inf if signal.maximum is None else signal.maximum
-    if not low <= -most <= most <= high:
-        raise InputError(
-            file, "override.limits.max_torque_nm",
-            f"{signal.name} carries {low:g} to {high:g} {signal.unit or ''} only",
-            "lower the limit, or mend torque_scale",
-        )  # fmt: skip
 
 
 def _position(mapping: SignalMapping, model: Model, config: ServiceConfig) -> float:
