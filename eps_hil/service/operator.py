@@ -82,8 +82,15 @@ class KeyOperator:
         if self._loop is not None and not self._loop.is_closed():
             self._loop.remove_reader(self._fd)
         if self._before is not None:
-            termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
+            # not after what is still to be shown: a terminal that hangs shows nothing any more
+            termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
             self._before = None
+
+
+def _raise(task: "asyncio.Task[None]") -> None:
+    """To the loop's handler, which a task that nobody awaits does not reach."""
+    if not task.cancelled() and (error := task.exception()) is not None:
+        raise error
 
 
 class Unattended:
@@ -93,8 +100,9 @@ class Unattended:
         self._task: asyncio.Task[None] | None = None
 
     def start(self, loop: asyncio.AbstractEventLoop, desk: Desk) -> None:
-        """Arm once, and beat."""
+        """Arm once, and beat; an error (a full disk, say) ends the session."""
         self._task = loop.create_task(self._act(desk))
+        self._task.add_done_callback(_raise)
 
     async def _act(self, desk: Desk) -> None:
         pause_s = 0.25

@@ -20,7 +20,8 @@ from eps_hil.service.override_setup import OverrideParts
 
 RELEASES = 10
 """Release frames after a torque or an arming ends, for one may be lost; and before a first torque,
-because an ECU that timed out once obeys again only after a release."""
+because an ECU that timed out once obeys again only after a release. One that the send queue refused
+is none of them."""
 _STATE_PERIOD_NS = 10_000_000
 _SILENCE_NS = 3_000_000
 _GOOD_STATES = frozenset({BusState.UNKNOWN, BusState.ERROR_ACTIVE})
@@ -84,7 +85,7 @@ class OverrideCore:
         self._now_ns = self._wall_ns = 0
         self._last_tick_ns = self._next_state_ns = 0
         self._request_nm: float | None = None
-        self._syncs = self._foreign = self._releases = self._armed_ticks = 0
+        self._syncs = self._foreign = self._owed = self._armed_ticks = 0
         self._trouble = self._beaten = False
 
     @property
@@ -153,8 +154,11 @@ class OverrideCore:
         self._now_ns = now_ns
         return self._tick(live=False)
 
-    def on_sent(self, now_ns: int, sent: bool) -> None:
+    def on_sent(self, now_ns: int, frame: Frame, sent: bool) -> None:
         """What became of a frame: a full queue dropped it, or not."""
+        command = self._parts.command
+        if sent and not self.command.enable and frame.can_id == command.can_id:
+            self._owed = max(self._owed - 1, 0)
         if not sent:
             self.dropped += 1
             self.override.trip(now_ns, Trip.BUS, "a frame was refused by a full send queue")
@@ -168,17 +172,19 @@ class OverrideCore:
 
     def end(self, now_ns: int, why: str, *, fault: bool = False) -> list[Frame]:
         """The session ends; ``fault``: not of its own accord. The last frames to send."""
-        was_live = self.state in _LIVE
         if fault:
             self.override.trip(now_ns, Trip.OPERATOR, why)
         self.override.off(now_ns, why)
         self.command = _RELEASE
         if self._dry_run:
             return []
-        last = RELEASES if was_live else self._releases
-        self._releases = 0
-        frames = [self._parts.command.frame(_RELEASE) for _ in range(last)]
-        return frames + self._told()
+        return self.owed() + self._told()
+
+    def owed(self) -> list[Frame]:
+        """The releases that the bus has not taken yet, once no torque is wanted any more."""
+        if self._dry_run or self.command.enable:
+            return []
+        return [self._parts.command.frame(_RELEASE) for _ in range(self._owed)]
 
     def take(self, frame: Frame, samples: Sequence[Sample]) -> None:
         """Samples of a decoded frame (called by the decoder)."""
@@ -223,12 +229,11 @@ class OverrideCore:
             return []
         frames: list[Frame] = []
         if self.state in _LIVE or before in _LIVE:
-            self._releases = RELEASES
+            self._owed = RELEASES
             self._armed_ticks += 1
         if self.command.enable:
             frames += [self._parts.command.frame(self.command)] if live else []
-        elif self._releases:
-            self._releases -= 1
+        elif self._owed:
             frames.append(self._parts.command.frame(_RELEASE))
         if now_ns >= self._next_state_ns or self.state is not before:
             self._next_state_ns = now_ns + _STATE_PERIOD_NS

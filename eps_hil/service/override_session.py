@@ -30,6 +30,8 @@ _TIMER_S = 0.003
 _SHOW_S = 0.1
 _LATE_NS = 5_000_000
 """A command not handed to the bus so long after it was decided (a stopped process) is not sent."""
+_LAST_TRIES, _LAST_WAIT_S = 50, 0.002
+"""Within a tenth of a second a full send queue may have room for the releases again."""
 
 Say = Callable[[str], None]
 OpenPort = Callable[[OverrideParts, bool], Port]
@@ -207,7 +209,7 @@ class OverrideSession:
             except BusError as error:
                 self._lost(str(error))
                 return
-            self.core.on_sent(time.monotonic_ns(), sent)
+            self.core.on_sent(time.monotonic_ns(), frame, sent)
 
     def _record(self) -> None:
         transitions = self.core.override.take_transitions()
@@ -233,6 +235,11 @@ class OverrideSession:
             fault = self._abnormal or self._ending.failure is not None
             now_ns = time.monotonic_ns()
             self._send(self.core.end(now_ns, self._why, fault=fault), now_ns)
+            for _ in range(_LAST_TRIES):
+                if not (last := self.core.owed()) or self._port is None:
+                    break
+                time.sleep(_LAST_WAIT_S)
+                self._send(last[:1], time.monotonic_ns())
         finally:
             if self._port is not None:
                 self._port.close()

@@ -138,7 +138,7 @@ class Lockstep:
         """What the session answered, one frame after the other."""
         for frame in frames:
             sent = self.accepts()
-            self.core.on_sent(self.now_ns, sent)
+            self.core.on_sent(self.now_ns, frame, sent)
             if sent:
                 self._on_wire.append(frame)
 

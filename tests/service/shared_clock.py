@@ -7,6 +7,7 @@ What real time does to a session is shown by test_override_kill.py and on UDP.
 
 import asyncio
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -29,6 +30,10 @@ class SharedClock:
 
     def time_ns(self) -> int:
         return _WALL0_NS + self.spent_ns
+
+    def sleep(self, seconds: float) -> None:
+        """Of real time: a real queue is waited for."""
+        time.sleep(seconds)
 
 
 class StampedPort:

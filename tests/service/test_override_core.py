@@ -201,6 +201,36 @@ class TestTrips:
         bench.accepts = lambda: True
         zero_from_here(bench, 2)
 
+    @pytest.mark.parametrize("full_ms", [1, 5, 12, 40])
+    def test_a_release_that_the_queue_refused_is_none(self, bench: Lockstep, full_ms: int) -> None:
+        """The ECU timed out meanwhile, and gives no assist before it hears one."""
+        injecting(bench)
+        end = bench.ms + full_ms
+        bench.accepts = lambda: bench.ms >= end
+        bench.step(full_ms)
+        before = len(bench.ticks)
+        bench.step(30)
+        heard = [command for tick in bench.ticks[before:] for command in tick.commands]
+        assert [command.enable for command in heard] == 10 * [False]
+        assert bench.rig.override.state is OverrideState.RELEASED
+
+    def test_the_end_owes_the_releases_that_the_queue_refused(self, bench: Lockstep) -> None:
+        injecting(bench)
+        bench.accepts = lambda: False
+        bench.step(15)
+        command_id = bench.core._parts.command.can_id
+        last = [
+            frame for frame in bench.core.end(bench.now_ns, "over") if frame.can_id == command_id
+        ]
+        assert len(last) == 10
+        bench.send(last)
+        assert len(bench.core.owed()) == 10
+        bench.accepts = lambda: True
+        bench.send(bench.core.owed()[:1])
+        assert len(bench.core.owed()) == 9
+        bench.send(bench.core.owed())
+        assert bench.core.owed() == []
+
     def test_another_transmitter(self, bench: Lockstep) -> None:
         injecting(bench)
         foreign = FrameEncoder(DATABASE, "EPSHIL_TorqueOverride")

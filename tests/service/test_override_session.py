@@ -24,6 +24,7 @@ from eps_hil.rig.ecu import OverrideState
 from eps_hil.rig.process import RigSimulation
 from eps_hil.service import override_session
 from eps_hil.service.config import RuntimeConfig, ServiceConfig, load_config
+from eps_hil.service.ending import Ending
 from eps_hil.service.guard import Command, Trip
 from eps_hil.service.journal import Journal
 from eps_hil.service.operator import KeyOperator, Unattended, terminal_operator
@@ -191,6 +192,29 @@ def test_an_error_in_the_loop_releases(stage: Stage) -> None:
 
 
 @pytest.mark.slow
+def test_the_last_releases_wait_for_room_in_the_send_queue(stage: Stage) -> None:
+    refused = []
+
+    def fill_the_queue() -> None:
+        port = stage.session._port
+        assert port is not None
+        send = port.send
+
+        def refuse(frame: Frame) -> bool:
+            refused.append(frame)
+            return len(refused) > 20 and send(frame)
+
+        port.send = refuse  # type: ignore[method-assign]
+        stage.session.finish("enough")
+
+    stage.run(fill_the_queue)
+    assert len(refused) > 20
+    assert stage.session.core.owed() == []
+    assert stage.rig.applied[-1] == 0.0
+    assert stage.rig.simulation.override.state is OverrideState.RELEASED
+
+
+@pytest.mark.slow
 def test_a_lost_bus_is_left_to_the_ecu(tmp_path: Path) -> None:
     stage = Stage(replace(load_config(CONFIG), bus=UDP), tmp_path)
 
@@ -240,6 +264,33 @@ def test_keys_of_the_operator() -> None:
 
     asyncio.run(type_keys())
     assert told == ["prepare", "arm", "beat", "beat", "the operator's terminal is gone"]
+
+
+def test_an_error_while_nobody_is_at_the_keys_ends_the_session() -> None:
+    """A full disk as it arms, say: it stayed armed for minutes, and nobody was told."""
+
+    class FullDisk:
+        def prepare(self) -> bool:
+            raise OSError(28, "No space left on device")
+
+        def arm(self) -> bool:
+            raise AssertionError
+
+        def heartbeat(self) -> None:
+            raise AssertionError
+
+        def finish(self, why: str) -> None:
+            raise AssertionError(why)
+
+    async def run() -> None:
+        ending, loop = Ending(), asyncio.get_running_loop()
+        ending.watch_over(loop)
+        Unattended().start(loop, FullDisk())
+        await ending.wait(2.0)
+        ending.raise_failure()
+
+    with pytest.raises(OSError, match="No space left"):
+        asyncio.run(run())
 
 
 def quiet_session() -> OverrideSession:
