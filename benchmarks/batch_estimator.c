@@ -2,7 +2,8 @@
 
    What eps_hil's default estimator does with sound signals: values read between their neighbours at
    one physical instant, noise learnt from third differences, dead zone, creep by the angle, LuGre
-   bristle, limiter, observer, output filter. It judges nothing: no plausibility, gaps, jumps of
+   bristle, limiter (as far as the friction is unknown), observer,
+   output filter. It judges nothing: no plausibility, gaps, jumps of
    time, effects or adapted levels. The numbers come from the same model, in the order of the enum. */
 #include <math.h>
 #include <stdint.h>
@@ -52,7 +53,7 @@ long estimate(const double *c, const int64_t **t, const double **v, const int64_
     for (int i = 0; i < 4; i++)
         s[i] = (Signal){t[i], v[i], n[i], 0, 0, delay[i], c[NOISE_T + i], c[NOISE_N]};
     double phi = 0, omega = 0, force = 0, torque_before = 0, slope = 0, once = 0, twice = 0, z = 0, speed = 0, acc = 0;
-    double angle = 0, held = 0, line[640] = {0};
+    double angle = 0, held = 0, unknown = 0, line[640] = {0};
     int head = 0, running = 0;
     long rows = 0;
     int64_t begin = 0, lag = (int64_t)rint(c[OUT_LAG] * 1e9);
@@ -72,6 +73,7 @@ long estimate(const double *c, const int64_t **t, const double **v, const int64_
             phi = a, omega = w, speed = w, angle = held = a;
             z = fabs(w) > c[LIM_W] ? copysign(end, w) : 0.0;
             force = once = twice = load - c[RATIO] * c[S0] * z;
+            unknown = c[S0] * fabs(z) + fmax(level_of(c, 1.0, load), level_of(c, -1.0, load));
             torque_before = torque - c[S0] * z;
             running = 1;
         }
@@ -92,6 +94,7 @@ long estimate(const double *c, const int64_t **t, const double **v, const int64_
         acc += c[ACC_LP] * ((w - speed) / c[STEP] - acc);
         speed = w;
         double way = moving != 0.0 ? moving : travel != 0.0 ? travel : z, level = level_of(c, way, load), before = fabs(z);
+        if (unknown >= 1e-6 && slip != 0.0) unknown *= exp(-slip * c[S0] / level);
         double decay = slip * c[S0] / level, lost = -expm1(-decay), share = decay > 1e-9 ? lost / decay : 1.0 - 0.5 * decay;
         z = z * (1.0 - lost) + travel * share;
         if (resting) {
@@ -102,7 +105,7 @@ long estimate(const double *c, const int64_t **t, const double **v, const int64_
         if (ratio * ratio <= 60.0)
             friction += c[S1] * exp(-ratio * ratio) * (moving - fabs(moving) * c[S0] * z / level);
         if (fabs(w) < c[LIM_W] && fabs(acc) < c[LIM_A])
-            friction = copysign(fmin(fabs(friction), fabs(torque)), friction);
+            friction = copysign(fmin(fabs(friction), fmax(fabs(torque), fabs(friction) - unknown)), friction);
         torque -= friction;
         double mean = 0.5 * (torque + torque_before), bend = c[INV_J] * (mean - force / c[RATIO]);
         torque_before = torque;

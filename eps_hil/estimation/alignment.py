@@ -118,8 +118,11 @@ def learn_noise(
 
 
 @kernel
-def forget_noise(stamps: Stamps, values: Values, n: int, i: int, known: Values) -> None:
-    """Believe the last samples of ring ``i`` where these have less noise than is ``known``.
+def forget_noise(
+    stamps: Stamps, values: Values, n: int, i: int, known: Values, below: float = 1.0
+) -> None:
+    """Believe the last samples of ring ``i`` where these have less noise than is ``known``: less
+    than ``below`` of its variance.
 
     Where two transmitters sent by turns, their difference was learnt as noise. A value that stands
     still tells nothing: it may be one that is stuck.
@@ -129,7 +132,7 @@ def forget_noise(stamps: Stamps, values: Values, n: int, i: int, known: Values) 
         bend, _ = _bend(stamps, values, k, i)
         if math.isfinite(bend) and bend != 0.0:
             total, found = total + bend * bend / 20.0, found + 1
-    if 2 * found > LATELY and total < known[i, 0] * found:
+    if 2 * found > LATELY and total < below * known[i, 0] * found:
         known[i, 0], known[i, 1] = total / found, min(known[i, 1], float(found))
 
 

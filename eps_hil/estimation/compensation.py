@@ -111,7 +111,8 @@ def friction_step(
         s.bristle = min(max(s.bristle, -limit), limit)
     friction = s.unlimited = friction_torque_nm(s.bristle, moving, level, x.law)
     if c.limit and abs(speed) < c.limiter_speed and abs(s.acceleration) < c.limiter_acceleration:
-        friction = math.copysign(min(abs(friction), abs(torque)), friction)
+        least = max(abs(torque), abs(friction) - s.unknown_nm)
+        friction = math.copysign(min(abs(friction), least), friction)
     if not x.use.torque:
         return friction
     more = acting.torque_nm(x.effects, i, 0.0)

@@ -11,7 +11,7 @@ import numpy as np
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation.creep import follow_creep, lose_sight, see_again
-from eps_hil.estimation.frozen import take_equal
+from eps_hil.estimation.frozen import take_equal, untold
 from eps_hil.estimation.gain_and_lag import SMOOTHED_S, doubt_lessons, relation_steps
 from eps_hil.estimation.holes import blind, course, in_the_dark, lose_course, unseen
 from eps_hil.estimation.settings import EstimatorSettings
@@ -46,6 +46,7 @@ from eps_hil.physics.model import Model
 _TORQUE, _SENSOR, _SPEED, _ANGLE = range(4)
 _RANGE, _RATE = int(Reason.RANGE), int(Reason.RATE)
 _FROZEN, _INCONSISTENT = int(Reason.FROZEN), int(Reason.INCONSISTENT)
+_SETTLING = int(Reason.SETTLING)
 _CONTINUOUS_NS = 50_000_000
 _MOVING_RAD_S = 1.0
 _SPREAD_MEMORY_MS = 512.0
@@ -195,6 +196,8 @@ def judge_step(
     in_the_dark(w, p, u.speed_periods > 1.0)
     at = w.steps & WRAP
     reason = unseen(w, p)
+    if w.moving and (untold(w, p, _TORQUE) or untold(w, p, _SENSOR)):
+        reason |= _SETTLING
     torque = u.motor_torque_nm + p.sensor_to_rotor * u.torque_sensor_nm
     w.torque[at] = course(w, p, torque - w.unexplained_nm, u.drive_noise, seen)
     w.speed[at] = u.motor_speed_rad_s

@@ -57,6 +57,8 @@ _INCONSISTENT = int(Reason.INCONSISTENT)
 _SOUND = int(Reason.SETTLING | Reason.OUT_OF_RANGE)
 """What leaves the state itself sound, and worth going back to."""
 _BAD, _IMPLAUSIBLE = int(Reason.BAD_SAMPLE), int(Reason.IMPLAUSIBLE)
+_FAR_LESS = 0.25
+"""Share of a known variance of noise below which that of the last samples is believed."""
 _JUMP_NS = 1_000_000_000
 BATCH_ROWS = 11_000
 """Steps that one sync frame can make due: a jump of a second and more starts anew."""
@@ -260,16 +262,18 @@ def _go_back(m: Memory, c: Constants, x: Physics, u: Inputs, doubted: bool) -> N
 def _be_wary(m: Memory, x: Physics, doubted: bool) -> None:
     """Tell the estimator whether its torque is doubted, and what a wrong one has made of it.
 
-    What was learnt as noise in a doubt may have been what was doubted.
+    What was learnt as noise in a doubt may have been what was doubted. Noise that is over is
+    forgotten, too: a torque's jump is not seen in the noise that is thought to be there.
     """
     w, s = m.watch[0], m.carried.moment[0]
     if not doubted:
         s.wary, s.wary_way = 0, 0.0
-        if w.noisy > 0:
-            w.noisy -= 1
-            if w.noisy % alignment.LATELY == 0:
-                for i in range(len(SIGNALS)):
-                    alignment.forget_noise(m.stamps, m.values, m.learnt[i], i, m.noise)
+        w.noisy -= 1 if w.noisy > 0 else 0
+        below = 1.0 if w.noisy > 0 else _FAR_LESS
+        turn = w.noisy if w.noisy > 0 else w.steps
+        if turn % alignment.LATELY == 0:
+            for i in range(len(SIGNALS)):
+                alignment.forget_noise(m.stamps, m.values, m.learnt[i], i, m.noise, below)
         return
     s.wary, w.noisy = 1, 2 * alignment.LATELY
     if w.misled:

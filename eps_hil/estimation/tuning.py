@@ -164,7 +164,9 @@ def simulated_noise_n(
         "motor_speed_rad_s": Series(t_ns, speed + noise.speed_rad_s * rng.standard_normal(n)),
     }
     plain = replace(model, effects=())
-    trace = batch.estimate(series, plain, replace(settings, kind="observer"))
+    unjudged = replace(settings.plausibility, enabled=False)  # a torque without noise stands still
+    settings = replace(settings, kind="observer", plausibility=unjudged)
+    trace = batch.estimate(series, plain, settings)
     settled = trace.valid & (trace.t_ns > 2_000_000_000)
     return float(np.std(trace.rack_force_n[settled]))
 

@@ -47,7 +47,7 @@ def read(parts: OverrideParts, folder: Path, command: Command) -> dict[str, floa
     message = database.get_message_by_name(parts.override.command_message)
     found = message.decode(parts.command.frame(command).data, decode_choices=False)
     assert isinstance(found, dict)
-    return {name: float(value) for name, value in found.items()}  # type: ignore[arg-type]
+    return {name: float(value) for name, value in found.items()}
 
 
 def without_range(line: str) -> str:
