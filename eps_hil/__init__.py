@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         fit_simulator,
         identify,
         load,
+        recording,
         simulate,
     )
     from eps_hil.api.recording import Recording
@@ -46,6 +47,7 @@ _PLACES = {
         "fit_simulator",
         "identify",
         "load",
+        "recording",
         "simulate",
     ),
     "eps_hil.api.recording": ("Recording",),
@@ -81,6 +83,7 @@ __all__ = [
     "fit_simulator",
     "identify",
     "load",
+    "recording",
     "simulate",
 ]
 

@@ -20,6 +20,12 @@ class Series:
     t_ns: npt.NDArray[np.int64]
     value: npt.NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        """``ValueError`` for shapes that compiled code would read past the end of."""
+        if self.t_ns.ndim != 1 or self.t_ns.shape != self.value.shape:
+            shapes = f"{self.t_ns.shape} stamps and {self.value.shape} values"
+            raise ValueError(f"a signal needs as many values as stamps, (n,), not {shapes}")
+
 
 def usual_step_ns(t_ns: npt.NDArray[np.int64]) -> float:
     """Median step between two stamps or more; of a very long signal, of steps spread over it."""

@@ -1,7 +1,7 @@
-"""The jobs of a program: load, estimate, simulate, identify, diagnose, changes, compare, and
-``fit_simulator``."""
+"""The jobs of a program: load, recording, estimate, simulate, identify, diagnose, changes,
+compare, and ``fit_simulator``."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from eps_hil.errors import InputError
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.stream import Trace
-from eps_hil.physics.model import Model, load_model
+from eps_hil.physics.model import Delays, Model, load_model
 from eps_hil.series import Series
 
 Source = Recording | str | Path
@@ -43,6 +43,9 @@ def load(
     """
     from eps_hil.recordings.read import read_recording
 
+    _check_gaps(gaps)
+    if not isinstance(path, str | Path):
+        raise _no_recording(path)
     databases = [dbc] if isinstance(dbc, str | Path) else dbc
     found = read_recording(
         path,
@@ -53,6 +56,21 @@ def load(
         channel=channel,
     )
     return Recording(found.name, found.series, found.notes, found.arrivals)
+
+
+def recording(
+    columns: Any, name: str = "recording", *, gaps: str = "refuse", ignore_unknown: bool = False
+) -> Recording:
+    """A recording of a data frame, or of a mapping of equally long arrays (n,).
+
+    ``time_s`` (s, or datetime64) or ``time_ns`` increases; the other columns have canonical names;
+    NaN where a row has no sample of a signal. Else as :func:`load`.
+    """
+    from eps_hil.recordings.in_memory import from_arrays
+
+    _check_gaps(gaps)
+    found = from_arrays(columns, name, gaps=gaps, ignore_unknown=ignore_unknown)
+    return Recording(found.name, found.series, found.notes)
 
 
 def estimate(
@@ -76,6 +94,9 @@ def estimate(
     if isinstance(settings, str | Path):
         settings = yaml_file.load(settings, EstimatorSettings)
     chosen = settings or EstimatorSettings()
+    if not isinstance(chosen, EstimatorSettings):
+        kind = type(chosen).__name__
+        raise InputError("settings", "", f"are of type {kind}", "give a file or EstimatorSettings")
     if wrong := problem(chosen, live=False):
         raise InputError("settings", "kind", wrong)
     try:
@@ -252,9 +273,26 @@ def _recording(source: Source) -> Recording:
     return source if isinstance(source, Recording) else load(source)
 
 
+def _no_recording(source: object) -> InputError:
+    kind = type(source).__name__
+    remedy = "give a file, or make one of arrays or a data frame with eps_hil.recording"
+    return InputError(f"a value of type {kind}", "", "is no recording", remedy)
+
+
+def _check_gaps(gaps: str) -> None:
+    if gaps not in ("refuse", "mark"):
+        raise InputError("gaps", "", f"is {gaps!r}", "'refuse' or 'mark'")
+
+
 def _recordings(sources: Sources) -> list[Recording]:
-    several = [sources] if isinstance(sources, Recording | str | Path) else sources
-    return [_recording(one) for one in several]
+    if isinstance(sources, Recording | str | Path):
+        return [_recording(sources)]
+    if isinstance(sources, Mapping) or not isinstance(sources, Iterable):
+        raise _no_recording(sources)
+    several = [_recording(one) for one in sources]
+    if not several:
+        raise InputError("recordings", "", "hold none", "give one or several")
+    return several
 
 
 def _by_name(recordings: Sequence[Recording]) -> dict[str, Mapping[str, Series]]:
@@ -266,7 +304,25 @@ def _by_name(recordings: Sequence[Recording]) -> dict[str, Mapping[str, Series]]
 
 
 def _model(rig: Rig) -> Model:
-    return rig if isinstance(rig, Model) else load_model(rig)
+    """A file's model, or one that a program holds: with ``dataclasses.replace`` nobody looked."""
+    if isinstance(rig, str | Path):
+        return load_model(rig)
+    if not isinstance(rig, Model):
+        kind = type(rig).__name__
+        raise InputError(f"a value of type {kind}", "", "is no model", "give a file or a Model")
+    from dataclasses import asdict
+
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        TypeAdapter(Model).validate_python(asdict(rig))
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(map(str, first["loc"]))
+        raise InputError("model", field, first["msg"], f"found {first['input']!r}") from None
+    if not isinstance(rig.delays_s, Delays):
+        raise InputError("model", "delays_s", "are no Delays", "give eps_hil's own value")
+    return rig
 
 
 def _refused(recording: Recording, error: Exception) -> InputError:

@@ -6,6 +6,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eps_hil.api import show
 from eps_hil.errors import InputError
 from eps_hil.recordings import recording as plain
@@ -19,8 +21,19 @@ _FIRST = ("motor_speed_rad_s", "motor_torque_nm", "torque_sensor_nm", "rack_forc
 class Recording(plain.Recording):
     """Canonical signals of one file (``eps_hil.load``); ``series[name]`` has ``t_ns``, ``value``.
 
-    ``notes``: what the reader had to leave out or mend.
+    ``notes``: what the reader had to leave out or mend. Of arrays: ``eps_hil.recording``.
     """
+
+    def __post_init__(self) -> None:
+        """:class:`InputError` for signals that no reader would make."""
+        for name, one in self.series.items():
+            if one.t_ns.dtype != np.int64 or one.value.dtype != np.float64:
+                kinds = f"stamps of {one.t_ns.dtype} and values of {one.value.dtype}"
+                raise InputError(self.name, name, f"has {kinds}", "int64 (ns) and float64")
+            if len(one.t_ns) > 1 and not bool((one.t_ns[1:] > one.t_ns[:-1]).all()):
+                raise InputError(self.name, name, "has stamps that do not increase", "sort them")
+        if not self.series:
+            raise InputError(self.name, "", "holds no signal", "give at least one")
 
     @property
     def start_ns(self) -> int:

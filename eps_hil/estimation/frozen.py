@@ -66,6 +66,12 @@ def _judge_frozen(w: Watch, p: Limits, i: int, on: bool) -> None:
 
 
 @kernel
+def torques_untold(w: Watch, p: Limits) -> bool:
+    """Whether the rotor moves and a torque stands still of which nothing is known."""
+    return w.moving != 0 and (untold(w, p, _TORQUE) or untold(w, p, _SENSOR))
+
+
+@kernel
 def untold(w: Watch, p: Limits, i: int) -> bool:
     """Whether torque ``i`` stands still as the rotor moves, and nothing tells if it may: who began
     to look while it stood still has not learnt how often its neighbours are equal. Exactly 0 is a

@@ -11,7 +11,7 @@ import numpy as np
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation.creep import follow_creep, lose_sight, see_again
-from eps_hil.estimation.frozen import take_equal, untold
+from eps_hil.estimation.frozen import take_equal, torques_untold
 from eps_hil.estimation.gain_and_lag import SMOOTHED_S, doubt_lessons, relation_steps
 from eps_hil.estimation.holes import blind, course, in_the_dark, lose_course, unseen
 from eps_hil.estimation.settings import EstimatorSettings
@@ -195,9 +195,7 @@ def judge_step(
         bridge(w, p, u)
     in_the_dark(w, p, u.speed_periods > 1.0)
     at = w.steps & WRAP
-    reason = unseen(w, p)
-    if w.moving and (untold(w, p, _TORQUE) or untold(w, p, _SENSOR)):
-        reason |= _SETTLING
+    reason = unseen(w, p) | (_SETTLING if torques_untold(w, p) else 0)
     torque = u.motor_torque_nm + p.sensor_to_rotor * u.torque_sensor_nm
     w.torque[at] = course(w, p, torque - w.unexplained_nm, u.drive_noise, seen)
     w.speed[at] = u.motor_speed_rad_s

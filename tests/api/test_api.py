@@ -1,9 +1,12 @@
 """``import eps_hil``: the names a program needs, and results that tabulate and show themselves."""
 
 import importlib.util
+import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,6 +19,7 @@ from eps_hil.cli.main import main
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.physics.model import Model
 from eps_hil.recordings.read import read_recording
+from eps_hil.series import Series
 
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "configs" / "reference_rig.yaml"
@@ -44,6 +48,74 @@ def test_importing_is_free_and_names_are_typed() -> None:
     assert eps_hil.Model is Model
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         eps_hil.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: eps_hil.estimate({"time_s": [0.0]}, MODEL), "type dict: is no recording"),  # type: ignore[arg-type]
+        (lambda: eps_hil.load(b"drive.csv"), "a value of type bytes: is no recording"),  # type: ignore[arg-type]
+        (lambda: eps_hil.load("drive.csv", gaps="x"), "gaps: is 'x'; 'refuse' or 'mark'"),
+        (lambda: eps_hil.diagnose([], MODEL), "recordings: hold none; give one or several"),
+        (lambda: eps_hil.identify(7, MODEL), "a value of type int: is no recording"),  # type: ignore[arg-type]
+        (lambda: eps_hil.simulate(["a.csv"], MODEL), "a value of type list: is no recording"),  # type: ignore[arg-type]
+    ],
+)  # fmt: skip
+def test_a_wrong_argument_is_one_line(call: Callable[[], object], said: str) -> None:
+    with pytest.raises(eps_hil.InputError, match=re.escape(said)):
+        call()
+
+
+def test_settings_of_a_wrong_type(drive: eps_hil.Recording) -> None:
+    with pytest.raises(eps_hil.InputError, match="settings: are of type dict"):
+        eps_hil.estimate(drive, MODEL, {"dead_zone": False})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"inertia_kg_m2": -1.0}, "model: inertia_kg_m2: Input should be greater than 0"),
+        ({"delays_s": {"motor_speed": 0.004}}, "model: delays_s: are no Delays"),
+    ],
+)  # fmt: skip
+def test_a_model_that_was_changed_is_looked_at(
+    drive: eps_hil.Recording, wrong: dict[str, Any], said: str
+) -> None:
+    model = replace(Model.load(MODEL), **wrong)
+    with pytest.raises(eps_hil.InputError, match=re.escape(said)):
+        eps_hil.estimate(drive, model)
+
+
+def test_a_model_that_was_changed_well_is_used(drive: eps_hil.Recording) -> None:
+    model = Model.load(MODEL)
+    heavier = replace(model, inertia_kg_m2=2.0 * model.inertia_kg_m2)
+    changed = eps_hil.estimate(drive, heavier).trace.rack_force_n
+    assert not np.array_equal(changed, eps_hil.estimate(drive, model).trace.rack_force_n)
+
+
+def test_arrays_are_a_recording(drive: eps_hil.Recording) -> None:
+    columns = {name: one.value for name, one in drive.series.items()}
+    stamps = drive.series["motor_torque_nm"].t_ns
+    made = eps_hil.recording({"time_ns": stamps, **columns}, "mine")
+    assert made.name == "mine"
+    ours, theirs = (eps_hil.estimate(each, MODEL).trace for each in (made, drive))
+    assert np.array_equal(ours.rack_force_n, theirs.rack_force_n)
+    again = eps_hil.recording(drive.to_dataframe("pandas"))
+    assert again.series.keys() == drive.series.keys()
+
+
+@pytest.mark.parametrize(
+    ("t_ns", "value", "said"),
+    [
+        (np.arange(3), np.zeros(2), "as many values as stamps"),
+        (np.arange(3.0), np.zeros(3), "stamps of float64 and values of float64"),
+        (np.arange(3), np.zeros(3, int), "stamps of int64 and values of int64"),
+        (np.array([0, 2, 1]), np.zeros(3), "stamps that do not increase"),
+    ],
+)
+def test_signals_that_no_reader_would_make(t_ns: Any, value: Any, said: str) -> None:
+    with pytest.raises((eps_hil.InputError, ValueError), match=said):
+        eps_hil.Recording("mine", {"motor_torque_nm": Series(t_ns, value)})
 
 
 def test_one_version() -> None:
