@@ -119,7 +119,7 @@ class Course:
             ("load", reading.force_n, _OVERSHOOT * limits.load_n + 200.0, "N"),
         )
         for what, value, most, unit in told:
-            if abs(value) > most:
+            if not abs(value) <= most:  # also NaN
                 return f"{what} {value:.4g} {unit}, the limit is {most:.4g} {unit}"
         return ""
 

@@ -17,6 +17,7 @@ from eps_hil.programme.link import (
     BetweenTicks,
     Leader,
     Readings,
+    check_cycles,
     command_values,
     position_signal,
 )
@@ -39,7 +40,9 @@ class LockstepRig:
         self._decoder = FrameDecoder(database, mapping)
         self._encoder = FrameEncoder(database, COMMAND)
         self._model, self._start_ns = model, start_ns
-        self._readings = Readings(position_signal(setup.bus, mapping.signals), model)
+        position = position_signal(setup.bus, mapping.signals)
+        check_cycles(setup.bus, position, self._decoder.period_s)
+        self._readings = Readings(position, model, self._decoder.period_s)
         self._per_tick = round(TICK_S * 1e9) // self._rig.tick_ns
         self._now_ns = 0
         self._run(None, None)
@@ -50,9 +53,10 @@ class LockstepRig:
         return self._now_ns * 1e-9
 
     def lead(self, leader: Leader, log: LogFile | None, before_tick: BetweenTicks) -> None:
-        """Until the leader is over."""
+        """Until the leader is over; :class:`SafetyStop` as on the bus."""
         while not leader.over:
             self._run(log, before_tick)
+            self._readings.check(self.simulated_s)
             self._command(leader.step(self._readings.now()), _ENABLE)
 
     def let_go(self) -> None:
@@ -60,8 +64,7 @@ class LockstepRig:
         for _ in range(_LONGEST_STOP):
             self._command(Wanted(0.0, 0.0), _ENABLE)
             self._run(None, None)
-            now = self._readings.now()
-            if abs(now.speed_rad_s) < 1.0 and abs(now.force_n) < 50.0:
+            if self._readings.at_rest(self.simulated_s):
                 break
         self._command(Wanted(0.0, 0.0), _RELEASE)
 
@@ -79,7 +82,7 @@ class LockstepRig:
                 log.write(stamped)
             for frame in stamped:
                 samples = self._decoder.decode(frame)
-                self._readings.take(samples)
+                self._readings.take(samples, self.simulated_s)
                 if sink is not None:
                     sink(samples)
             self._now_ns += self._rig.tick_ns

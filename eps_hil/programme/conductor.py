@@ -1,7 +1,8 @@
 """One cell on the rig, step by step: preload, start position, constant speed, stop.
 
 A pure state machine: readings in, set-points out, 100 times a second of sample time. It believes
-only what the bus says that the rig did, and gives up with a reason when the rig does not follow.
+only what the bus says that the rig did, gives up with a reason when the rig does not follow, and
+ends at once with zero set-points where the rig is beyond what the programme file asks for.
 """
 
 import math
@@ -21,6 +22,10 @@ _POSITION_M = 1e-3
 _APPROACH_GAIN_PER_S = 4.0
 _APPROACH_RAD_S = 60.0
 _REST_RAD_S = 1.0
+_OVERSHOOT = 1.5
+"""Of the fastest set-point: on its torsion bar the rotor of the reference rig reaches 1.4 times."""
+_BEYOND_M = 3e-3
+"""Over the file's rack_travel_m: a pass may begin there, give or take ``_POSITION_M``."""
 
 
 class Reading(NamedTuple):
@@ -51,11 +56,12 @@ class Phase(StrEnum):
     STOP = "stopping"
     DONE = "done"
     FAILED = "failed"
+    TRIPPED = "beyond a limit"
 
 
 @dataclass(slots=True)
 class Conductor:
-    """Leads the rig through one cell; :attr:`phase` is DONE or FAILED in the end."""
+    """Leads the rig through one cell; :attr:`phase` says how it ended, ``reason`` why."""
 
     cell: PlannedCell
     plan: Plan
@@ -64,11 +70,12 @@ class Conductor:
     reason: str = ""
     _in_phase_s: float = 0.0
     _held_s: float = 0.0
+    _first_m: float | None = None
 
     @property
     def over(self) -> bool:
         """Whether nothing more will happen."""
-        return self.phase in {Phase.DONE, Phase.FAILED}
+        return self.phase in {Phase.DONE, Phase.FAILED, Phase.TRIPPED}
 
     @property
     def start_m(self) -> float:
@@ -79,6 +86,10 @@ class Conductor:
     def step(self, reading: Reading) -> Wanted:
         """Take what was read over the last tick, and say what the rig shall do."""
         self._in_phase_s += TICK_S
+        beyond = self._beyond(reading)
+        if beyond:
+            self.reason = beyond
+            self._enter(Phase.TRIPPED)
         match self.phase:
             case Phase.APPROACH:
                 self._held(abs(reading.position_m - self.start_m) < _POSITION_M, Phase.LOAD)
@@ -100,6 +111,22 @@ class Conductor:
         if not self.over and self._in_phase_s > _PHASE_LIMIT_S + self.plan.run_s:
             self._fail(reading)
         return self._wanted(reading)
+
+    def _beyond(self, reading: Reading) -> str:
+        travel_m = self.plan.rack_travel_m
+        if self._first_m is None:
+            self._first_m = reading.position_m
+        if self.phase is Phase.APPROACH:  # from wherever the rack was left, but no further out
+            travel_m = max(travel_m, abs(self._first_m))
+        fastest = max(_APPROACH_RAD_S, *self.plan.speeds_rad_s)
+        told = (
+            ("rack position", 1e3 * reading.position_m, 1e3 * (travel_m + _BEYOND_M), "mm"),
+            ("rotor speed", reading.speed_rad_s, _OVERSHOOT * fastest, "rad/s"),
+        )
+        for what, value, most, unit in told:
+            if not abs(value) <= most:  # also NaN
+                return f"{what} {value:.4g} {unit}, the limit is {most:.4g} {unit}"
+        return ""
 
     @property
     def _force_band_n(self) -> float:

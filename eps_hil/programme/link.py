@@ -7,7 +7,7 @@ and preload go to zero and the rig is released; when it is killed, the rig's own
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -20,17 +20,25 @@ from eps_hil.bus.mapping import load_mapping
 from eps_hil.bus.message_decoder import Sample
 from eps_hil.bus.port import Port, open_port
 from eps_hil.bus.record import LogFile
-from eps_hil.errors import BusError, InputError
+from eps_hil.errors import BusError, InputError, SafetyStop
 from eps_hil.physics.model import Model
 from eps_hil.programme.cell_record import MEASURED
 from eps_hil.programme.conductor import TICK_S, Reading, Wanted
 
 COMMAND = "RIG_Command"
-_SILENCE_S = 1.0
 _FIRST_WAIT_S = 30.0
 _RELEASE_FRAMES = 5
 _LONGEST_STOP_S = 3.0
 _ENABLE, _RELEASE = 1.0, 0.0
+_REST_RAD_S, _REST_N = 1.0, 50.0
+
+STALE_S = 0.05
+"""How old the newest good sample of a signal may be: half of the rig's own time-out of 0.1 s, and
+3 rad of rotor (1.2 mm of rack) at the fastest set-point, 60 rad/s."""
+_STALE_CYCLES = 3
+"""The same for a slower message, in its cycles: two may be lost in a row."""
+_SLOWEST_CYCLE_S = 0.05
+"""A slower signal neither fills a pass of a second (20 samples) nor holds a limit."""
 
 
 class Leader(Protocol):
@@ -67,34 +75,71 @@ def command_values(wanted: Wanted, model: Model, request: float = _ENABLE) -> di
 
 
 class Readings:
-    """Means of what came in since the last tick; what brought nothing new stays as it was."""
+    """Means of what came in since the last tick; what brought nothing new stays as it was.
 
-    def __init__(self, position: str, model: Model) -> None:
+    Nobody may be led by what stays so: :meth:`check` says so from :data:`STALE_S` on, or from three
+    cycles of a slower message (``period_s``, by signal). Times in seconds of any steady clock.
+    """
+
+    def __init__(self, position: str, model: Model, period_s: Mapping[str, float]) -> None:
         self._position, self._model = position, model
         self._latest: dict[str, float] = {}
         self._sums: dict[str, list[float]] = {}
+        self._heard_s: dict[str, float] = {}
+        self._may_be_s = {
+            name: max(STALE_S, _STALE_CYCLES * period_s.get(name, 0.0))
+            for name in (*MEASURED, position)
+        }
 
     @property
-    def heard(self) -> set[str]:
-        """Signals that have been heard."""
-        return set(self._latest)
+    def missing(self) -> list[str]:
+        """Signals that are needed and were never heard."""
+        return sorted(set(self._may_be_s) - set(self._heard_s))
 
-    def take(self, samples: list[Sample]) -> None:
+    def take(self, samples: list[Sample], now_s: float) -> None:
         """Samples of this tick; those known to be bad are left out."""
         for name, _, value in samples:
             if math.isfinite(value):
                 self._sums.setdefault(name, []).append(value)
+                self._heard_s[name] = now_s
+
+    def stale(self, now_s: float) -> list[str]:
+        """Signals that are needed and have had no good sample for too long."""
+        return [
+            name
+            for name, most_s in self._may_be_s.items()
+            if now_s - self._heard_s.get(name, -math.inf) > most_s
+        ]
+
+    def check(self, now_s: float) -> None:
+        """:class:`SafetyStop` where a signal is stale: whoever leads would not see a limit."""
+        stale = self.stale(now_s)
+        if stale:
+            most_ms = 1e3 * max(self._may_be_s[name] for name in stale)
+            raise SafetyStop(
+                f"no good value of {', '.join(stale)} for {most_ms:.0f} ms: a rig is not led by "
+                "old values"
+            )
+
+    def at_rest(self, now_s: float) -> bool:
+        """Whether the rig turns slowly and carries next to no load, by values that are not old.
+
+        Call it in place of :meth:`now`.
+        """
+        now = self.now()
+        still = abs(now.speed_rad_s) < _REST_RAD_S and abs(now.force_n) < _REST_N
+        return still and not self.stale(now_s)
 
     def now(self) -> Reading:
         """The means, and the next tick begins."""
         for name, values in self._sums.items():
             self._latest[name] = sum(values) / len(values)
         self._sums.clear()
-        position = self._latest.get(self._position, 0.0)
+        position = self._latest.get(self._position, math.nan)
         if self._position == "motor_angle_rad":
             position /= self._model.rack_to_rotor_ratio_rad_per_m
         names = ("motor_speed_rad_s", "rack_force_n", "torque_sensor_nm", "motor_torque_nm")
-        speed, force, sensor, motor = (self._latest.get(name, 0.0) for name in names)
+        speed, force, sensor, motor = (self._latest.get(name, math.nan) for name in names)
         return Reading(speed, position, force, sensor, motor)
 
 
@@ -113,9 +158,9 @@ class RigLink:
         self._encoder = FrameEncoder(database, COMMAND, dbc_file=dbc_file)
         commands = of_database(database, marked=mapping.commands)
         self._torque_ids = [i for i, one in commands.items() if one.kind is Kind.TORQUE]
-        self._readings = Readings(self._position, model)
+        check_cycles(setup, self._position, self._decoder.period_s)
+        self._readings = self._nothing_heard()
         self._log: LogFile | None = None
-        self._heard_s = 0.0
         self._commanded = False
         self._bus = setup.bus
         self._port: Port
@@ -127,7 +172,7 @@ class RigLink:
         makes is raised after ``stop()``.
         """
         bus = self._bus
-        self._readings = Readings(self._position, self._model)
+        self._readings = self._nothing_heard()
         self._commanded = False
         self._port = open_port(
             bus.interface,
@@ -143,8 +188,14 @@ class RigLink:
             self.let_go()
             raise
 
+    def _nothing_heard(self) -> Readings:
+        return Readings(self._position, self._model, self._decoder.period_s)
+
     def lead(self, leader: Leader, log: LogFile | None, before_tick: BetweenTicks) -> None:
-        """Ticks until the leader is over."""
+        """Ticks until the leader is over.
+
+        :class:`SafetyStop` where a signal that is needed has been silent or bad for too long.
+        """
         self._log = log
         try:
             deadline_s = time.monotonic()
@@ -152,6 +203,7 @@ class RigLink:
                 sink = before_tick()
                 deadline_s += TICK_S
                 self._receive_until(deadline_s, sink)
+                self._readings.check(time.monotonic())
                 self.send(leader.step(self._readings.now()))
         finally:
             self._log = None
@@ -178,8 +230,7 @@ class RigLink:
             while self._commanded and time.monotonic() < end_s:
                 self.send(Wanted(0.0, 0.0))
                 self._receive_until(time.monotonic() + TICK_S, None)
-                now = self._readings.now()
-                if abs(now.speed_rad_s) < 1.0 and abs(now.force_n) < 50.0:
+                if self._readings.at_rest(time.monotonic()):
                     break
             for _ in range(_RELEASE_FRAMES if self._commanded else 0):
                 self.send(Wanted(0.0, 0.0), _RELEASE)
@@ -198,8 +249,6 @@ class RigLink:
             self._take(frames, sink, now_s)
             if now_s >= deadline_s:
                 break
-        if now_s - self._heard_s > _SILENCE_S:
-            raise BusError(f"{self._port.name}: the rig has been silent for {_SILENCE_S:g} s")
 
     def _take(self, frames: Sequence[Frame], sink: OnSamples | None, now_s: float) -> None:
         for frame in frames:
@@ -209,23 +258,21 @@ class RigLink:
             samples = self._decoder.decode(frame)
             if not samples:
                 continue
-            self._heard_s = now_s
             if sink is not None:
                 sink(samples)
-            self._readings.take(samples)
+            self._readings.take(samples, now_s)
 
     def _wait_for_the_rig(self, stop: Callable[[], bool], stopped: Callable[[], Exception]) -> None:
         """Until every signal that is needed has been heard."""
-        needed = {*MEASURED, self._position}
         end_s = time.monotonic() + _FIRST_WAIT_S
-        while needed - self._readings.heard:
+        while self._readings.missing:
             if stop():
                 raise stopped()
-            self._heard_s = time.monotonic()
-            if self._heard_s > end_s:
-                missing = ", ".join(sorted(needed - self._readings.heard))
+            now_s = time.monotonic()
+            if now_s > end_s:
+                missing = ", ".join(self._readings.missing)
                 raise BusError(f"{self._port.name}: nothing heard of {missing}; does the rig run?")
-            self._receive_until(self._heard_s + 0.05, None)
+            self._receive_until(now_s + 0.05, None)
             self._readings.now()
 
 
@@ -240,3 +287,15 @@ def position_signal(setup: BusSetup, signals: object) -> str:
             return name
     problem = "neither it nor motor_angle_rad is mapped, and a rig is led by where its rack is"
     raise InputError(setup.signals, "rack_position_m", problem, "map one of them")
+
+
+def check_cycles(setup: BusSetup, position: str, period_s: Mapping[str, float]) -> None:
+    """:class:`InputError` where a signal that leads a rig comes too seldom, by its own cycle."""
+    for name in (*MEASURED, position):
+        cycle_s = period_s.get(name, 0.0)
+        if cycle_s > _SLOWEST_CYCLE_S:
+            raise InputError(
+                setup.signals, name,
+                f"comes every {1e3 * cycle_s:g} ms, and a rig is led by signals of every "
+                f"{1e3 * _SLOWEST_CYCLE_S:g} ms or faster", "have it sent faster",
+            )  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 from eps_hil import json_text
 from eps_hil.bus.config import BusSetup
 from eps_hil.bus.record import open_log
-from eps_hil.errors import EpsHilError, InputError
+from eps_hil.errors import EpsHilError, InputError, SafetyStop
 from eps_hil.physics.model import Model
 from eps_hil.programme import cell_record
 from eps_hil.programme.cell_record import CellResult, Collector
@@ -87,8 +87,9 @@ class ProgrammeRun:
     ) -> Summary:
         """Run what is not finished yet, in the plan's order; the bus is let go in every case.
 
-        :class:`InterruptedProgrammeError` after ``stop()``, :class:`BusError` when the rig is
-        silent or somebody else commands it, :class:`EpsHilError` when it does not follow.
+        :class:`InterruptedProgrammeError` after ``stop()``, :class:`BusError` when no rig is heard
+        or somebody else commands it, :class:`EpsHilError` when it does not follow,
+        :class:`SafetyStop` when it went beyond a limit or could not be led safely (``link.py``).
         """
         results = {one.cell.number: one for one in finished}
         cells = self._plan.cells()
@@ -132,6 +133,8 @@ class ProgrammeRun:
                 self._link.lead(conductor, log, before_tick)
             finally:
                 log.close()
+            if conductor.phase is Phase.TRIPPED:
+                raise SafetyStop(f"{cell.name}: {conductor.reason}; finished cells are kept")
             if conductor.phase is Phase.FAILED:
                 raise EpsHilError(f"{cell.name}: {conductor.reason}; finished cells are kept")
             result = collector.result(cell, self._link.lost - lost, attempt)

@@ -1,14 +1,20 @@
 """One experiment tick by tick: it goes its course, and it ends at once beyond a limit."""
 
+import math
 from pathlib import Path
 
 import pytest
 
+from eps_hil.bus.frame import Frame
+from eps_hil.errors import SafetyStop
 from eps_hil.investigate.course import Course, Phase
 from eps_hil.investigate.experiment import TICK_S, Experiment, Kind
+from eps_hil.investigate.lockstep import LockstepRig
 from eps_hil.physics.model import load_model
 from eps_hil.programme.conductor import Reading, Wanted
 from eps_hil.programme.limits import Limits
+
+from .bench import written
 
 MODEL = load_model(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
 LIMITS = Limits()
@@ -45,6 +51,7 @@ def test_it_goes_its_course_and_ends_at_rest_without_load() -> None:
         (Reading(0.0, 0.0, 0.0, 10.5), "torsion-bar torque"),
         (Reading(0.0, 0.0, 0.0, 0.0, -3.1), "motor torque"),
         (Reading(0.0, 0.0, 5000.0), "load"),
+        (Reading(0.0, math.nan, 0.0), "rack position"),
     ],
 )
 def test_beyond_a_limit_it_ends_at_once_with_zero_set_points(reading: Reading, what: str) -> None:
@@ -75,3 +82,23 @@ def test_a_rest_is_a_rest_wherever_the_rack_is() -> None:
     assert course.phase is Phase.COURSE
     for _ in range(50):
         assert course.step(Reading(0.0, course._way_m[0] + 5e-4, 0.0)).speed_rad_s == 0.0
+
+
+def test_a_limit_whose_signal_is_gone_ends_it(tmp_path: Path) -> None:
+    """The rack's position is lost while the rack travels: no limit on it would be seen."""
+    rig = LockstepRig(written(tmp_path), MODEL)
+    course = Course(Experiment(Kind.PASSES, 40.0), LIMITS, MODEL)
+    step, lost_s = rig._rig.step, [math.inf]
+
+    def without(now_ns: int, *, stopping: bool = False) -> list[Frame]:
+        if course.phase is Phase.COURSE and course._in_phase > 80:
+            lost_s[0] = min(lost_s[0], rig.simulated_s)
+        frames = step(now_ns, stopping=stopping)
+        return [one for one in frames if one.can_id != 0x110 or math.isinf(lost_s[0])]
+
+    rig._rig.step = without  # type: ignore[method-assign]
+    with pytest.raises(SafetyStop, match="no good value of rack_force_n, rack_position_m"):
+        rig.lead(course, None, lambda: None)
+    assert rig.simulated_s - lost_s[0] < 0.08
+    rig.let_go()
+    assert abs(rig._readings.now().speed_rad_s) < 1.0

@@ -9,7 +9,7 @@ from eps_hil.bus.message_decoder import Sample
 from eps_hil.physics.friction import friction_law, static_level_nm
 from eps_hil.programme import cell_record
 from eps_hil.programme.cell_record import CellResult, Collector
-from eps_hil.programme.conductor import Conductor, Phase, Reading
+from eps_hil.programme.conductor import Conductor, Phase, Reading, Wanted
 from eps_hil.programme.plan import PlannedCell
 
 from .programme_bench import MODEL, MS, PLAN, Bench
@@ -22,7 +22,7 @@ from .programme_bench import MODEL, MS, PLAN, Bench
 def test_a_cell_reads_the_rigs_friction(tmp_path: Path, speed: float, load: float) -> None:
     cell = PlannedCell(1, speed, load, 1)
     _, collector, phases = Bench(tmp_path).run(cell)
-    assert phases == list(Phase)[:-1]
+    assert phases == list(Phase)[: list(Phase).index(Phase.DONE) + 1]
     result = collector.result(cell, 0, 1)
     assert result.accepted, result.problems
     assert result.samples > 450
@@ -49,6 +49,36 @@ def test_a_rig_that_does_not_follow_is_said(tmp_path: Path) -> None:
     assert "preload" in conductor.reason
     assert "asked for 20 rad/s at 1000 N" in conductor.reason
     assert tuple(wanted) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("reading", "what"),
+    [
+        (Reading(0.0, -0.0531, 0.0), "rack position -53.1 mm, the limit is 53 mm"),
+        (Reading(91.0, 0.0, 0.0), "rotor speed 91 rad/s, the limit is 90 rad/s"),
+        (Reading(0.0, math.nan, 0.0), "rack position nan"),
+    ],
+)
+@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.MEASURE])
+def test_beyond_what_the_file_asks_for_it_ends_at_once(
+    reading: Reading, what: str, phase: Phase
+) -> None:
+    conductor = Conductor(PlannedCell(1, 20.0, 1000.0, 1), PLAN, MODEL)
+    conductor.step(Reading(0.0, 0.0, 0.0))
+    conductor._enter(phase)
+    assert conductor.step(reading) == Wanted(0.0, 0.0)
+    assert conductor.over
+    assert conductor.phase is Phase.TRIPPED
+    assert conductor.reason.startswith(what)
+
+
+def test_a_rack_that_was_left_outside_is_led_back_and_no_further_out() -> None:
+    conductor = Conductor(PlannedCell(1, 20.0, 1000.0, 1), PLAN, MODEL)
+    assert conductor.step(Reading(0.0, 0.08, 0.0)).speed_rad_s < 0.0
+    conductor.step(Reading(0.0, 0.0829, 0.0))
+    assert not conductor.over
+    conductor.step(Reading(0.0, 0.0831, 0.0))
+    assert conductor.reason.startswith("rack position 83.1 mm, the limit is 83 mm")
 
 
 class TestRecord:

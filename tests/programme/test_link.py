@@ -1,0 +1,158 @@
+"""What a rig is led by, and how leading it ends: old values, pauses, refused frames."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from eps_hil.bus.frame import Frame
+from eps_hil.bus.message_decoder import Sample
+from eps_hil.errors import InputError, SafetyStop
+from eps_hil.programme.conductor import Wanted
+from eps_hil.programme.link import Readings
+from eps_hil.programme.plan import Plan
+from eps_hil.programme.run import ProgrammeRun
+from eps_hil.rig.command import CommandState
+from eps_hil.rig.sensors import REPORTED
+
+from .link_bench import MODEL, MOTOR_STATE, RIG_STATE, SIGNALS, TORQUES, LinkBench, Turning
+
+NEEDED = (
+    "motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "rack_force_n", "rack_position_m",
+)  # fmt: skip
+FAULT_S = 0.5
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> LinkBench:
+    return LinkBench(tmp_path, monkeypatch)
+
+
+def stopped_and_released(bench: LinkBench, since_s: float) -> None:
+    """Zeros in time, nothing but zeros, a rig at rest, releases at the end."""
+    after = bench.since(since_s)
+    zero_s, _ = next(one for one in after if one[1].wheel_speed_rad_s == 0.0)
+    later = [command for t_s, command in after if t_s >= zero_s]
+    assert zero_s - since_s < 0.08
+    assert {(one.wheel_speed_rad_s, one.rack_force_n) for one in later} == {(0.0, 0.0)}
+    assert [one.enable for one in later[-5:]] == [False] * 5
+    assert bench.state is CommandState.RELEASED
+    assert abs(bench.speed_rad_s) < 3.0
+    assert bench.closed
+
+
+class TestOldValues:
+    """One message or one signal is gone, and all others go on."""
+
+    @pytest.mark.parametrize(
+        ("can_id", "said"),
+        [
+            (RIG_STATE, "rack_force_n, rack_position_m"),
+            (TORQUES, "motor_torque_nm, torque_sensor_nm"),
+            (MOTOR_STATE, "motor_speed_rad_s"),
+        ],
+    )
+    @pytest.mark.parametrize("fault", ["lost", pytest.param("crc", marks=pytest.mark.slow)])
+    def test_a_message_that_is_gone_ends_it(
+        self, bench: LinkBench, can_id: int, said: str, fault: str
+    ) -> None:
+        def gone(frames: list[Frame]) -> list[Frame]:
+            if bench.now_s < FAULT_S:
+                return frames
+            if fault == "lost":
+                return [one for one in frames if one.can_id != can_id]
+            bad = bytes(8)
+            return [replace(one, data=bad) if one.can_id == can_id else one for one in frames]
+
+        bench.frames = gone
+        self.ends(bench, said)
+
+    @pytest.mark.parametrize(
+        "name", [*(pytest.param(one, marks=pytest.mark.slow) for one in NEEDED[:-1]), NEEDED[-1]]
+    )
+    def test_a_signal_that_is_not_available_ends_it(self, bench: LinkBench, name: str) -> None:
+        step = bench.rig._sensors.step
+
+        def without(truth: object, reported: object) -> None:
+            step(truth, reported)  # type: ignore[arg-type]
+            if bench.now_s >= FAULT_S:
+                reported[REPORTED.index(name)] = float("nan")  # type: ignore[index]
+
+        bench.rig._sensors.step = without  # type: ignore[method-assign, assignment]
+        self.ends(bench, name)
+
+    def test_a_rig_that_is_silent_altogether(self, bench: LinkBench) -> None:
+        bench.frames = lambda frames: frames if bench.now_s < FAULT_S else []
+        self.ends(bench, ", ".join(NEEDED))
+
+    @staticmethod
+    def ends(bench: LinkBench, said: str) -> None:
+        bench.open()
+        leader = Turning()
+        try:
+            with pytest.raises(SafetyStop, match=f"no good value of {said} for 50 ms"):
+                bench.link.lead(leader, None, lambda: None)
+        finally:
+            bench.link.let_go()
+        assert SafetyStop.exit_status == 3
+        assert abs(leader.readings[-1].speed_rad_s) > 20.0, "it was turning"
+        stopped_and_released(bench, FAULT_S)
+
+    def test_some_lost_frames_do_not(self, bench: LinkBench) -> None:
+        count = [0]
+
+        def some(frames: list[Frame]) -> list[Frame]:
+            count[0] += 1
+            return frames if count[0] % 40 == 0 else []
+
+        bench.open()
+        bench.frames = some
+        bench.link.lead(Turning(60), None, lambda: None)
+        bench.link.let_go()
+
+    def test_three_cycles_of_a_slower_message(self) -> None:
+        readings = Readings("rack_position_m", MODEL, {"rack_force_n": 0.04})
+        readings.take([Sample(name, 0, 1.0) for name in NEEDED], 10.0)
+        assert readings.stale(10.049) == []
+        assert set(readings.stale(10.06)) == set(NEEDED) - {"rack_force_n"}
+        assert "rack_force_n" not in readings.stale(10.119)
+        assert "rack_force_n" in readings.stale(10.13)
+        readings.take([Sample("rack_force_n", 0, float("nan"))], 10.12)
+        assert "rack_force_n" in readings.stale(10.13)
+
+    def test_what_was_never_heard_is_old_and_no_zero(self) -> None:
+        readings = Readings("rack_position_m", MODEL, {})
+        readings.take([Sample(name, 0, 0.0) for name in NEEDED[:-1]], 1.0)
+        assert readings.stale(1.0) == ["rack_position_m"]
+        assert not readings.now().position_m < 1e9
+
+    def test_a_message_that_comes_too_seldom_is_refused(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        slow = SIGNALS.read_text().replace(
+            "RIG_State: {counter: Counter, crc: Crc, crc_profile: e2e_p01, clock: counter}",
+            "RIG_State: {counter: Counter, crc: Crc, crc_profile: e2e_p01, cycle_time_s: 0.1}",
+        )
+        with pytest.raises(InputError, match="rack_force_n: comes every 100 ms"):
+            LinkBench(tmp_path, monkeypatch, slow)
+
+
+def test_old_values_are_no_rest(bench: LinkBench) -> None:
+    """Whoever goes by them lets go of a rig that still turns."""
+    bench.open()
+    bench.link.lead(Turning(5, Wanted(0.0, 0.0)), None, lambda: None)
+    bench.frames = lambda _: []
+    bench.link.lead(Turning(4), None, lambda: None)
+    before_s = bench.now_s + 1e-3
+    bench.link.let_go()
+    assert bench.now_s - before_s > 2.0
+    stopped_and_released(bench, before_s)
+
+
+def test_a_rack_beyond_the_files_travel_ends_a_programme(bench: LinkBench, tmp_path: Path) -> None:
+    plan = Plan("p", (40.0,), (0.0,), run_s=0.3, settle_s=0.1, rack_travel_m=0.004)
+    run = ProgrammeRun(bench.setup, MODEL, plan, tmp_path)
+    with pytest.raises(SafetyStop, match=r"rack position -?7\..* mm, the limit is 7 mm; finished"):
+        run.run([])
+    assert max(abs(position) for _, _, position in bench.truth) < 0.010
+    assert bench.state is CommandState.RELEASED
