@@ -10,7 +10,6 @@ from eps_hil.bus.config import BusConfig
 from eps_hil.bus.port import Port, open_port
 from eps_hil.errors import InputError
 
-_ENDING = signal.SIGINT, signal.SIGTERM
 DEFAULT_CHANNELS = {"socketcan": "vcan0", "udp_multicast": "239.74.163.2"}
 
 
@@ -80,20 +79,31 @@ def parse_options(words: Sequence[str]) -> dict[str, Any]:
     return options
 
 
+def ending_signals() -> tuple[signal.Signals, ...]:
+    """What ends a verb: SIGINT, SIGTERM, and the SIGHUP of a lost terminal or ssh connection.
+
+    Not SIGHUP for a program that was started to outlive its terminal (nohup).
+    """
+    ending = signal.SIGINT, signal.SIGTERM
+    outlives = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return ending if outlives else (*ending, signal.SIGHUP)
+
+
 def stop_on_signals() -> Callable[[], bool]:
-    """A question that SIGINT and SIGTERM answer with yes; a second one ends the program."""
+    """A question that each of :func:`ending_signals` answers with yes; a second one of the same
+    kind ends the program."""
     asked: list[int] = []
 
     def ask(number: int, frame: object) -> None:
         asked.append(number)
         signal.signal(number, signal.SIG_DFL)
 
-    for number in _ENDING:
+    for number in ending_signals():
         signal.signal(number, ask)
     return lambda: bool(asked)
 
 
 def end_on_signals() -> None:
-    """SIGINT and SIGTERM end the program at once, also amid the compiler."""
-    for number in _ENDING:
+    """Each of :func:`ending_signals` ends the program at once, also amid the compiler."""
+    for number in ending_signals():
         signal.signal(number, signal.SIG_DFL)

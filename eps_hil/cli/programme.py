@@ -125,6 +125,8 @@ def _say(summary: "Summary", model: "Model", found: "Identified") -> None:
 
     good = len(summary.accepted)
     typer.echo(f"{len(summary.results)} cells, {good} good, {summary.resumed} from before")
+    if summary.refused:
+        typer.echo(f"note: a full send queue refused {summary.refused} set-points")
     for one in summary.results:
         if not one.accepted:
             typer.echo(f"  left out: {one.cell.name}: {'; '.join(one.problems)}")

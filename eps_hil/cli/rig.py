@@ -26,19 +26,18 @@ def register(app: typer.Typer) -> None:
         import math
         import signal
 
+        from eps_hil.cli._bus_options import end_on_signals, ending_signals
         from eps_hil.cli._first_answer import say_if_it_compiles
         from eps_hil.rig.config import load_rig_setup
         from eps_hil.rig.process import Rig
 
         setup = load_rig_setup(config, manoeuvre)
         say_if_it_compiles()
-        signals = signal.SIGINT, signal.SIGTERM
-        for number in signals:  # nothing is sent yet: it ends at once, also amid the compiler
-            signal.signal(number, signal.SIG_DFL)
+        end_on_signals()  # nothing is sent yet: it ends at once, also amid the compiler
         process = Rig(setup, typer.echo)
 
         def loaded() -> None:
-            for number in signals:
+            for number in ending_signals():
                 signal.signal(number, lambda *_: process.stop())
 
         # A duration longer than the manoeuvre can only be meant to repeat it.

@@ -139,12 +139,12 @@ class Investigation:
             if stop():
                 raise self._interrupted()
 
-        with self._open_rig(stop) as rig:
-            file = open_log(part, self._setup.bus.channel, overwrite=True)
-            try:
+        file = open_log(part, self._setup.bus.channel, overwrite=True)
+        try:  # a disk may take its time to close a file: the rig is let go of before
+            with self._open_rig(stop) as rig:
                 rig.lead(course, file, before_tick)
-            finally:
-                file.close()
+        finally:
+            file.close()
         if course.phase is Phase.FAILED:
             raise EpsHilError(f"{experiment.name}: {course.reason}; finished steps are kept")
         part.replace(log)

@@ -2,9 +2,11 @@
 
 Whatever leads a rig (a programme's cells, an investigation's experiments) is stepped from here:
 receive, write to the log, decode, and every 10 ms a command. When it ends, however it ends, speed
-and preload go to zero and the rig is released; when it is killed, the rig's own time-out does that.
+and preload go to zero and the rig is released, whatever else fails meanwhile; when it is killed,
+the rig's own time-out does that.
 """
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -27,8 +29,11 @@ from eps_hil.programme.conductor import TICK_S, Reading, Wanted
 
 COMMAND = "RIG_Command"
 _FIRST_WAIT_S = 30.0
-_RELEASE_FRAMES = 5
+_RELEASE_FRAMES, _RELEASE_TRIES = 5, 50
 _LONGEST_STOP_S = 3.0
+"""As long as the reference rig needs from its largest preload, 10 kN at 4 kN/s."""
+_REFUSED_S = 0.05
+"""Without a set-point that the bus took: half of the rig's own time-out."""
 _ENABLE, _RELEASE = 1.0, 0.0
 _REST_RAD_S, _REST_N = 1.0, 50.0
 
@@ -161,7 +166,10 @@ class RigLink:
         check_cycles(setup, self._position, self._decoder.period_s)
         self._readings = self._nothing_heard()
         self._log: LogFile | None = None
-        self._commanded = False
+        self._enabled = False
+        self._sent_s = 0.0
+        self.refused = 0
+        """Set-points that a full send queue refused."""
         self._bus = setup.bus
         self._port: Port
 
@@ -173,7 +181,7 @@ class RigLink:
         """
         bus = self._bus
         self._readings = self._nothing_heard()
-        self._commanded = False
+        self._enabled = False
         self._port = open_port(
             bus.interface,
             bus.channel,
@@ -194,17 +202,27 @@ class RigLink:
     def lead(self, leader: Leader, log: LogFile | None, before_tick: BetweenTicks) -> None:
         """Ticks until the leader is over.
 
-        :class:`SafetyStop` where a signal that is needed has been silent or bad for too long.
+        :class:`SafetyStop` where a signal that is needed has been silent or bad for too long, or
+        the bus takes no set-point. Whatever is raised, the rig is at rest and released before.
         """
         self._log = log
         try:
-            deadline_s = time.monotonic()
+            deadline_s = self._sent_s = time.monotonic()
             while not leader.over:
                 sink = before_tick()
                 deadline_s += TICK_S
                 self._receive_until(deadline_s, sink)
                 self._readings.check(time.monotonic())
-                self.send(leader.step(self._readings.now()))
+                taken = self.send(leader.step(self._readings.now()))
+                if not taken and time.monotonic() - self._sent_s > _REFUSED_S:
+                    raise SafetyStop(
+                        f"{self._port.name}: no set-point has been taken for "
+                        f"{1e3 * _REFUSED_S:.0f} ms: the send queue is full"
+                    )
+        except BaseException:
+            self._log = None  # its disk may be what failed, or take a second to close
+            self.stop()
+            raise
         finally:
             self._log = None
 
@@ -213,31 +231,64 @@ class RigLink:
         """Frames that are known to be lost."""
         return self._decoder.faults["lost_frames"] + self._port.counts.lost_in_kernel
 
-    def send(self, wanted: Wanted, request: float = _ENABLE) -> None:
-        """One command."""
-        self._commanded = True
+    def send(self, wanted: Wanted, request: float = _ENABLE) -> bool:
+        """One command; whether the bus took it (else it is counted in :attr:`refused`)."""
+        self._enabled = self._enabled or request == _ENABLE
         frame = self._encoder.frame(command_values(wanted, self._model, request))
-        if self._port.send(frame) and self._log is not None:
+        if not self._port.send(frame):
+            self.refused += 1
+            return False
+        self._sent_s = time.monotonic()
+        if self._log is not None:
             self._log.write([replace(frame, t_ns=time.time_ns())])
+        return True
 
     def let_go(self) -> None:
-        """Speed and preload to zero, then release, if we ever commanded anything.
+        """Speed and preload to zero, then release, if the rig is commanded; the port is closed.
 
         A bus that is gone leaves it to the rig.
         """
         try:
-            end_s = time.monotonic() + _LONGEST_STOP_S
-            while self._commanded and time.monotonic() < end_s:
-                self.send(Wanted(0.0, 0.0))
-                self._receive_until(time.monotonic() + TICK_S, None)
-                if self._readings.at_rest(time.monotonic()):
-                    break
-            for _ in range(_RELEASE_FRAMES if self._commanded else 0):
-                self.send(Wanted(0.0, 0.0), _RELEASE)
-        except BusError:
-            pass
+            self.stop()
         finally:
             self._port.close()
+
+    def stop(self) -> None:
+        """Speed and preload to zero, then release, if the rig is commanded; no error is raised.
+
+        Zeros go out until it is at rest by values that are not old, for 3 s at most.
+        """
+        if not self._enabled:
+            return
+        end_s, zeros = time.monotonic() + _LONGEST_STOP_S, 0
+        while time.monotonic() < end_s:
+            zeros += self._tick_of_zero(_ENABLE)
+            if zeros and self._readings.at_rest(time.monotonic()):
+                break
+        self._release()
+
+    def _release(self) -> None:
+        """Until the bus took as many as are sent at once in case some are lost."""
+        releases = 0
+        for _ in range(_RELEASE_TRIES):
+            releases += self._tick_of_zero(_RELEASE)
+            if releases == _RELEASE_FRAMES:
+                break
+        self._enabled = False
+
+    def _tick_of_zero(self, request: float) -> bool:
+        """One frame of zeros, whether the bus took it, and a tick's frames.
+
+        What ended the leading (a silent bus, another transmitter, an error of our own) is still
+        there: each part is tried by itself, and the next frame goes out all the same.
+        """
+        deadline_s, taken = time.monotonic() + TICK_S, False
+        with contextlib.suppress(Exception):
+            taken = self.send(Wanted(0.0, 0.0), request)
+        with contextlib.suppress(Exception):
+            self._receive_until(deadline_s, None)
+        time.sleep(max(deadline_s - time.monotonic(), 0.0))
+        return taken
 
     def _receive_until(self, deadline_s: float, sink: OnSamples | None) -> None:
         """Take frames until the deadline; at least once, however late it is."""
@@ -251,16 +302,19 @@ class RigLink:
                 break
 
     def _take(self, frames: Sequence[Frame], sink: OnSamples | None, now_s: float) -> None:
+        foreign = False
         for frame in frames:
             if frame.can_id == self._encoder.can_id and not frame.own and not frame.error:
-                can_id = f"0x{frame.can_id:X}"
-                raise BusError(f"{self._port.name}: another transmitter sends {COMMAND} ({can_id})")
+                foreign = True
             samples = self._decoder.decode(frame)
             if not samples:
                 continue
             if sink is not None:
                 sink(samples)
             self._readings.take(samples, now_s)
+        if foreign:
+            can_id = f"0x{self._encoder.can_id:X}"
+            raise BusError(f"{self._port.name}: another transmitter sends {COMMAND} ({can_id})")
 
     def _wait_for_the_rig(self, stop: Callable[[], bool], stopped: Callable[[], Exception]) -> None:
         """Until every signal that is needed has been heard."""

@@ -32,10 +32,14 @@ class InterruptedProgrammeError(EpsHilError):
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """All cells of a finished programme; ``resumed`` were there before."""
+    """All cells of a finished programme; ``resumed`` were there before.
+
+    ``refused``: set-points that a full send queue refused.
+    """
 
     results: Sequence[CellResult]
     resumed: int
+    refused: int = 0
 
     @property
     def accepted(self) -> list[CellResult]:
@@ -100,7 +104,8 @@ class ProgrammeRun:
                     results[cell.number] = self._cell(cell, stop, len(cells), on_progress)
         finally:
             self._link.let_go()
-        return Summary([results[cell.number] for cell in cells], len(finished))
+        ordered = [results[cell.number] for cell in cells]
+        return Summary(ordered, len(finished), self._link.refused)
 
     def _cell(
         self,
@@ -131,6 +136,8 @@ class ProgrammeRun:
             lost = self._link.lost
             try:
                 self._link.lead(conductor, log, before_tick)
+                if conductor.phase is not Phase.DONE:
+                    self._link.stop()  # before the log is closed, which waits for the disk
             finally:
                 log.close()
             if conductor.phase is Phase.TRIPPED:

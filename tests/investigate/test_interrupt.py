@@ -16,7 +16,7 @@ from eps_hil.investigate.run import InterruptedInvestigationError, Investigation
 
 from .bench import written
 
-ENDING = signal.SIGINT, signal.SIGTERM
+ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 PROGRAM = """
 import sys, time
 from eps_hil.cli.main import main
@@ -33,6 +33,7 @@ main(sys.argv[1:])
 @pytest.fixture(autouse=True)
 def usual_handlers() -> Iterator[None]:
     before = {number: signal.getsignal(number) for number in ENDING}
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run under nohup
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

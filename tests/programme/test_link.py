@@ -1,13 +1,15 @@
 """What a rig is led by, and how leading it ends: old values, pauses, refused frames."""
 
+import errno
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.message_decoder import Sample
-from eps_hil.errors import InputError, SafetyStop
+from eps_hil.errors import BusError, InputError, SafetyStop
 from eps_hil.programme.conductor import Wanted
 from eps_hil.programme.link import Readings
 from eps_hil.programme.plan import Plan
@@ -15,7 +17,16 @@ from eps_hil.programme.run import ProgrammeRun
 from eps_hil.rig.command import CommandState
 from eps_hil.rig.sensors import REPORTED
 
-from .link_bench import MODEL, MOTOR_STATE, RIG_STATE, SIGNALS, TORQUES, LinkBench, Turning
+from .link_bench import (
+    MODEL,
+    MOTOR_STATE,
+    RIG_COMMAND,
+    RIG_STATE,
+    SIGNALS,
+    TORQUES,
+    LinkBench,
+    Turning,
+)
 
 NEEDED = (
     "motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "rack_force_n", "rack_position_m",
@@ -147,6 +158,134 @@ def test_old_values_are_no_rest(bench: LinkBench) -> None:
     bench.link.let_go()
     assert bench.now_s - before_s > 2.0
     stopped_and_released(bench, before_s)
+
+
+class TestStop:
+    """Whatever ended it is still there, and zeros and releases go out all the same."""
+
+    def led_until(self, bench: LinkBench, error: type[Exception], log: Any = None) -> None:
+        bench.open()
+        leader = Turning()
+        try:
+            with pytest.raises(error):
+                bench.link.lead(leader, log, lambda: None)
+        finally:
+            bench.link.let_go()
+        assert len(leader.readings) > 30, "it was turning"
+
+    def test_another_transmitter(self, bench: LinkBench) -> None:
+        other = Frame(0, RIG_COMMAND, bytes(8))
+        bench.frames = lambda frames: [*frames, other] if bench.now_s >= FAULT_S else frames
+        self.led_until(bench, BusError)
+        stopped_and_released(bench, FAULT_S)
+
+    def test_a_bus_that_is_gone_and_comes_back(self, bench: LinkBench) -> None:
+        back_s = FAULT_S + 1.0
+        recv, send = bench.recv, bench.send
+
+        def gone() -> None:
+            if FAULT_S <= bench.now_s < back_s:
+                raise BusError("the bus is gone")
+
+        def failing_recv(timeout_s: float) -> list[Frame]:
+            gone()
+            return recv(timeout_s)
+
+        def failing_send(frame: Frame) -> bool:
+            gone()
+            return send(frame)
+
+        bench.recv, bench.send = failing_recv, failing_send  # type: ignore[method-assign]
+        self.led_until(bench, BusError)
+        stopped_and_released(bench, back_s)
+
+    def test_a_disk_that_is_full(self, bench: LinkBench) -> None:
+        class Full:
+            def write(self, _: object) -> None:
+                if bench.now_s >= FAULT_S:
+                    raise OSError(errno.ENOSPC, "No space left on device")
+
+        self.led_until(bench, OSError, Full())
+        stopped_and_released(bench, FAULT_S)
+
+    def test_what_cannot_be_decoded(
+        self, bench: LinkBench, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        decode = bench.link._decoder.decode
+
+        def failing(frame: Frame) -> list[Sample]:
+            if bench.now_s >= FAULT_S:
+                raise ValueError("not thought of")
+            return decode(frame)
+
+        monkeypatch.setattr(bench.link._decoder, "decode", failing)
+        self.led_until(bench, ValueError)
+        stopped_and_released(bench, FAULT_S)
+
+    def test_it_stops_before_the_log_is_closed(self, bench: LinkBench) -> None:
+        """Closing waits for the disk: whoever leads is at rest before."""
+        bench.open()
+        leader = Turning()
+
+        def stop() -> None:
+            if len(leader.readings) == 40:
+                raise InterruptedError
+
+        with pytest.raises(InterruptedError):
+            bench.link.lead(leader, None, stop)
+        assert bench.state is CommandState.RELEASED
+        assert abs(bench.speed_rad_s) < 3.0
+        count = len(bench.commands)
+        bench.link.let_go()
+        assert len(bench.commands) == count
+
+
+class TestRefused:
+    """A full send queue takes no set-point."""
+
+    def test_for_longer_it_ends(self, bench: LinkBench) -> None:
+        bench.accepts = lambda: not FAULT_S <= bench.now_s < FAULT_S + 0.3
+        bench.open()
+        leader = Turning()
+        with pytest.raises(SafetyStop, match="no set-point has been taken for 50 ms"):
+            bench.link.lead(leader, None, lambda: None)
+        assert len(leader.readings) * 0.01 < FAULT_S + 0.1
+        assert bench.link.refused >= 6
+        bench.link.let_go()
+        stopped_and_released(bench, FAULT_S + 0.3)
+
+    def test_all_releases_refused_are_sent_again(self, bench: LinkBench) -> None:
+        bench.open()
+        bench.link.lead(Turning(20), None, lambda: None)
+        released_s: list[float] = []
+        send = bench.send
+
+        def refusing(frame: Frame) -> bool:
+            assert bench.rig.set_points is not None
+            command = bench.rig.set_points.read(frame)
+            if command is not None and not command.enable:
+                released_s.append(bench.now_s)
+                if len(released_s) <= 10:
+                    return False
+            return send(frame)
+
+        bench.send = refusing  # type: ignore[method-assign]
+        bench.link.let_go()
+        assert len(released_s) == 15
+        assert bench.state is CommandState.RELEASED
+
+    def test_single_ones_are_counted(self, bench: LinkBench) -> None:
+        count = [0]
+
+        def sometimes() -> bool:
+            count[0] += 1
+            return count[0] % 4 == 0
+
+        bench.open()
+        bench.accepts = sometimes
+        bench.link.lead(Turning(40), None, lambda: None)
+        assert bench.link.refused == 30
+        bench.link.let_go()
 
 
 def test_a_rack_beyond_the_files_travel_ends_a_programme(bench: LinkBench, tmp_path: Path) -> None:

@@ -266,9 +266,14 @@ class TestOnABus:
         pytest.fail("the rig sent nothing within a minute")
 
     @pytest.mark.parametrize(
-        "number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM]
+        "number",
+        [
+            *(pytest.param(one, marks=pytest.mark.slow) for one in (signal.SIGINT, signal.SIGHUP)),
+            signal.SIGTERM,
+        ],
     )
     def test_a_signal_ends_it_cleanly(self, process_config: Path, number: signal.Signals) -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run under nohup
         bus = load_rig_setup(process_config).bus.bus
         listener = open_port(bus.interface, bus.channel, fd=True, options=bus.options)
         process = self.start(process_config, "--loop")
