@@ -1,9 +1,10 @@
 """The one way to a rig's set-points: one port, ``RIG_Command`` alone, zero and release at its end.
 
 Whatever leads a rig (a programme's cells, an investigation's experiments) is stepped from here:
-receive, write to the log, decode, and every 10 ms a command. When it ends, however it ends, speed
-and preload go to zero and the rig is released, whatever else fails meanwhile; when it is killed,
-the rig's own time-out does that.
+receive, write to the log, decode, and every 10 ms a command. Nothing is caught up: a tick that is
+late moves those after it, or ends the run. When it ends, however it ends, speed and preload go to
+zero and the rig is released, whatever else fails meanwhile; when it is killed, the rig's own
+time-out does that.
 """
 
 import contextlib
@@ -18,6 +19,7 @@ from eps_hil.bus.commands import Kind, of_database
 from eps_hil.bus.config import BusSetup
 from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
+from eps_hil.bus.live_senders import LISTEN_S
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.bus.message_decoder import Sample
 from eps_hil.bus.port import Port, open_port
@@ -32,6 +34,10 @@ _FIRST_WAIT_S = 30.0
 _RELEASE_FRAMES, _RELEASE_TRIES = 5, 50
 _LONGEST_STOP_S = 3.0
 """As long as the reference rig needs from its largest preload, 10 kN at 4 kN/s."""
+_LATE_S = 0.05
+"""A command that is later ends the run: the rig may be about to stop by itself (0.1 s)."""
+_LONGEST_PAUSE_S = 1.0
+"""Between two leaders, at rest, while files are closed: an fsync may take so long."""
 _REFUSED_S = 0.05
 """Without a set-point that the bus took: half of the rig's own time-out."""
 _ENABLE, _RELEASE = 1.0, 0.0
@@ -174,8 +180,9 @@ class RigLink:
         self._port: Port
 
     def open(self, stop: Callable[[], bool], stopped: Callable[[], Exception]) -> None:
-        """Open the port and wait until every signal that is needed has been heard.
+        """Open the port, wait until every signal that is needed has been heard, and release.
 
+        A rig that a program left without a release obeys nothing until it gets one.
         :class:`BusError` when the rig is silent or somebody else commands it; what ``stopped``
         makes is raised after ``stop()``.
         """
@@ -192,6 +199,7 @@ class RigLink:
         )
         try:
             self._wait_for_the_rig(stop, stopped)
+            self._release()
         except BaseException:
             self.let_go()
             raise
@@ -202,18 +210,29 @@ class RigLink:
     def lead(self, leader: Leader, log: LogFile | None, before_tick: BetweenTicks) -> None:
         """Ticks until the leader is over.
 
-        :class:`SafetyStop` where a signal that is needed has been silent or bad for too long, or
-        the bus takes no set-point. Whatever is raised, the rig is at rest and released before.
+        :class:`SafetyStop` where a signal that is needed has been silent or bad for too long, the
+        bus takes no set-point, or this process was late (:data:`_LATE_S`). Whatever is raised, the
+        rig is at rest and released before.
         """
         self._log = log
         try:
+            self._take_up_again()
             deadline_s = self._sent_s = time.monotonic()
             while not leader.over:
                 sink = before_tick()
                 deadline_s += TICK_S
                 self._receive_until(deadline_s, sink)
                 self._readings.check(time.monotonic())
-                taken = self.send(leader.step(self._readings.now()))
+                wanted = leader.step(self._readings.now())
+                late_s = time.monotonic() - deadline_s
+                if late_s > _LATE_S:
+                    raise SafetyStop(
+                        f"this process stood still for {late_s:.3g} s: a set-point that is more "
+                        f"than {1e3 * _LATE_S:.0f} ms late is not sent"
+                    )
+                if late_s > TICK_S:
+                    deadline_s += late_s
+                taken = self.send(wanted)
                 if not taken and time.monotonic() - self._sent_s > _REFUSED_S:
                     raise SafetyStop(
                         f"{self._port.name}: no set-point has been taken for "
@@ -225,6 +244,15 @@ class RigLink:
             raise
         finally:
             self._log = None
+
+    def _take_up_again(self) -> None:
+        """Where files took so long that the rig may have timed out: to rest, released, anew."""
+        pause_s = time.monotonic() - self._sent_s
+        if not self._enabled or pause_s <= _LATE_S:
+            return
+        if pause_s > _LONGEST_PAUSE_S:
+            raise SafetyStop(f"no set-point was sent for {pause_s:.3g} s: this process stood still")
+        self.stop()
 
     @property
     def lost(self) -> int:
@@ -317,13 +345,14 @@ class RigLink:
             raise BusError(f"{self._port.name}: another transmitter sends {COMMAND} ({can_id})")
 
     def _wait_for_the_rig(self, stop: Callable[[], bool], stopped: Callable[[], Exception]) -> None:
-        """Until every signal that is needed has been heard."""
-        end_s = time.monotonic() + _FIRST_WAIT_S
-        while self._readings.missing:
+        """Until every signal that is needed has been heard, and nobody else who commands."""
+        begun_s = time.monotonic()
+        end_s = begun_s + _FIRST_WAIT_S
+        while self._readings.missing or time.monotonic() - begun_s < LISTEN_S:
             if stop():
                 raise stopped()
             now_s = time.monotonic()
-            if now_s > end_s:
+            if now_s > end_s and self._readings.missing:
                 missing = ", ".join(self._readings.missing)
                 raise BusError(f"{self._port.name}: nothing heard of {missing}; does the rig run?")
             self._receive_until(now_s + 0.05, None)

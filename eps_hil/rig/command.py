@@ -2,9 +2,10 @@
 
 No I/O and no clock of its own. A rig that a program drives must not depend on that program: when
 good commands stop for the time-out, speed and preload go to zero at the rig's own rates, and the
-robot goes on holding the wheel until it is released in so many words. Which share of the preload
-the EPS motor carries is a setting of the rig: a torque of the motor is commanded by an armed
-override and by nothing else, so a set-point with a share in it is refused.
+robot goes on holding the wheel. That is latched: only a release in so many words lets commands
+count again, for a program that was stopped and goes on sends what is long out of date. Which share
+of the preload the EPS motor carries is a setting of the rig: a torque of the motor is commanded by
+an armed override and by nothing else, so a set-point with a share in it is refused.
 """
 
 import math
@@ -117,6 +118,7 @@ class RigControl:
         """One command frame arrived (None: CRC or length is wrong), the wheel being where it is.
 
         A damaged or repeated frame is no sign of life. A command beyond the rig's limits stops it.
+        After a time-out nothing counts but a release.
         """
         if command is None:
             return
@@ -125,6 +127,8 @@ class RigControl:
         self._counter, self._heard_ns = command.counter, now_ns
         if not command.enable:
             self.state = CommandState.RELEASED
+            return
+        if self.state is CommandState.TIMED_OUT:
             return
         if self.state is CommandState.RELEASED:
             self._angle_rad, self._speed_rad_s, self._force_n = wheel_angle_rad, 0.0, 0.0
@@ -135,7 +139,8 @@ class RigControl:
         """Set-point rows of this step and the next, (2, COLUMNS); None: not commanded."""
         if self.state is CommandState.RELEASED:
             return None
-        if self.state is CommandState.ACTIVE and now_ns - self._heard_ns > self._timeout_ns:
+        commanded = self.state in {CommandState.ACTIVE, CommandState.REJECTED}
+        if commanded and now_ns - self._heard_ns > self._timeout_ns:
             self.state = CommandState.TIMED_OUT
             self.timeouts += 1
         going = self.state is CommandState.ACTIVE

@@ -2,6 +2,7 @@
 
 import errno
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from eps_hil.bus.frame import Frame
 from eps_hil.bus.message_decoder import Sample
 from eps_hil.errors import BusError, InputError, SafetyStop
 from eps_hil.programme.conductor import Wanted
-from eps_hil.programme.link import Readings
+from eps_hil.programme.link import Readings, RigLink
 from eps_hil.programme.plan import Plan
 from eps_hil.programme.run import ProgrammeRun
 from eps_hil.rig.command import CommandState
@@ -31,7 +32,7 @@ from .link_bench import (
 NEEDED = (
     "motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "rack_force_n", "rack_position_m",
 )  # fmt: skip
-FAULT_S = 0.5
+FAULT_S = 0.9
 
 
 @pytest.fixture
@@ -39,12 +40,12 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> LinkBench:
     return LinkBench(tmp_path, monkeypatch)
 
 
-def stopped_and_released(bench: LinkBench, since_s: float) -> None:
+def stopped_and_released(bench: LinkBench, since_s: float, in_s: float = 0.08) -> None:
     """Zeros in time, nothing but zeros, a rig at rest, releases at the end."""
     after = bench.since(since_s)
     zero_s, _ = next(one for one in after if one[1].wheel_speed_rad_s == 0.0)
     later = [command for t_s, command in after if t_s >= zero_s]
-    assert zero_s - since_s < 0.08
+    assert zero_s - since_s < in_s
     assert {(one.wheel_speed_rad_s, one.rack_force_n) for one in later} == {(0.0, 0.0)}
     assert [one.enable for one in later[-5:]] == [False] * 5
     assert bench.state is CommandState.RELEASED
@@ -158,6 +159,99 @@ def test_old_values_are_no_rest(bench: LinkBench) -> None:
     bench.link.let_go()
     assert bench.now_s - before_s > 2.0
     stopped_and_released(bench, before_s)
+
+
+class TestPauses:
+    """A process that is stopped (SIGSTOP), or that the machine leaves waiting."""
+
+    def paused(self, bench: LinkBench, pause_s: float, ticks: int = 150) -> Turning:
+        """Leads with one pause from FAULT_S on."""
+        done: list[float] = []
+
+        def pause() -> None:
+            if bench.now_s >= FAULT_S and not done:
+                done.append(bench.now_s)
+                bench.clock.sleep(pause_s)
+
+        leader = Turning(ticks)
+        bench.open()
+        bench.link.lead(leader, None, pause)
+        return leader
+
+    def test_a_long_one_ends_it_and_nothing_is_caught_up(self, bench: LinkBench) -> None:
+        with pytest.raises(SafetyStop, match=r"this process stood still for 1\.99 s"):
+            self.paused(bench, 2.0)
+        assert bench.rig.control.timeouts == 1
+        bench.link.let_go()
+        stopped_and_released(bench, bench.commands[0][0] + FAULT_S + 1.0, in_s=1.0)
+        times = [t_s for t_s, _ in bench.since(FAULT_S)]
+        assert min(b - a for a, b in pairwise(times)) > 0.009
+
+    @pytest.mark.parametrize("pause_s", [0.062, 0.09])
+    def test_of_more_than_50_ms_it_ends(self, bench: LinkBench, pause_s: float) -> None:
+        """The rig has not timed out."""
+        with pytest.raises(SafetyStop, match="is not sent"):
+            self.paused(bench, pause_s)
+        assert bench.rig.control.timeouts == 0
+        bench.link.let_go()
+        stopped_and_released(bench, FAULT_S, in_s=0.11)
+
+    def test_a_short_one_is_not_caught_up(self, bench: LinkBench) -> None:
+        leader = self.paused(bench, 0.045, ticks=60)
+        assert len(leader.readings) == 60
+        times = [t_s for t_s, one in bench.commands if one.enable]
+        steps = [b - a for a, b in pairwise(times)]
+        assert max(steps) > 0.04
+        assert min(steps) > 0.009
+        bench.link.let_go()
+
+    @pytest.mark.parametrize("pause_s", [0.02, 0.3])
+    def test_files_between_two_leaders_may_take_their_time(
+        self, bench: LinkBench, pause_s: float
+    ) -> None:
+        bench.open()
+        bench.link.lead(Turning(5, Wanted(0.0, 0.0)), None, lambda: None)
+        bench.clock.sleep(pause_s)
+        assert bench.rig.control.timeouts == (pause_s > 0.1)
+        leader = Turning(60)
+        bench.link.lead(leader, None, lambda: None)
+        assert leader.readings[-1].speed_rad_s > 20.0, "the rig obeys again"
+        bench.link.let_go()
+
+    def test_for_longer_than_that_it_ends(self, bench: LinkBench) -> None:
+        bench.open()
+        bench.link.lead(Turning(5, Wanted(0.0, 0.0)), None, lambda: None)
+        bench.clock.sleep(1.1)
+        leader = Turning(60)
+        with pytest.raises(SafetyStop, match=r"no set-point was sent for 1\.1"):
+            bench.link.lead(leader, None, lambda: None)
+        assert leader.readings == []
+        bench.link.let_go()
+
+    def test_a_rig_that_a_killed_program_left_is_taken_over(self, bench: LinkBench) -> None:
+        bench.open()
+        bench.link.lead(Turning(30), None, lambda: None)
+        bench.clock.sleep(1.0)
+        assert bench.state is CommandState.TIMED_OUT
+        again = RigLink(bench.setup, MODEL)
+        again.open(lambda: False, lambda: BusError("stopped"))
+        assert str(bench.state) == str(CommandState.RELEASED)
+        leader = Turning(60)
+        again.lead(leader, None, lambda: None)
+        assert leader.readings[-1].speed_rad_s > 20.0
+        again.let_go()
+
+    def test_nothing_is_released_that_somebody_else_commands(self, bench: LinkBench) -> None:
+        def with_another(frames: list[Frame]) -> list[Frame]:
+            other = (
+                [Frame(0, RIG_COMMAND, bytes(8))] if round(bench.now_s * 1e3) % 100 == 90 else []
+            )
+            return [*frames, *other]
+
+        bench.frames = with_another
+        with pytest.raises(BusError, match="another transmitter"):
+            bench.open()
+        assert bench.commands == []
 
 
 class TestStop:

@@ -109,6 +109,27 @@ class TestControl:
         control.hear(SetPoint(7, False, 0.0, 0.0, 0.0), 2000 * MS, 0.0)
         assert control.rows(2000 * MS) is None
 
+    @pytest.mark.parametrize("speed_rad_s", [1.0, 50.0])
+    def test_after_a_time_out_commands_alone_bring_nothing_back(self, speed_rad_s: float) -> None:
+        """A program that was stopped and goes on sends what is long out of date."""
+        control = self.control()
+        far = replace(MOVE, wheel_speed_rad_s=speed_rad_s)
+        control.hear(far, 0, 0.0)  # active, or rejected
+        for ms in range(300):
+            control.rows(ms * MS)
+        assert control.state is CommandState.TIMED_OUT
+        for ms in range(300, 600):
+            control.hear(replace(MOVE, counter=ms % 256), ms * MS, 0.0)
+            found = control.rows(ms * MS)
+            assert control.state is CommandState.TIMED_OUT
+            assert found is not None
+            assert found[1][LOAD_FORCE] == 0.0
+            assert found[1][HAND_ANGLE] == found[0][HAND_ANGLE]
+        control.hear(SetPoint(1, False, 0.0, 0.0, 0.0), 600 * MS, 0.0)
+        control.hear(replace(MOVE, counter=2), 601 * MS, 0.0)
+        assert str(control.state) == str(CommandState.ACTIVE)
+        assert control.timeouts == 1
+
     def test_a_repeated_or_damaged_frame_is_no_sign_of_life(self) -> None:
         control = self.control()
         control.hear(MOVE, 0, 0.0)
