@@ -53,7 +53,9 @@ def changes(model: Model, before: Recordings, after: Recordings, say: Say | None
     first = diagnose(model, before, {}, part(say, 0.0, 0.2, "before"))
     second = diagnose(model, after, {}, part(say, 0.2, 0.2, "after"))
     unknown = [UNKNOWN in _every(one) for one in (first, second)]
-    if all(unknown) and alike(first, second):
+    came, went = (one & MEASURED_WHOLE.keys() for one in _apart(first, second))
+    shared = all(unknown) and alike(first, second)
+    if shared and not came and not went:
         return _beside_shared(first, second, model, before, say)
     ways = {"before": (first, after, second), "after": (second, before, first)}
     word, turned = _simpler_first(first, second)
@@ -67,6 +69,8 @@ def changes(model: Model, before: Recordings, after: Recordings, say: Say | None
             return _forward(one, names, model, before)
         return _backward(one, names, first, model, before)
 
+    if shared:  # a gap or a soft belt is measured by itself, beside whatever both states share
+        return told(way("before", 0.4), came) if came else told(way("after", 0.4), went)
     one = way(word, 0.4)
     found, alone = _names(one), _own(ways[turned][0]) - _own(ways[word][0])
     whole = (_own(ways[word][0]) - _own(ways[turned][0])) & MEASURED_WHOLE.keys()
@@ -101,6 +105,12 @@ def _simpler_first(first: Diagnosis, second: Diagnosis) -> tuple[str, str]:
     """
     there, here = (len(one.content["findings"]) for one in (first, second))
     return ("before", "after") if there <= here else ("after", "before")
+
+
+def _apart(first: Diagnosis, second: Diagnosis) -> tuple[set[str], set[str]]:
+    """Names of the second state's own diagnosis alone, and of the first one's."""
+    there, here = _own(first), _own(second)
+    return here - there, there - here
 
 
 def _own(told: Diagnosis) -> set[str]:

@@ -64,6 +64,7 @@ def test_the_same_recording_in_both_states_is_refused(
 class _Nothing:
     effects: tuple[Any, ...] = ()
     model: Any = None
+    tied: Any = ()
 
 
 NOTHING: Any = _Nothing()
@@ -114,6 +115,14 @@ class Way(OneWay):
         (((), ()), (("stribeck",), ()), 0.0, []),  # shows one way only, in neither diagnosis
         (((), ("stribeck",)), (("stribeck", "a"), ()), 0.0, ["stribeck new"]),
         ((("backlash",), ("a",)), ((), ("backlash", "stribeck")), 0.0, ["backlash gone"]),
+        # both share something without a name: what is measured by itself differs all the same
+        ((("unknown",), ("backlash", "unknown")), (("backlash", "a"), ()), 0.0, ["backlash new"]),
+        (
+            (("belt_compliance", "unknown"), ("unknown",)),
+            ((), ("a", "belt_compliance")),
+            0.0,
+            ["belt_compliance gone"],
+        ),
     ],
 )
 def test_a_change_is_told_the_way_that_explains_both_states(
