@@ -36,7 +36,7 @@ class TinyRig:
         phase = 2 * math.pi * 2.0 * k * 1e-3
         values = {
             "MotorTorque": 0.4 * math.sin(phase),
-            "TorsionBarTorque": 0.1,
+            "TorsionBarTorque": 0.1 + 0.02 * math.sin(3.0 * phase),
             "RackForce": 1000.0 * math.sin(phase),
             "RackPosition": 0.0,
             "MotorSpeed": 8.0 * math.cos(phase),
