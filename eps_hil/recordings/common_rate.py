@@ -37,7 +37,7 @@ def at_rate(
     if len(t_ns) < 2:
         raise HoleError(f"{first} begins when {last} has all but ended: no common stretch")
     columns = {
-        name: _holding(one, t_ns) if name == VALID else _linear(one, t_ns)
+        name: _holding(one, t_ns) if name == VALID else linear(one, t_ns)
         for name, one in series.items()
     }
     excused = columns[VALID] == 0.0 if VALID in columns else np.zeros(len(t_ns), bool)
@@ -68,8 +68,8 @@ def _cut(
     return tuple(notes)
 
 
-def _linear(one: Series, at_ns: Stamps) -> Floats:
-    """Between neighbours; NaN beside bad samples and within gaps."""
+def linear(one: Series, at_ns: Stamps) -> Floats:
+    """Between a signal's neighbouring samples; NaN beside bad ones and within gaps."""
     if len(one.t_ns) < 2:
         return np.full(len(at_ns), np.nan)
     right = np.clip(np.searchsorted(one.t_ns, at_ns), 1, len(one.t_ns) - 1)
@@ -84,4 +84,4 @@ def _linear(one: Series, at_ns: Stamps) -> Floats:
 
 def _holding(valid: Series, at_ns: Stamps) -> Floats:
     """1 where the flags on both sides are."""
-    return np.asarray(_linear(valid, at_ns) == 1.0, dtype=np.float64)
+    return np.asarray(linear(valid, at_ns) == 1.0, dtype=np.float64)

@@ -32,7 +32,7 @@ from eps_hil.recordings.table import (
 )
 from eps_hil.signals import TIME
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 _DIGITS = 28
@@ -57,12 +57,12 @@ def read_csv(path: Path, *, ignore_unknown: bool = False) -> Table:
     if not (body[:_LOOK].strip(b"\n") or body.strip(b"\n")):
         raise InputError(path, "line 2", "nothing follows the header", "a recording needs rows")
     used = list(columns.values())
-    line_of = _LineOfRow(body)
+    line_of = LineOfRow(body)
     exact: Stamps | None = None
     fast = None if signs & {*_WORD} else _plainly(body, len(names), columns)
     if fast is None:
-        _check_width(path, body, len(names), line_of)
-        cells = _numbers(path, body, columns)
+        check_width(path, body, len(names), line_of)
+        cells = cells_of(path, body, columns)
     else:
         cells, exact = fast
     blank = np.isnan(cells).all(axis=1) if np.isnan(cells[:, 0]).any() else np.zeros(0, bool)
@@ -77,7 +77,7 @@ def read_csv(path: Path, *, ignore_unknown: bool = False) -> Table:
     return Table(t_ns, signals, line_of, notes)
 
 
-class _LineOfRow:
+class LineOfRow:
     """Row number -> "line 17"; found only when somebody asks, blank lines counted."""
 
     def __init__(self, body: bytes) -> None:
@@ -98,20 +98,23 @@ class _LineOfRow:
         return cells if self._kept is None else [cells[row] for row in self._kept]
 
     def __call__(self, row: int) -> str:
+        """The line of a row, for a person."""
         wanted = row if self._kept is None else int(self._kept[row])
-        for seen, (number, _) in enumerate(_lines(self._body)):
+        for seen, (number, _) in enumerate(lines_of(self._body)):
             if seen == wanted:
                 return f"line {number}"
         return f"row {row + 1}"
 
 
-def _lines(body: bytes) -> Iterator[tuple[int, bytes]]:
+def lines_of(body: bytes) -> Iterator[tuple[int, bytes]]:
+    """Lines that are not blank, with their numbers in a file of one line above the body."""
     for number, line in enumerate(body.split(b"\n"), start=2):
         if line:
             yield number, line
 
 
-def _first_line(body: bytes) -> bytes:
+def first_line(body: bytes) -> bytes:
+    """The first one that is not blank."""
     begin = 0
     while body.startswith(b"\n", begin):
         begin += 1
@@ -138,13 +141,14 @@ def _as_text(path: Path, first: bytes, body: bytes, signs: set[int]) -> tuple[by
         raise InputError(path, "", "is empty", _WHAT)
     line = first.removesuffix(_RETURN)
     if _RETURN in line:  # between lines, as it once was
-        line, _, body = _with_line_feeds(first + b"\n" + body).partition(b"\n")
+        line, _, body = with_line_feeds(first + b"\n" + body).partition(b"\n")
     elif signs & {*_RETURN}:
-        body = _with_line_feeds(body)
+        body = with_line_feeds(body)
     return line, body
 
 
-def _with_line_feeds(text: bytes) -> bytes:
+def with_line_feeds(text: bytes) -> bytes:
+    """Line feeds alone between lines."""
     return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
 
 
@@ -172,16 +176,17 @@ def _names(path: Path, header: str, body: bytes) -> list[str]:
         raise InputError(path, "line 1", "quotes do not match", _WHAT) from None
     if not names:
         raise InputError(path, "line 1", "is blank", _WHAT)
-    if all(_NUMBER.fullmatch(name) for name in names):
+    if all(NUMBER.fullmatch(name) for name in names):
         raise InputError(path, "line 1", "holds numbers, no column names", _WHAT)
     commas = body.count(b",", 0, body.find(b"\n"))
-    if names[-1] == "" and (commas == len(names) - 2 or _column_is_empty(body, len(names) - 1)):
+    if names[-1] == "" and (commas == len(names) - 2 or column_is_empty(body, len(names) - 1)):
         names.pop()  # a comma that ends the header line, as some loggers write it
     return names
 
 
-def _column_is_empty(body: bytes, commas: int) -> bool:
-    return all(line.count(b",") == commas and line.endswith(b",") for _, line in _lines(body))
+def column_is_empty(body: bytes, commas: int) -> bool:
+    """Whether every line has so many commas, and ends with one."""
+    return all(line.count(b",") == commas and line.endswith(b",") for _, line in lines_of(body))
 
 
 def _plain(
@@ -192,8 +197,8 @@ def _plain(
         body = re.sub(rb"[ \t]*([,\n])[ \t]*", rb"\1", body.lstrip(b" \t"))
     if signs & {*_QUOTE}:
         body = _unquoted(path, body, set(columns.values()), names)
-    first = _first_line(body)
-    if first.count(b",") == len(names) and _column_is_empty(body, len(names)):
+    first = first_line(body)
+    if first.count(b",") == len(names) and column_is_empty(body, len(names)):
         body = body.replace(b",\n", b"\n")
     return body
 
@@ -208,12 +213,13 @@ def _unquoted(path: Path, body: bytes, used: set[int], names: list[str]) -> byte
             raise InputError(path, f"line {number}", "quotes do not match", "mend them") from None
         for index, cell in enumerate(row):
             if "," in cell and index in used:
-                _refuse_cell(path, number, names[index], cell)
+                refuse_cell(path, number, names[index], cell)
         lines.append(",".join(cell.replace(",", " ") for cell in row))
     return ("\n".join(lines) + "\n").encode("latin-1")
 
 
-def _check_width(path: Path, body: bytes, width: int, line_of: _LineOfRow) -> None:
+def check_width(path: Path, body: bytes, width: int, line_of: LineOfRow) -> None:
+    """Refuse a line of more or fewer cells."""
     data = np.frombuffer(body, dtype=np.uint8)
     ends = np.flatnonzero(data == ord("\n"))
     commas = np.searchsorted(np.flatnonzero(data == ord(",")), ends)
@@ -228,11 +234,11 @@ def _check_width(path: Path, body: bytes, width: int, line_of: _LineOfRow) -> No
         raise InputError(path, line_of(row), problem, remedy)
 
 
-def _numbers(path: Path, body: bytes, columns: dict[str, int]) -> Floats:
+def cells_of(path: Path, body: bytes, columns: dict[str, int]) -> Floats:
     """All used cells, shape (rows, used): NaN for empty ones, infinite for NaN and infinity."""
     text = body.lower()
     if len(text) > _WORTH_ARROW and b"nan" not in text:
-        found = _by_arrow(text, list(columns.values()), _first_line(text).count(b",") + 1)
+        found = _by_arrow(text, list(columns.values()), first_line(text).count(b",") + 1)
         if found is not None:
             return found[0]
     text = text.replace(b"nan", b"inf")
@@ -265,7 +271,7 @@ def _plainly(
     if TIME_NS in columns:
         exact = (columns[TIME_NS], 0)
     elif TIME in columns:
-        first = _first_line(body).split(b",")
+        first = first_line(body).split(b",")
         try:
             exact = (columns[TIME], 9) if float(first[columns[TIME]]) >= EPOCH_S else None
         except (ValueError, IndexError):
@@ -333,15 +339,16 @@ def _filled(text: bytes) -> bytes:
 
 def _locate(path: Path, body: bytes, columns: dict[str, int]) -> None:
     """Raise for the first cell that is no number."""
-    for number, line in _lines(body):
+    for number, line in lines_of(body):
         cells = line.decode("utf-8", errors="backslashreplace").split(",")
         for name, index in columns.items():
             cell = cells[index].strip()
-            if cell and not _NUMBER.fullmatch(cell) and not _NOT_FINITE.fullmatch(cell):
-                _refuse_cell(path, number, name, cell)
+            if cell and not NUMBER.fullmatch(cell) and not _NOT_FINITE.fullmatch(cell):
+                refuse_cell(path, number, name, cell)
 
 
-def _refuse_cell(path: Path, line: int, column: str, cell: str) -> None:
+def refuse_cell(path: Path, line: int, column: str, cell: str) -> None:
+    """:class:`InputError` for a cell that is no number."""
     place = f"line {line}, column {column}"
     if _DECIMAL_COMMA.fullmatch(cell):
         problem = f"{shown(cell)} has a decimal comma"
@@ -355,7 +362,7 @@ def _stamps(
     body: bytes,
     values: dict[str, Floats],
     columns: dict[str, int],
-    line_of: _LineOfRow,
+    line_of: LineOfRow,
     known: Stamps | None,
 ) -> Stamps:
     """The exact nanosecond that the text names; from floats while those are exact."""
@@ -366,7 +373,7 @@ def _stamps(
     if known is not None:
         return known if len(known) == len(seconds) else known[line_of.rows]
     index = columns[name]
-    cells = line_of.kept([line.split(b",", index + 1)[index] for _, line in _lines(body)])
+    cells = line_of.kept([line.split(b",", index + 1)[index] for _, line in lines_of(body)])
     exact: Callable[[bytes], int] = _integer if name == TIME_NS else _nanoseconds
     return np.fromiter((exact(cell) for cell in cells), dtype=np.int64, count=len(cells))
 

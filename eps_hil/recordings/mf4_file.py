@@ -40,7 +40,7 @@ def has_bus_frames(path: Path) -> bool:
     """Whether the file is CAN bus logging: raw frames that need a DBC."""
     from eps_hil.recordings.mf4_columns import has_frames
 
-    with _opened(path, bus_map=False) as mdf:
+    with opened_mf4(path, bus_map=False) as mdf:
         return any(has_frames(group) for group in mdf.groups)
 
 
@@ -48,7 +48,7 @@ def read_mf4(
     path: Path, *, gaps: str, ignore_unknown: bool
 ) -> tuple[dict[str, Series], tuple[str, ...]]:
     """Series of every canonical channel, in the order of CONTRACT 2, and notes."""
-    with _opened(path) as mdf:
+    with opened_mf4(path) as mdf:
         masters = set(mdf.masters_db.items())
         places = [
             (group, index, channel.name)
@@ -58,7 +58,7 @@ def read_mf4(
         ]
         names = [TIME, *(name for _, _, name in places)]
         columns, notes = usable_columns(path, names, "", ignore_unknown=ignore_unknown)
-        start_ns = _epoch_ns(mdf.header.start_time)
+        start_ns = epoch_ns(mdf.header.start_time)
         series: dict[str, Series] = {}
         bad: dict[str, Flags] = {}
         for name, index in columns.items():
@@ -67,7 +67,7 @@ def read_mf4(
             group, channel, _ = places[index - 1]
             signal = mdf.get(group=group, index=channel, ignore_invalidation_bits=True)
             if len(signal.samples):
-                series[name], bad[name] = _series(path, name, signal, start_ns)
+                series[name], bad[name] = samples_of(path, name, signal, start_ns)
             else:
                 notes += (f"channel {name} has no sample: left out",)
     for name, bad_samples in bad.items():
@@ -156,7 +156,7 @@ def _channel(name: str, one: Series, start_ns: int, origin: Any) -> Any:
 
 
 @contextlib.contextmanager
-def _opened(path: Path, bus_map: bool = True) -> Iterator[Any]:
+def opened_mf4(path: Path, bus_map: bool = True) -> Iterator[Any]:
     """An open MDF; whatever asammdf raises on a broken file becomes :class:`InputError`.
 
     ``bus_map``: asammdf looks through all frames for their ids.
@@ -198,7 +198,8 @@ def _lay_to_rest(error: Exception) -> None:
             unfinished._closed = True
 
 
-def _epoch_ns(start: datetime) -> int:
+def epoch_ns(start: datetime) -> int:
+    """When a file says that it begins, in ns since 1970."""
     passed = start.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)
     return ((passed.days * 86_400 + passed.seconds) * 1_000_000 + passed.microseconds) * 1000
 
@@ -215,7 +216,7 @@ def _said_invalid(series: Mapping[str, Series], name: str) -> Flags:
     return np.isin(t_ns, valid.t_ns[valid.value == 0.0])
 
 
-def _series(path: Path, name: str, signal: Any, start_ns: int) -> tuple[Series, Flags]:
+def samples_of(path: Path, name: str, signal: Any, start_ns: int) -> tuple[Series, Flags]:
     """The channel's samples, NaN where one is bad, and which are."""
     column = f"channel {name}"
     if signal.samples.dtype.kind not in "iufb" or signal.samples.ndim != 1:

@@ -1,6 +1,6 @@
 """Parquet <-> table columns, through pyarrow (the ``parquet`` extra)."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,10 @@ from eps_hil.recordings.files import check_readable, needs_extra
 from eps_hil.recordings.table import (
     TIME_NS,
     Floats,
+    NamedColumns,
     Stamps,
     Table,
+    check_once,
     stamps_from_seconds,
     usable_columns,
 )
@@ -24,31 +26,97 @@ from eps_hil.version import VERSION
 
 def read_parquet(path: Path, *, ignore_unknown: bool = False) -> Table:
     """Read one Parquet file; a null is an empty cell, a NaN a bad value."""
-    with needs_extra(path, "parquet"):
-        import pyarrow
-        import pyarrow.parquet
-    check_readable(path)
-    try:
-        file = pyarrow.parquet.ParquetFile(path, memory_map=False)
-        names = file.schema_arrow.names
+    notes: tuple[str, ...] = ()
+
+    def choose(names: Sequence[str]) -> list[str]:
+        nonlocal notes
         columns, notes = usable_columns(path, names, "schema", ignore_unknown=ignore_unknown)
-        content = file.read(columns=list(columns))
-    except InputError:
-        raise
-    except (pyarrow.ArrowException, OSError, ValueError, MemoryError) as error:
-        problem = f"is not readable as Parquet: {str(error).splitlines()[0] if str(error) else ''}"
-        raise InputError(path, "", problem, "record or export it again") from None
-    if not content.num_rows:
-        raise InputError(path, "", "has no rows", "a recording needs rows")
+        return list(columns)
+
+    content = _content(path, choose)
+    columns = content.column_names
     signals = {
         name: _floats(path, name, content.column(name))
         for name in columns
         if name not in (TIME, TIME_NS)
     }
     stamps = _stamps(path, content)
-    del content, file  # an hour's table is 200 MB, and all of it is copied by now
-    pyarrow.default_memory_pool().release_unused()
+    del content  # an hour's table is 200 MB, and all of it is copied by now
+    _release()
     return Table(stamps, signals, _row, notes)
+
+
+def read_named(path: Path, wanted: Sequence[str] | None) -> NamedColumns:
+    """The ``wanted`` columns that it has, the time first (None: all that hold numbers)."""
+    names: tuple[str, ...] = ()
+
+    def choose(there: Sequence[str]) -> list[str]:
+        nonlocal names
+        names = tuple(there)
+        check_once(path, "schema", names, wanted or names)
+        return [name for name in names if wanted is None or name in wanted]
+
+    content = _content(path, choose)
+    found, instants = {}, False
+    for name in content.column_names:
+        column = content.column(name)
+        if wanted and name == wanted[0] and (seconds := _seconds(column)) is not None:
+            found[name], instants = seconds, True
+        elif wanted is not None or _holds_numbers(column.type):
+            found[name] = _floats(path, name, column)
+    del content
+    _release()
+    return NamedColumns(names, found, _row, instants)
+
+
+def _content(path: Path, choose: Callable[[Sequence[str]], list[str]]) -> Any:
+    """A file's chosen columns (of pyarrow)."""
+    with needs_extra(path, "parquet"):
+        import pyarrow
+        import pyarrow.parquet
+    check_readable(path)
+    try:
+        file = pyarrow.parquet.ParquetFile(path, memory_map=False)
+        content = file.read(columns=choose(file.schema_arrow.names))
+    except InputError:
+        raise
+    except (pyarrow.ArrowException, OSError, ValueError, MemoryError) as error:
+        problem = f"is not readable as Parquet: {str(error).splitlines()[0] if str(error) else ''}"
+        raise InputError(path, "", problem, "record or export it again") from None
+    if not file.metadata.num_rows:
+        raise InputError(path, "", "has no rows", "a recording needs rows")
+    return content
+
+
+def _release() -> None:
+    import pyarrow
+
+    pyarrow.default_memory_pool().release_unused()
+
+
+def _seconds(column: Any) -> Floats | None:
+    """Dates (since 1970, UTC) or durations in seconds; None where it holds neither."""
+    import pyarrow
+
+    kind = column.type
+    if not (pyarrow.types.is_timestamp(kind) or pyarrow.types.is_duration(kind)):
+        return None
+    whole = column.cast(pyarrow.int64()).cast(pyarrow.float64(), safe=False)
+    return numbers(whole) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
+
+
+def _holds_numbers(kind: Any) -> bool:
+    import pyarrow
+
+    return any(
+        is_kind(kind)
+        for is_kind in (
+            pyarrow.types.is_boolean,
+            pyarrow.types.is_integer,
+            pyarrow.types.is_floating,
+            pyarrow.types.is_decimal,
+        )
+    )
 
 
 def write_parquet(path: Path, parts: Iterable[Mapping[str, npt.NDArray[Any]]]) -> None:
@@ -97,11 +165,7 @@ def _floats(path: Path, name: str, column: Any) -> Floats:
     kind = column.type
     if pyarrow.types.is_boolean(kind):
         column = column.cast(pyarrow.int8())
-    elif not (
-        pyarrow.types.is_integer(kind)
-        or pyarrow.types.is_floating(kind)
-        or pyarrow.types.is_decimal(kind)
-    ):
+    elif not _holds_numbers(kind):
         place = f"column {name}"
         raise InputError(path, place, f"holds {kind}, not numbers", "export it as numbers")
     values = numbers(column.cast(pyarrow.float64(), safe=False))

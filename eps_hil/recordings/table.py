@@ -10,7 +10,7 @@ it is simply not there yet.
 """
 
 import difflib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,6 +52,27 @@ class Table:
     columns: Mapping[str, Floats]
     place: Callable[[int], str]
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class NamedColumns:
+    """Columns (n,) of a table by the names that its tool gave them; ``names``: of all it has.
+
+    Cells are as in :class:`Table`. ``instants``: the first that was asked for holds dates or
+    durations, here in seconds.
+    """
+
+    names: tuple[str, ...]
+    columns: Mapping[str, Floats]
+    place: Callable[[int], str]
+    instants: bool = False
+
+
+def check_once(path: Path, place: str, names: Sequence[str], wanted: Collection[str]) -> None:
+    """Refuse a column that is asked for and there twice: nobody says which is meant."""
+    for k, name in enumerate(names):
+        if name in wanted and name in names[:k]:
+            raise InputError(path, place, f"column {shown(name)} is there twice", "remove one")
 
 
 def usable_columns(

@@ -251,7 +251,7 @@ def test_both_parsers_read_the_same_to_the_last_bit(
     columns = {"motor_torque_nm": 2, "time_s": 0}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(csv_file, "_WORTH_ARROW", 1 << 40)
-        by_numpy = csv_file._numbers(Path("ride.csv"), text, columns)
+        by_numpy = csv_file.cells_of(Path("ride.csv"), text, columns)
     np.testing.assert_array_equal(by_arrow, by_numpy)
     np.testing.assert_array_equal(np.signbit(by_arrow), np.signbit(by_numpy))
 
