@@ -45,3 +45,14 @@ class Arrivals(NamedTuple):
     receive_ns: npt.NDArray[np.int64]
     sample_ns: npt.NDArray[np.int64]
     moved_ns: npt.NDArray[np.int64]
+
+
+class Pace(NamedTuple):
+    """What a log's mapping says of the estimator's timing, where it says something; seconds.
+
+    ``speed_window_s``: over which a speed is derived from the angle; ``cycle_s``: of the message
+    that the estimator steps on.
+    """
+
+    speed_window_s: float | None = None
+    cycle_s: float | None = None

@@ -55,7 +55,7 @@ def load(
         ignore_unknown=ignore_unknown,
         channel=channel,
     )
-    return Recording(found.name, found.series, found.notes, found.arrivals)
+    return Recording(found.name, found.series, found.notes, found.arrivals, found.pace)
 
 
 def recording(
@@ -82,13 +82,14 @@ def estimate(
 ) -> Estimate:
     """The rack force of a recording, through the estimator that runs live.
 
-    ``settings``: an estimator settings file or value; default: the live service's. ``changes``:
-    friction levels that were taken over while it ran (those within the recording count).
+    ``settings``: an estimator settings file or value; default: the live service's (what a log's
+    mapping says of a derived speed and of the cycle goes before). ``changes``: friction levels that
+    were taken over while it ran (those within the recording count).
     """
     from eps_hil import yaml_file
     from eps_hil.estimation import batch
     from eps_hil.estimation.score import score
-    from eps_hil.estimation.settings import problem
+    from eps_hil.estimation.settings import at_pace, problem
 
     read, rig = _recording(recording), _model(model)
     if isinstance(settings, str | Path):
@@ -97,6 +98,7 @@ def estimate(
     if not isinstance(chosen, EstimatorSettings):
         kind = type(chosen).__name__
         raise InputError("settings", "", f"are of type {kind}", "give a file or EstimatorSettings")
+    chosen = at_pace(chosen, read.pace)
     if wrong := problem(chosen, live=False):
         raise InputError("settings", "kind", wrong)
     try:

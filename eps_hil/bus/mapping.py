@@ -13,6 +13,7 @@ from eps_hil.bus.database import nearest
 from eps_hil.bus.protection import E2E_P01, PROFILES
 from eps_hil.bus.supply_power import CURRENT, VOLTAGE, SupplyPower
 from eps_hil.errors import InputError
+from eps_hil.series import Pace
 from eps_hil.signals import CANONICAL
 
 _STRICT = ConfigDict(extra="forbid")
@@ -169,6 +170,13 @@ class SignalMapping:
             if source is not None and source.message is not None:
                 return source.message
         return None
+
+    @property
+    def pace(self) -> Pace:
+        """What it says of the estimator's timing."""
+        speed = self.signals.get(_SPEED)
+        window_s = None if speed is None else speed.window_s
+        return Pace(window_s, self.rules(self.sync_message or "").cycle_time_s)
 
     def rules(self, message: str) -> MessageRules:
         """The rules of a message; a message without an entry has neither counter nor CRC."""

@@ -21,6 +21,7 @@ from eps_hil.physics.chain_parameters import load_chain
 from eps_hil.physics.model import load_model
 from eps_hil.programme.limits import load_limits
 from eps_hil.programme.plan import Plan
+from eps_hil.recordings.foreign import load_columns, maps_columns
 from eps_hil.rig.config import load_rig_setup
 from eps_hil.rig.manoeuvre import load_manoeuvre
 from eps_hil.rig.process import RigSimulation
@@ -149,9 +150,12 @@ def _model(path: Path) -> Iterator[Remark]:
 
 def _signals(path: Path) -> Iterator[Remark]:
     mapping: SignalMapping | None
-    mapping, problems = _tried(lambda: load_mapping(path))
+    of_table, problems = _tried(lambda: maps_columns(path))
+    if of_table:
+        _, problems = _tried(lambda: load_columns(path))
     yield from problems
-    if mapping is not None:
+    if of_table is False:
+        mapping = load_mapping(path)
         yield from remarks.of_signals(path, mapping)
 
 

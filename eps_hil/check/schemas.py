@@ -13,6 +13,7 @@ from eps_hil.physics.effects.effect import Effect
 from eps_hil.physics.model import Model
 from eps_hil.programme.limits import Limits
 from eps_hil.programme.plan import Plan
+from eps_hil.recordings.foreign import Columns
 from eps_hil.rig.config import RigConfig
 from eps_hil.rig.manoeuvre import Manoeuvre
 from eps_hil.service.config import config_schema
@@ -66,11 +67,28 @@ def _effect(effect: Effect) -> Schema:
     return {"type": "object", "properties": properties, "required": ["effect", *needed], **closed}
 
 
+def _signals() -> Schema:
+    """A mapping of a DBC's signals, or of a table's columns."""
+    kinds = {"SignalMapping": SignalMapping, "Columns": Columns}
+    definitions: Schema = {}
+    for name, kind in kinds.items():
+        one = TypeAdapter(kind).json_schema()
+        definitions |= one.pop("$defs", {})
+        definitions[name] = one
+    return {
+        "type": "object",
+        "anyOf": [{"$ref": f"#/$defs/{name}"} for name in kinds],
+        "properties": {"signals": {"type": "object"}},
+        "required": ["signals"],
+        "$defs": definitions,
+    }
+
+
 SCHEMAS: Mapping[str, Callable[[], Schema]] = {
     "config": _config,
     "model": _model,
     "chain": block("chain", ChainParameters),
-    "signals": lambda: TypeAdapter(SignalMapping).json_schema(),
+    "signals": _signals,
     "manoeuvre": block("manoeuvre", Manoeuvre),
     "programme": block("programme", Plan),
 }

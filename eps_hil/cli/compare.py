@@ -50,13 +50,11 @@ def compare(
     without dead zone and limiter. --live adds what a running service made of it.
     """
     import eps_hil
-    from eps_hil.bus.mapping import load_mapping
     from eps_hil.cli._files import check_places, write_json
     from eps_hil.estimation.settings import EstimatorSettings
     from eps_hil.physics.model import load_model
     from eps_hil.report import comparison, figures
     from eps_hil.report.comparison_figure import draw
-    from eps_hil.service.setup import derived_settings
     from eps_hil.yaml_file import load
 
     if figure:
@@ -65,11 +63,9 @@ def compare(
     zooms = [_zoom(text) for text in zoom or []]
     rig = load_model(model)
     chosen = load(settings, EstimatorSettings) if settings else EstimatorSettings()
-    if reading.signals:
-        chosen = derived_settings(chosen, load_mapping(reading.signals))
     published = comparison.read_published(live) if live else None
     read = read_recording(recording, reading)
-    given = eps_hil.Recording(read.name, read.series, read.notes)
+    given = eps_hil.Recording(read.name, read.series, read.notes, read.arrivals, read.pace)
     say_if_it_compiles()
     with waiting("estimating with and without"):
         found = eps_hil.compare(given, rig, chosen, published=published, second=second)

@@ -94,15 +94,14 @@ def estimate(
     check_kept([json, *targets], [model, *recordings])
     rig = load_model(model)
     chosen = _settings(settings, without or [], friction, kind)
-    if reading.signals:
-        chosen = _with_window(chosen, reading.signals)
     changes = _changes(friction_journal)
     results: list[Any] = []
     for path, recording in read_each(recordings, reading):
         if not results and chosen.kind == "observer":
             _first_answer.prepare(recording.series, len(recordings), effects=bool(rig.effects))
         _first_answer.say_if_it_compiles()
-        read = eps_hil.Recording(str(path), recording.series, recording.notes, recording.arrivals)
+        arrived, pace = recording.arrivals, recording.pace
+        read = eps_hil.Recording(str(path), recording.series, recording.notes, arrived, pace)
         with waiting(f"estimating {path.name}"):
             found = eps_hil.estimate(read, rig, chosen, changes=changes)
         _say(path.name, found)
@@ -143,14 +142,6 @@ def _settings(
     if kind is not None:
         changes["kind"] = kind.value
     return replace(chosen, **changes)
-
-
-def _with_window(settings: "EstimatorSettings", signals: Path) -> "EstimatorSettings":
-    """A mapping's ``window_s`` counts here as it does live, so that the two agree."""
-    from eps_hil.bus.mapping import load_mapping
-    from eps_hil.service.setup import derived_settings
-
-    return derived_settings(settings, load_mapping(signals))
 
 
 def _targets(out: Path, recordings: list[Path]) -> list[Path]:

@@ -1,9 +1,12 @@
 """How the estimator is set up: blocks on or off, thresholds, noise, filters. All have defaults."""
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, with_config
+
+from eps_hil.series import Pace
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -159,3 +162,16 @@ def problem(settings: EstimatorSettings, *, live: bool = True) -> str:
     if not settings.friction_compensation:
         return f"estimator kind '{settings.kind}' has its friction inside; use 'observer'"
     return ""
+
+
+def at_pace(settings: EstimatorSettings, pace: Pace | None) -> EstimatorSettings:
+    """What a log's mapping says goes before: a derived speed's window, a fast sync frame's cycle.
+
+    One rule for the service, and for whoever estimates from its logs.
+    """
+    window_s, cycle_s = pace or Pace()
+    if window_s is not None:
+        settings = replace(settings, speed_window_s=window_s)
+    if cycle_s is not None and cycle_s < settings.step_s:
+        settings = replace(settings, step_s=cycle_s * math.ceil(SHORTEST_STEP_S / cycle_s - 1e-9))
+    return settings

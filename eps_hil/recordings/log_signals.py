@@ -16,7 +16,7 @@ from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_frames
 from eps_hil.recordings.files import check_readable
 from eps_hil.recordings.log_columns import SUFFIXES, pieces_of
-from eps_hil.series import Arrivals, Series
+from eps_hil.series import Arrivals, Pace, Series
 from eps_hil.signals import PUBLISHED
 
 if TYPE_CHECKING:
@@ -45,11 +45,12 @@ def read_log(
     channel: str | None = None,
     on_progress: Callable[[float], None] | None = None,
     arrivals: list[Arrivals] | None = None,
+    pace: list[Pace] | None = None,
 ) -> tuple[dict[str, Series], tuple[str, ...]]:
     """Series of every mapped signal that occurs, and notes on what was lost or left out.
 
     A frame with a wrong CRC or length gives samples with the value NaN, here as live.
-    ``arrivals`` is appended to, where the mapping has a sync message.
+    ``arrivals`` is appended to, where the mapping has a sync message, and ``pace``.
     Raises :class:`InputError` for a broken log, mapping or DBC, and if no mapped frame occurs.
     """
     check_readable(path)
@@ -59,6 +60,8 @@ def read_log(
         problem = f"is a CAN log, which needs {missing}"
         raise InputError(path, "", problem, "give the database and the mapping of its signals")
     mapping = load_mapping(signals)
+    if pace is not None:
+        pace.append(mapping.pace)
 
     def decoder() -> FrameDecoder:
         return FrameDecoder(

@@ -6,7 +6,7 @@ from pathlib import Path
 from eps_hil.errors import InputError
 from eps_hil.recordings.recording import Recording
 from eps_hil.recordings.table import VALID, Table, check_increasing, to_series
-from eps_hil.series import Arrivals, Series
+from eps_hil.series import Arrivals, Pace, Series
 
 TABLES = (".csv", ".parquet")
 CAN_LOGS = (".log", ".blf", ".asc", ".trc")
@@ -36,6 +36,7 @@ def read_recording(
     Raises :class:`InputError` for everything that is wrong with the file.
     """
     arrivals: list[Arrivals] = []
+    pace: list[Pace] = []
     series, notes = read_columns(
         path,
         dbc=dbc,
@@ -45,11 +46,18 @@ def read_recording(
         channel=channel,
         on_progress=on_progress,
         arrivals=arrivals,
+        pace=pace,
     )
     only_signals = {name: one for name, one in series.items() if name != VALID}
     if not only_signals:
         raise InputError(path, "", "no signal has a value", "record at least one")
-    return Recording(Path(path).name, only_signals, notes, arrivals[0] if arrivals else None)
+    return Recording(
+        Path(path).name,
+        only_signals,
+        notes,
+        arrivals[0] if arrivals else None,
+        pace[0] if pace else None,
+    )
 
 
 def read_columns(
@@ -62,10 +70,11 @@ def read_columns(
     channel: str | None = None,
     on_progress: Progress | None = None,
     arrivals: list[Arrivals] | None = None,
+    pace: list[Pace] | None = None,
 ) -> tuple[Mapping[str, Series], tuple[str, ...]]:
     """As :func:`read_recording`, with the column ``valid`` kept, for conversion.
 
-    ``arrivals`` is appended to where the file holds frames.
+    ``arrivals`` and ``pace`` are appended to where the file holds frames.
     """
     path = Path(path)
     if gaps not in GAPS:
@@ -90,6 +99,7 @@ def read_columns(
             channel=channel,
             on_progress=on_progress,
             arrivals=arrivals,
+            pace=pace,
         )
     if suffix == ".mf4":
         from eps_hil.recordings.mf4_file import read_mf4

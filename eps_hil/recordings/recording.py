@@ -3,17 +3,19 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from eps_hil.series import Arrivals, Series
+from eps_hil.series import Arrivals, Pace, Series
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
     """Canonical signals of one file; ``notes`` says what the reader had to leave out or mend.
 
-    ``arrivals``: of a CAN log, when the frames came that the estimator steps on.
+    Of a CAN log: ``arrivals``, when the frames came that the estimator steps on, and ``pace``, what
+    the mapping says of its timing.
     """
 
     name: str
     series: Mapping[str, Series]
     notes: tuple[str, ...] = ()
     arrivals: Arrivals | None = field(default=None, compare=False, repr=False)
+    pace: Pace | None = field(default=None, compare=False, repr=False)

@@ -16,7 +16,7 @@ import numpy as np
 from eps_hil.errors import InputError
 from eps_hil.estimation import batch
 from eps_hil.estimation.score import SECOND, VARIANTS, Score, score, variant
-from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.settings import EstimatorSettings, at_pace
 from eps_hil.estimation.stream import Trace
 from eps_hil.physics.model import Model
 from eps_hil.recordings.recording import Recording
@@ -57,6 +57,7 @@ def compare(
 
     :class:`InputError` if the recording lacks an input or the load cell, or is too short.
     """
+    settings = at_pace(settings, recording.pace)
     traces = {} if live is None else {LIVE: live}
     try:
         for name in (*VARIANTS, *(SECOND if second else ())):

@@ -3,7 +3,6 @@
 Everything that can be refused is refused here, before the bus is opened.
 """
 
-import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from eps_hil.bus.commands import Commands, of_database, refuse_command
 from eps_hil.bus.database import find_message, load_database, nearest
 from eps_hil.bus.mapping import SignalMapping, load_mapping
 from eps_hil.errors import InputError
-from eps_hil.estimation.settings import SHORTEST_STEP_S, EstimatorSettings, problem
+from eps_hil.estimation.settings import EstimatorSettings, at_pace, problem
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects.catalogue import with_model_effects
@@ -249,13 +248,7 @@ def derived_settings(settings: EstimatorSettings, mapping: SignalMapping) -> Est
 
     One rule for the service and for whoever estimates from its logs.
     """
-    speed = mapping.signals.get("motor_speed_rad_s")
-    if speed is not None and speed.window_s is not None:
-        settings = replace(settings, speed_window_s=speed.window_s)
-    cycle_s = mapping.rules(mapping.sync_message or "").cycle_time_s
-    if cycle_s is not None and cycle_s < settings.step_s:
-        settings = replace(settings, step_s=cycle_s * math.ceil(SHORTEST_STEP_S / cycle_s - 1e-9))
-    return settings
+    return at_pace(settings, mapping.pace)
 
 
 def _sync_period_s(mapping: SignalMapping, decoder: FrameDecoder) -> float:
