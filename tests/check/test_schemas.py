@@ -47,3 +47,11 @@ def test_a_schema_refuses_what_the_reader_refuses() -> None:
     config["rig"]["order"] = 7
     assert violations("config", config)
     assert json.dumps(schema("config"))
+
+
+def test_a_mapping_is_of_a_database_or_of_a_table() -> None:
+    table = {"time": {"column": "ms", "scale": 1e-3}, "signals": {"rack_force_n": {"sum": ["a"]}}}
+    assert not violations("signals", table)
+    table["signals"] = {"rack_force_n": {"sums": ["a"]}}
+    assert violations("signals", table)
+    assert not violations("signals", {"signals": {"rack_force_n": {"message": "M", "signal": "S"}}})

@@ -241,3 +241,120 @@ def test_another_estimator(
     assert (one["latency_s"] is None) == (kind == "smoother")
     assert main([*words, "--without", "friction-compensation"]) == 2
     assert "friction inside" in capsys.readouterr().err
+
+
+TABLE = """
+time: {column: ms, scale: 0.001}
+signals:
+  motor_speed_rad_s: {column: n_rotor, scale: 0.10471975511965977}
+  rack_force_n: {sum: [left, right]}
+  motor_torque_nm: {column: iq, torque_constant_nm_per_a: 0.047}
+  motor_angle_rad: {column: counts, counts_per_turn: 4096}
+  torque_sensor_nm: {column: tb, scale: 0.001}
+"""
+
+
+def test_a_mapped_table_gives_what_the_canonical_one_does(
+    tmp_path: Path, weave_truth: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In ``estimate`` and ``compare``, as in the verbs that always took one."""
+    plain = write_csv(tmp_path / "plain.csv", weave_truth, rows=6000)
+    columns = {name: weave_truth.columns[name][:6000] for name in NAMES}
+    turns = columns["motor_angle_rad"] / (2 * np.pi)
+    theirs = {
+        "ms": columns["time_s"] * 1e3,
+        "n_rotor": columns["motor_speed_rad_s"] * 30 / np.pi,
+        "left": columns["rack_force_n"] * 0.4 + 3,
+        "right": columns["rack_force_n"] * 0.6 - 3,
+        "iq": columns["motor_torque_nm"] / 0.047,
+        "counts": np.floor(turns * 4096) % 4096,
+        "tb": columns["torque_sensor_nm"] * 1e3,
+    }
+    rows = [
+        ",".join([*map(repr, map(float, row)), "on"]) for row in zip(*theirs.values(), strict=True)
+    ]
+    mapped, mapping = tmp_path / "mapped.csv", tmp_path / "columns.yaml"
+    mapped.write_text("\n".join([",".join([*theirs, "state"]), *rows]) + "\n", encoding="utf-8")
+    mapping.write_text(TABLE, encoding="utf-8")
+    errors = []
+    for table, more in ((plain, []), (mapped, ["--signals", str(mapping)])):
+        found: dict[str, Any] = {}
+        for verb in ("estimate", "compare"):
+            out = tmp_path / f"{verb}.json"
+            words = [verb, str(table), "--model", MODEL, "--json", str(out), *more]
+            assert main(words) == 0, capsys.readouterr().err
+            found[verb] = json.loads(out.read_text(encoding="utf-8"))
+        (one,) = found["estimate"]["recordings"]
+        numbers = [one["rack_force_error_n"]["rms_moving"]]
+        errors.append(numbers + [row["rmse_overall_n"] for row in found["compare"]["estimates"]])
+    np.testing.assert_allclose(errors[1], errors[0], rtol=0.02)
+    assert "columns left out: state" in capsys.readouterr().err
+    assert main(["check", str(mapping)]) == 0
+    mapping.write_text(TABLE.replace("sum:", "sums:"), encoding="utf-8")
+    assert main(["check", str(mapping)]) == 2
+    assert "sums: is not a known field" in capsys.readouterr().err
+
+
+DERIVED = """
+signals:
+  motor_torque_nm: {message: EPS_Torques, signal: MotorTorque}
+  torque_sensor_nm: {message: EPS_Torques, signal: TorsionBarTorque}
+  motor_speed_rad_s: {derive_from: motor_angle_rad, window_s: WINDOW}
+  motor_angle_rad: {message: EPS_MotorState, signal: MotorAngle}
+  rack_force_n: {message: RIG_State, signal: RackForce}
+"""
+
+
+def test_a_derived_speeds_window_counts_in_every_way(tmp_path: Path, weave_truth: Any) -> None:
+    """``estimate``, ``batch estimate`` and the Python API give the same estimates of a log."""
+    import pyarrow.parquet
+
+    import eps_hil
+    from eps_hil.bus.codec import FrameEncoder
+    from eps_hil.bus.database import load_database
+    from eps_hil.estimation.settings import EstimatorSettings
+
+    dbc = ROOT / "dbc" / "eps_rig.dbc"
+    database = load_database([dbc])
+    columns = weave_truth.columns
+    names = {
+        "EPS_MotorState": {"MotorAngle": "motor_angle_rad"},
+        "EPS_Torques": {"MotorTorque": "motor_torque_nm", "TorsionBarTorque": "torque_sensor_nm"},
+        "RIG_State": {"RackForce": "rack_force_n"},
+    }
+    encoders = {message: FrameEncoder(database, message) for message in names}
+    lines = []
+    for k in range(3000):
+        t_ns = 1_700_000_000_000_000_000 + k * 1_000_000
+        for message, signals in names.items():
+            values = {signal: float(columns[name][k]) for signal, name in signals.items()}
+            frame = encoders[message].frame(values, t_ns)
+            stamp = f"({t_ns // 10**9}.{t_ns % 10**9 // 1000:06d})"
+            lines.append(f"{stamp} can0 {frame.can_id:03X}#{frame.data.hex().upper()}")
+    log = tmp_path / "logs" / "rig.log"
+    log.parent.mkdir()
+    log.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    found = {}
+    for window in ("0.05", "0.02"):
+        mapping = tmp_path / f"signals-{window}.yaml"
+        mapping.write_text(DERIVED.replace("WINDOW", window), encoding="utf-8")
+        reading = ["--dbc", str(dbc), "--signals", str(mapping), "--model", MODEL]
+        out, batch = tmp_path / f"{window}.parquet", tmp_path / f"batch-{window}"
+        assert main(["estimate", str(log), *reading, "--out", str(out)]) == 0
+        words = ["batch", "estimate", str(log.parent), *reading, "--out", str(batch)]
+        assert main([*words, "--processes", "1"]) == 0
+        (row,) = pyarrow.parquet.read_table(batch / "results.parquet").to_pylist()
+        read = eps_hil.load(log, dbc=dbc, signals=mapping)
+        by_file, by_batch = (
+            np.array(pyarrow.parquet.read_table(path)["rack_force_estimate_n"])
+            for path in (out, batch / row["output"])
+        )
+        found[window] = eps_hil.estimate(read, MODEL).trace.rack_force_n
+        np.testing.assert_array_equal(by_file, found[window])
+        np.testing.assert_array_equal(by_batch, found[window])
+        best = eps_hil.compare(read, MODEL).candidates[0].trace.rack_force_n
+        np.testing.assert_array_equal(best, found[window])
+        given = EstimatorSettings(speed_window_s=0.3)  # the mapping goes before
+        other = eps_hil.estimate(read, MODEL, given).trace.rack_force_n
+        np.testing.assert_array_equal(other, found[window])
+    assert len(found["0.05"]) < len(found["0.02"])  # it looks further back
