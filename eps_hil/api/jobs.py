@@ -102,6 +102,7 @@ def estimate(
     if wrong := problem(chosen, live=False):
         raise InputError("settings", "kind", wrong)
     try:
+        batch.check_rate(read.series)
         within = [one for one in changes if batch.spans(read.series, one.t_ns)]
         trace = batch.estimate(read.series, rig, chosen, changes=within, arrivals=read.arrivals)
         latency_s = batch.latency_s(rig, chosen, batch.sample_periods_s(read.series))
@@ -116,16 +117,20 @@ def estimate(
 def simulate(recording: Source, model: Rig, *, physical: bool = False) -> Simulation:
     """The recorded motor torque, torsion-bar torque and rack force through the model.
 
-    ``physical``: at physical instants, not as late as the sensors report.
+    ``physical``: at physical instants, not as late as the sensors report. ``notes`` of the result:
+    what an input was taken for where it has no good sample.
     """
     from eps_hil.physics.forward import InputMissingError, forward
+    from eps_hil.recordings.coverage import invented
 
     read = _recording(recording)
     try:
         made = forward(_model(model), read.series, physical=physical)
     except InputMissingError as error:
         raise _refused(read, error) from None
-    return Simulation(read, made.t_ns, made.columns, made.notes)
+    drives = ("motor_torque_nm", "torque_sensor_nm", "rack_force_n")
+    told = invented(read.series, (*drives, "motor_speed_rad_s"), drives[0])
+    return Simulation(read, made.t_ns, made.columns, (*made.notes, *told))
 
 
 def identify(

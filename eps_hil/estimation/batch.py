@@ -15,6 +15,7 @@ from eps_hil.estimation.stream import SIGNALS, Rows, StreamEstimator, Trace, end
 from eps_hil.physics.model import Model
 from eps_hil.series import Arrivals, Series, usual_step_ns
 
+SLOWEST_S = 0.2
 STRETCH = 1 << 20
 """Syncs of a recording that are run through at once: 17 minutes at 1 kHz."""
 Events = tuple[npt.NDArray[np.int8], npt.NDArray[np.int64], npt.NDArray[np.float64]]
@@ -94,6 +95,19 @@ def spans(series: Mapping[str, Series], t_ns: int) -> bool:
     """Whether an instant lies within a recording."""
     name = sync_signal(series)
     return name in series and series[name].t_ns[0] <= t_ns <= series[name].t_ns[-1]
+
+
+def check_rate(series: Mapping[str, Series]) -> None:
+    """``ValueError`` for samples too far apart to estimate from: mostly a time in ms."""
+    name = sync_signal(series)
+    if name not in series or len(series[name].t_ns) < 2:
+        return
+    step_s = usual_step_ns(series[name].t_ns) * 1e-9
+    if step_s > SLOWEST_S:
+        raise ValueError(
+            f"{name} has a value every {step_s:.3g} s, where {1 / SLOWEST_S:g} a second are "
+            "needed: is the time in ms?"
+        )
 
 
 def estimate(

@@ -10,6 +10,7 @@ from eps_hil.fmu.described import Described
 from eps_hil.fmu.drive import Signals, Simulator, opened
 from eps_hil.fmu.mapping import variable
 from eps_hil.physics.model import Model
+from eps_hil.recordings.coverage import invented
 from eps_hil.recordings.files import read_bytes
 from eps_hil.recordings.foreign import Columns
 
@@ -36,7 +37,7 @@ def traces_of(
 
 
 def unmet(simulator: Simulator, recordings: Mapping[str, Signals]) -> list[str]:
-    """Inputs that a recording does not hold, which stay at zero; no torque is refused."""
+    """Inputs that a recording does not hold, or not all the time; no torque is refused."""
     notes = []
     for name, series in recordings.items():
         if _NEEDED not in series:
@@ -49,6 +50,8 @@ def unmet(simulator: Simulator, recordings: Mapping[str, Signals]) -> list[str]:
             for one, link in simulator.mapped.inputs.items()
             if one not in series
         ]
+        found = invented(series, simulator.mapped.inputs, _NEEDED)
+        notes += [f"{name}: {note}" for note in found]
     return notes
 
 

@@ -68,6 +68,13 @@ def _cut(
     return tuple(notes)
 
 
+def longest_step_ns(t_ns: Stamps) -> float:
+    """The longest step between a signal's samples that is no gap."""
+    if len(t_ns) < 2:
+        return _LONGEST_NS
+    return max(_LONGEST_NS, _STEPS * usual_step_ns(t_ns))
+
+
 def linear(one: Series, at_ns: Stamps) -> Floats:
     """Between a signal's neighbouring samples; NaN beside bad ones and within gaps."""
     if len(one.t_ns) < 2:
@@ -78,8 +85,9 @@ def linear(one: Series, at_ns: Stamps) -> Floats:
     share = (at_ns - one.t_ns[left]) / width
     value = one.value[left] + share * (one.value[right] - one.value[left])
     value = np.where(share == 0.0, one.value[left], np.where(share == 1.0, one.value[right], value))
-    gap_ns = max(_LONGEST_NS, _STEPS * usual_step_ns(one.t_ns))
-    return np.where((width <= gap_ns) | (share == 0.0) | (share == 1.0), value, np.nan)
+    return np.where(
+        (width <= longest_step_ns(one.t_ns)) | (share == 0.0) | (share == 1.0), value, np.nan
+    )
 
 
 def _holding(valid: Series, at_ns: Stamps) -> Floats:

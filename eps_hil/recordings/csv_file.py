@@ -25,6 +25,7 @@ from eps_hil.recordings.table import (
     Floats,
     Stamps,
     Table,
+    clocks_apart,
     largest_second,
     seconds_to_ns,
     shown,
@@ -74,6 +75,8 @@ def read_csv(path: Path, *, ignore_unknown: bool = False) -> Table:
     values = {name: cells[:, used.index(index)] for name, index in columns.items()}
     t_ns = _stamps(path, body, values, columns, line_of, exact)
     signals = {k: np.ascontiguousarray(v) for k, v in values.items() if k not in (TIME, TIME_NS)}
+    if TIME_NS in values:
+        notes += clocks_apart(values.get(TIME), t_ns)
     return Table(t_ns, signals, line_of, notes)
 
 

@@ -25,7 +25,7 @@ from pydantic_core import PydanticCustomError
 from eps_hil import yaml_file
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.errors import InputError
-from eps_hil.recordings.common_rate import linear
+from eps_hil.recordings.common_rate import linear, longest_step_ns
 from eps_hil.recordings.read import is_can_log, read_recording
 from eps_hil.recordings.recording import Recording
 from eps_hil.recordings.table import (
@@ -38,7 +38,7 @@ from eps_hil.recordings.table import (
     stamps_from_seconds,
     to_series,
 )
-from eps_hil.series import Series, usual_step_ns
+from eps_hil.series import Series
 from eps_hil.signals import CANONICAL, TIME
 
 Floats = npt.NDArray[np.float64]
@@ -390,6 +390,6 @@ def _ambiguous(series: Mapping[str, Series], wanted: Columns) -> Notes:
                 "beyond 0.5 the counts hide a turn",
             )
         gap = float(step.max())
-        if gap > max(1e8, 3.0 * usual_step_ns(t_ns)):
+        if gap > longest_step_ns(t_ns):
             notes += (f"{name}: whole turns in a gap of {gap * 1e-9:.3g} s are not counted",)
     return notes

@@ -14,6 +14,7 @@ from eps_hil.recordings.table import (
     VALID,
     Table,
     check_increasing,
+    clocks_apart,
     shown,
     stamps_from_seconds,
     to_series,
@@ -48,7 +49,15 @@ def from_arrays(
         for column in known
         if column not in (TIME, TIME_NS)
     }
-    table = Table(_stamps(name, clock, arrays[clock]), numbers, _row, notes)
+    stamps = _stamps(name, clock, arrays[clock])
+    if clock == TIME_NS and TIME in known:
+        beside = arrays[TIME]
+        if beside.dtype.kind in "mM":
+            seconds = np.multiply(_stamps(name, TIME, beside), 1e-9, dtype=np.float64)
+        else:
+            seconds = _numbers(name, TIME, beside)
+        notes += clocks_apart(seconds, stamps)
+    table = Table(stamps, numbers, _row, notes)
     check_increasing(place, table.t_ns, _row, column=f"column {clock}")
     found, more = to_series(place, table, gaps=gaps)
     series = {column: one for column, one in found.items() if column != VALID}

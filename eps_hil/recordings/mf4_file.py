@@ -24,6 +24,7 @@ from eps_hil.recordings.table import (
     VALID,
     Flags,
     check_increasing,
+    other_unit,
     stamps_from_seconds,
     usable_columns,
 )
@@ -66,6 +67,7 @@ def read_mf4(
                 continue
             group, channel, _ = places[index - 1]
             signal = mdf.get(group=group, index=channel, ignore_invalidation_bits=True)
+            notes += other_unit(name, signal.unit or "")
             if len(signal.samples):
                 series[name], bad[name] = samples_of(path, name, signal, start_ns)
             else:

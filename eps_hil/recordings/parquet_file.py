@@ -17,6 +17,8 @@ from eps_hil.recordings.table import (
     Stamps,
     Table,
     check_once,
+    clocks_apart,
+    other_unit,
     stamps_from_seconds,
     usable_columns,
 )
@@ -28,9 +30,13 @@ def read_parquet(path: Path, *, ignore_unknown: bool = False) -> Table:
     """Read one Parquet file; a null is an empty cell, a NaN a bad value."""
     notes: tuple[str, ...] = ()
 
-    def choose(names: Sequence[str]) -> list[str]:
+    def choose(schema: Any) -> list[str]:
         nonlocal notes
+        names = schema.names
         columns, notes = usable_columns(path, names, "schema", ignore_unknown=ignore_unknown)
+        for name, place in columns.items():
+            said = (schema.field(place).metadata or {}).get(b"unit", b"")
+            notes += other_unit(name, said.decode(errors="replace"))
         return list(columns)
 
     content = _content(path, choose)
@@ -41,6 +47,8 @@ def read_parquet(path: Path, *, ignore_unknown: bool = False) -> Table:
         if name not in (TIME, TIME_NS)
     }
     stamps = _stamps(path, content)
+    if TIME_NS in columns and TIME in columns:
+        notes += clocks_apart(_clock(path, TIME, content.column(TIME)), stamps)
     del content  # an hour's table is 200 MB, and all of it is copied by now
     _release()
     return Table(stamps, signals, _row, notes)
@@ -50,9 +58,9 @@ def read_named(path: Path, wanted: Sequence[str] | None) -> NamedColumns:
     """The ``wanted`` columns that it has, the time first (None: all that hold numbers)."""
     names: tuple[str, ...] = ()
 
-    def choose(there: Sequence[str]) -> list[str]:
+    def choose(schema: Any) -> list[str]:
         nonlocal names
-        names = tuple(there)
+        names = tuple(schema.names)
         check_once(path, "schema", names, wanted or names)
         return [name for name in names if wanted is None or name in wanted]
 
@@ -69,7 +77,7 @@ def read_named(path: Path, wanted: Sequence[str] | None) -> NamedColumns:
     return NamedColumns(names, found, _row, instants)
 
 
-def _content(path: Path, choose: Callable[[Sequence[str]], list[str]]) -> Any:
+def _content(path: Path, choose: Callable[[Any], list[str]]) -> Any:
     """A file's chosen columns (of pyarrow)."""
     with needs_extra(path, "parquet"):
         import pyarrow
@@ -77,7 +85,7 @@ def _content(path: Path, choose: Callable[[Sequence[str]], list[str]]) -> Any:
     check_readable(path)
     try:
         file = pyarrow.parquet.ParquetFile(path, memory_map=False)
-        content = file.read(columns=choose(file.schema_arrow.names))
+        content = file.read(columns=choose(file.schema_arrow))
     except InputError:
         raise
     except (pyarrow.ArrowException, OSError, ValueError, MemoryError) as error:
@@ -175,6 +183,13 @@ def _floats(path: Path, name: str, column: Any) -> Floats:
     return values
 
 
+def _clock(path: Path, name: str, column: Any) -> Floats:
+    seconds = _seconds(column)
+    if seconds is None:
+        return _floats(path, name, column)
+    return seconds * (1e9 if name == TIME_NS else 1.0)
+
+
 def _stamps(path: Path, content: Any) -> Stamps:
     import pyarrow
 
@@ -182,5 +197,5 @@ def _stamps(path: Path, content: Any) -> Stamps:
     column = content.column(name)
     if name == TIME_NS and pyarrow.types.is_integer(column.type) and not column.null_count:
         return numbers(column).astype(np.int64, copy=False)
-    seconds = _floats(path, name, column) * (1e-9 if name == TIME_NS else 1.0)
+    seconds = _clock(path, name, column) * (1e-9 if name == TIME_NS else 1.0)
     return stamps_from_seconds(path, seconds, _row, column=f"column {name}")

@@ -114,6 +114,36 @@ def stamps_from_seconds(
     return seconds_to_ns(seconds)
 
 
+def clocks_apart(seconds: Floats | None, t_ns: Stamps) -> tuple[str, ...]:
+    """A note where ``time_s`` (n,) says something else than ``time_ns`` (n,), which counts."""
+    if seconds is None:
+        return ()
+    apart = np.abs(seconds - t_ns / _NS)
+    most = float(np.max(apart, initial=0.0, where=np.isfinite(apart)))
+    if most < _SAME_S:
+        return ()
+    return (f"{TIME} and {TIME_NS} are up to {most:.3g} s apart: {TIME_NS} is taken",)
+
+
+def other_unit(name: str, said: str) -> tuple[str, ...]:
+    """A note where a file says that a canonical signal has another unit than its name does."""
+    known = CANONICAL.get(name)
+    plain = _plain_unit(said)
+    if known is None or not plain or plain in (_plain_unit(known.unit), *_SAME.get(known.unit, ())):
+        return ()
+    return (f"{name}: the file says that its unit is {shown(said)}: taken as {known.unit}",)
+
+
+_SAME_S = 2e-6
+"""What floats of seconds may differ by from the stamps that they name."""
+_SAME = {"degC": ("c", "degreecelsius", "celsius"), "rad/s": ("1/s", "rad/sec"), "rad": ("1",)}
+
+
+def _plain_unit(unit: str) -> str:
+    text = unit.strip().strip("[]()").lower().replace("°", "deg").replace("²", "2")
+    return "".join(sign for sign in text if sign not in " ·*^")
+
+
 def largest_second(
     path: Path,
     seconds: Floats,

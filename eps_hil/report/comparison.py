@@ -60,6 +60,7 @@ def compare(
     settings = at_pace(settings, recording.pace)
     traces = {} if live is None else {LIVE: live}
     try:
+        batch.check_rate(recording.series)
         for name in (*VARIANTS, *(SECOND if second else ())):
             chosen = variant(settings, name)
             traces[name] = batch.estimate(recording.series, model, chosen)

@@ -358,3 +358,38 @@ def test_a_derived_speeds_window_counts_in_every_way(tmp_path: Path, weave_truth
         other = eps_hil.estimate(read, MODEL, given).trace.rack_force_n
         np.testing.assert_array_equal(other, found[window])
     assert len(found["0.05"]) < len(found["0.02"])  # it looks further back
+
+
+def test_simulate_says_what_it_takes_for_an_input_that_is_not_there(
+    tmp_path: Path, weave_truth: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = {name: np.array(weave_truth.columns[name][:3000]) for name in NAMES}
+    table["rack_force_n"][1000:] = np.nan
+    table["torque_sensor_nm"][:] = np.nan
+    table["motor_torque_nm"][500:1500] = np.inf
+    path = tmp_path / "holes.csv"
+    columns = np.column_stack(list(table.values()))
+    np.savetxt(path, columns, delimiter=",", header=",".join(table), comments="", fmt="%.9g")
+    words = ["simulate", "--model", MODEL, "--inputs", str(path), "--out", str(tmp_path / "s.csv")]
+    assert main(words) == 2
+    assert main([*words, "--gaps", "mark"]) == 0
+    told = capsys.readouterr().err
+    assert "motor_torque_nm: 1000 bad samples: drawn straight between the good ones" in told
+    assert "motor_torque_nm: 1 gaps, the longest of 1 s at 0.499 s: drawn straight" in told
+    assert "torque_sensor_nm has no good sample: taken as zero" in told
+    assert "rack_force_n has no good sample" not in told
+
+
+def test_a_time_in_ms_is_asked_for(
+    tmp_path: Path, weave_truth: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = {name: weave_truth.columns[name][:2000] for name in NAMES}
+    table["time_s"] = table["time_s"] * 1e3
+    path = tmp_path / "ms.csv"
+    columns = np.column_stack(list(table.values()))
+    np.savetxt(path, columns, delimiter=",", header=",".join(table), comments="", fmt="%.9g")
+    for verb in ("estimate", "compare"):
+        assert main([verb, str(path), "--model", MODEL]) == 2
+        said = capsys.readouterr().err
+        assert "motor_speed_rad_s has a value every 1 s" in said
+        assert "is the time in ms?" in said

@@ -193,3 +193,68 @@ def test_no_table_loads_pandas(tmp_path: Path) -> None:
     )
     words = [sys.executable, "-c", program, str(path), str(tmp_path / "a.csv")]
     subprocess.run(words, check=True)
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_two_clocks_that_say_something_else_are_told(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"a.{kind}"
+
+    def notes(seconds: list[float], t_ns: list[int]) -> tuple[str, ...]:
+        columns = {"time_s": seconds, "time_ns": t_ns, "motor_torque_nm": [1.0, 2.0, 3.0]}
+        if kind == "parquet":
+            _parquet(path, columns)
+        else:
+            rows = [",".join(map(str, row)) for row in zip(*columns.values(), strict=True)]
+            path.write_text("\n".join([",".join(columns), *rows]) + "\n", encoding="utf-8")
+        read = read_recording(path)
+        assert read.series["motor_torque_nm"].t_ns.tolist() == t_ns
+        return read.notes
+
+    epoch = 1_757_617_431_821_276_124
+    assert notes([0.0, 0.1, 0.2], [0, 100_000_000, 200_000_000]) == ()
+    stamps = [epoch, epoch + 1_000_001, epoch + 2_000_003]
+    assert notes([one / 1e9 for one in stamps], stamps) == ()
+    said = "time_s and time_ns are up to 4.8 s apart: time_ns is taken"
+    assert notes([0.0, 0.1, 5.0], [0, 100_000_000, 200_000_000]) == (said,)
+
+
+def test_dates_and_durations_are_a_parquet_files_time(tmp_path: Path) -> None:
+    for kind in ("datetime64[ns]", "timedelta64[us]"):
+        name, _, unit = kind.partition("[")
+        clock = np.array([0, 1000, 2500], f"{name}[ms]").astype(f"{name}[{unit}")
+        path = _parquet(tmp_path / "a.parquet", {"time_s": clock, "motor_torque_nm": [1, 2, 3]})
+        t_ns = read_recording(path).series["motor_torque_nm"].t_ns
+        assert t_ns.tolist() == [0, 1_000_000_000, 2_500_000_000]
+
+
+@pytest.mark.parametrize("kind", ["mf4", "parquet"])
+@pytest.mark.parametrize(
+    ("name", "unit", "said"),
+    [
+        ("motor_torque_nm", "mNm", "taken as Nm"),
+        ("motor_speed_rad_s", "rpm", "taken as rad/s"),
+        ("motor_temperature_degc", "K", "taken as degC"),
+        ("motor_torque_nm", "N·m", ""),
+        ("motor_temperature_degc", "[°C]", ""),
+        ("lateral_acceleration_m_s2", "m/s²", ""),
+        ("rack_force_n", "", ""),
+    ],
+)
+def test_another_unit_in_the_file_is_told(
+    tmp_path: Path, kind: str, name: str, unit: str, said: str
+) -> None:
+    path, times = tmp_path / f"a.{kind}", np.array([0.0, 1.0, 2.0])
+    if kind == "mf4":
+        with asammdf.MDF(version="4.10") as mdf:
+            mdf.append([asammdf.Signal(np.ones(3), times, name=name, unit=unit)])
+            mdf.save(path)
+    else:
+        field = pyarrow.field(name, pyarrow.float64(), metadata={"unit": unit} if unit else None)
+        schema = pyarrow.schema([("time_s", pyarrow.float64()), field])
+        table = pyarrow.table({"time_s": times, name: np.ones(3)}, schema=schema)
+        pyarrow.parquet.write_table(table, path)
+    notes = read_recording(path).notes
+    if said:
+        assert notes == (f"{name}: the file says that its unit is '{unit}': {said}",)
+    else:
+        assert notes == ()
