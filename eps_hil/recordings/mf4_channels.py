@@ -42,7 +42,7 @@ def read_channels(path: Path, wanted: Sequence[str], *, events: bool = False) ->
         ]
         plain = [place for place in places if place[:2] not in masters]
         names = [name for _, _, name in plain]
-        check_once(path, "channels", names, wanted)
+        check_once(path, "", names, wanted, "channel")
         start_ns = epoch_ns(mdf.header.start_time)
         series: dict[str, Series] = {}
         groups: dict[str, int] = {}

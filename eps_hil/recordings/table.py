@@ -68,11 +68,13 @@ class NamedColumns:
     instants: bool = False
 
 
-def check_once(path: Path, place: str, names: Sequence[str], wanted: Collection[str]) -> None:
-    """Refuse a column that is asked for and there twice: nobody says which is meant."""
+def check_once(
+    path: Path, place: str, names: Sequence[str], wanted: Collection[str], what: str = "column"
+) -> None:
+    """Refuse what is asked for and there twice: nobody says which is meant."""
     for k, name in enumerate(names):
         if name in wanted and name in names[:k]:
-            raise InputError(path, place, f"column {shown(name)} is there twice", "remove one")
+            raise InputError(path, place, f"{what} {shown(name)} is there twice", "remove one")
 
 
 def usable_columns(

@@ -111,7 +111,7 @@ def test_bad_samples_are_refused_or_marked(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ([channel("spd", T, T)], "channels: column 'spd' is there twice"),
+        ([channel("spd", T, T)], "channel 'spd' is there twice"),
         (
             [channel("state", np.full(len(T), b"on"), T, encoding="utf-8")],
             "channel state: does not hold plain num",
