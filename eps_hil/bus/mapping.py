@@ -194,6 +194,13 @@ def load_mapping(path: str | Path) -> SignalMapping:
             path, "signals", "section is missing",
             "add 'signals:' with lines like 'motor_speed_rad_s: {message: M, signal: S}'",
         )  # fmt: skip
+    entries = content["signals"].values() if isinstance(content["signals"], dict) else ()
+    fields = set().union(*(one for one in entries if isinstance(one, dict)))
+    if fields & {"column", "sum"} and not fields & {"message", "signal"}:
+        raise InputError(
+            path, "signals", "maps columns of a table, not signals of a database",
+            "write lines like 'motor_speed_rad_s: {message: M, signal: S}'",
+        )  # fmt: skip
     mapping = yaml_file.validate(path, content, SignalMapping)
     for name, source in mapping.signals.items():
         problem = _misplaced(mapping, name, source)

@@ -34,7 +34,7 @@ from eps_hil.recordings.table import (
 from eps_hil.signals import TIME
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
+NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 _DIGITS = 28
 _WORTH_ARROW = 100_000
@@ -346,7 +346,7 @@ def _locate(path: Path, body: bytes, columns: dict[str, int]) -> None:
         cells = line.decode("utf-8", errors="backslashreplace").split(",")
         for name, index in columns.items():
             cell = cells[index].strip()
-            if cell and not NUMBER.fullmatch(cell) and not _NOT_FINITE.fullmatch(cell):
+            if cell and not NUMBER.fullmatch(cell) and not NOT_FINITE.fullmatch(cell):
                 refuse_cell(path, number, name, cell)
 
 

@@ -291,9 +291,10 @@ def _mf4(
     """The mapped channels, each on its own stamps, as those of canonical names are."""
     from eps_hil.recordings.mf4_channels import missing_channel, read_channels
 
-    found = read_channels(path, wanted.columns, events=events)
-    notes: Notes = ()
     clock, own = wanted.time.columns, wanted.time == Column(TIME)
+    asked = [name for name in wanted.columns if not (own and name == TIME)]
+    found = read_channels(path, asked, events=events)
+    notes: Notes = ()
     if not own and not any(name in found.series for name in clock):
         notes += (f"time is the file's own, in seconds: no channel {shown(clock[0])} beside it",)
         own = True

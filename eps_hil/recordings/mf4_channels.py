@@ -19,13 +19,12 @@ class Channels:
     """The channels asked for: NaN where a sample is bad (not finite, or marked invalid).
 
     ``group``: the channel group of each, whose samples share their stamps; ``names``: of all that
-    the file has; ``masters``: of those that are a group's time.
+    the file has, but a group's time.
     """
 
     series: dict[str, Series]
     group: dict[str, int]
     names: tuple[str, ...]
-    masters: tuple[str, ...]
 
 
 def read_channels(path: Path, wanted: Sequence[str], *, events: bool = False) -> Channels:
@@ -39,14 +38,14 @@ def read_channels(path: Path, wanted: Sequence[str], *, events: bool = False) ->
             (group, index, channel.name)
             for group, content in enumerate(mdf.groups)
             for index, channel in enumerate(content.channels)
+            if (group, index) not in masters
         ]
-        plain = [place for place in places if place[:2] not in masters]
-        names = [name for _, _, name in plain]
+        names = [name for _, _, name in places]
         check_once(path, "", names, wanted, "channel")
         start_ns = epoch_ns(mdf.header.start_time)
         series: dict[str, Series] = {}
         groups: dict[str, int] = {}
-        for group, index, name in plain:
+        for group, index, name in places:
             if name not in wanted:
                 continue
             signal = mdf.get(group=group, index=index, ignore_invalidation_bits=True)
@@ -64,8 +63,7 @@ def read_channels(path: Path, wanted: Sequence[str], *, events: bool = False) ->
                 )
             series[name], _ = samples_of(path, name, signal, start_ns)
             groups[name] = group
-    timing = tuple(name for group, index, name in places if (group, index) in masters)
-    return Channels(series, groups, tuple(dict.fromkeys(names)), timing)
+    return Channels(series, groups, tuple(dict.fromkeys(names)))
 
 
 def missing_channel(path: Path, name: str, channels: Channels) -> InputError:

@@ -18,6 +18,7 @@ import numpy as np
 
 from eps_hil.errors import InputError
 from eps_hil.recordings.csv_file import (
+    NOT_FINITE,
     NUMBER,
     LineOfRow,
     cells_of,
@@ -35,6 +36,9 @@ _UNIT_LINES = 3
 """At most so many lines of units stand between the names and the numbers."""
 _SIGNS = ";\t,"
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_NO_VALUE = {"n/a", "#n/a", "na", "null", "none", "missing"}
+_EDGES = (b" ,", b", ", b" \n", b"\n ", b"\t,", b",\t", b"\t\n", b"\n\t")
+"""Blanks around cells; those within them are nothing to look at."""
 _EXPORT = "export it again"
 
 
@@ -143,6 +147,11 @@ def _is_number(cell: str) -> bool:
     return bool(NUMBER.fullmatch(cell.strip().replace(",", ".")))
 
 
+def _is_value(cell: str) -> bool:
+    """A number, or what stands in the place of one."""
+    return _is_number(cell) or bool(NOT_FINITE.fullmatch(cell)) or cell.lower() in _NO_VALUE
+
+
 def _plain(path: Path, head: _Head, wanted: Sequence[str] | None) -> bytes:
     """What follows the names, commas between cells and points in numbers.
 
@@ -154,7 +163,7 @@ def _plain(path: Path, head: _Head, wanted: Sequence[str] | None) -> bytes:
         body = "".join(_unquoted(path, head, body, used)).encode("latin-1")
     elif head.sign != ",":
         body = body.replace(b",", b".").replace(head.sign.encode(), b",")
-    if b" " in body or b"\t" in body:
+    if body[:1] in (b" ", b"\t") or any(edge in body for edge in _EDGES):
         body = re.sub(rb"[ \t]*([,\n])[ \t]*", rb"\1", body.lstrip(b" \t"))
     return b"\n" * (head.line - 1) + body
 
@@ -188,7 +197,7 @@ def _without_units(path: Path, body: bytes, used: Collection[int], time: int) ->
         end = body.index(b"\n", begin)
         cells = [cell.decode("latin-1") for cell in body[begin:end].split(b",")]
         told = [(k, cells[k]) for k in used if k < len(cells)]
-        if any(_is_number(cell) and (cell != "1" or k == time) for k, cell in told):
+        if any(_is_value(cell) and (cell != "1" or k == time) for k, cell in told):
             return body[:begin].count(b"\n") * b"\n" + body[begin:]
         if any(cells):
             seen, last = seen + 1, number

@@ -68,6 +68,10 @@ def test_the_rig_mapping_covers_every_canonical_signal() -> None:
             ["line 2", "gain: is not a known field"],
         ),
         (
+            "signals:\n  motor_speed_rad_s: {column: n_rotor}",
+            ["signals", "maps columns of a table, not signals of a database"],
+        ),
+        (
             "signals:\n  motor_speed_rad_s: {derive_from: motor_angle_rad}",
             ["motor_angle_rad", "is not mapped"],
         ),

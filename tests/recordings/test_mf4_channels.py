@@ -93,6 +93,13 @@ def test_a_channel_that_the_mapping_names_is_the_time(tmp_path: Path) -> None:
         read(tmp_path, [[one[0], back]], time + "signals: {motor_torque_nm: {column: trq}}")
 
 
+def test_channels_of_the_times_name_are_left_alone(tmp_path: Path) -> None:
+    groups = [[channel(name, T, T), channel("time_s", T * 0, T)] for name in ("trq", "spd")]
+    mapping = "signals: {motor_torque_nm: {column: trq}, motor_speed_rad_s: {column: spd}}"
+    found = read(tmp_path, groups, mapping).series["motor_torque_nm"]
+    assert found.t_ns[-1] == START_NS + 5_999_000_000
+
+
 def test_bad_samples_are_refused_or_marked(tmp_path: Path) -> None:
     bits = np.zeros(len(T), bool)
     bits[100:105] = True

@@ -84,6 +84,8 @@ def test_as_tools_write_it(tmp_path: Path, content: str | bytes) -> None:
         (PLAIN.replace("1,2.5", "#1,2.5"), "line 3: begins with '#'; take the line out"),
         (PLAIN + "# end\n", "line 5: begins with '#'"),
         (PLAIN.replace("1.5", "n/a"), "line 2, column trq: 'n/a' is not a number"),
+        (PLAIN.replace("0,1.5", "n/a,n/a"), "line 2, column ms: 'n/a' is not a number"),
+        (PLAIN.replace("0,1.5", "nan,nan"), "line 2, column ms: is not a time in seconds"),
         (PLAIN.replace("0,1.5", "n/a,1.5"), "line 2, column ms: 'n/a' is not a number"),
         (PLAIN.replace("2.5", "#N/A"), "line 3, column trq: '#N/A' is not a number"),
         ("# a\n\n" + PLAIN.replace("2.5", "on"), "line 5, column trq: 'on' is not a number"),
