@@ -160,7 +160,7 @@ def fit_simulator(
     from eps_hil.fmu.fit import fit
     from eps_hil.fmu.traces import unmet
 
-    used, kept = _recordings(recordings), _recordings(holdouts)
+    used, kept = _recordings(recordings), _recordings(holdouts, least=0)
     together = _by_name([*used, *kept])
     with opened(Path(simulation), _columns(simulation_signals)) as simulator:
         notes = (*simulator.notes(), *unmet(simulator, together))
@@ -200,7 +200,7 @@ def diagnose(
     from eps_hil.diagnosis.diagnose import diagnose as run
 
     without_effects = known_effects(without_effects, "without_effects")
-    fitted, judged = _recordings(recordings), _recordings(holdouts)
+    fitted, judged = _recordings(recordings), _recordings(holdouts, least=0)
     together, rig = _by_name([*fitted, *judged]), _model(model)
     first = {one.name: together[one.name] for one in fitted}
     rest = {one.name: together[one.name] for one in judged}
@@ -291,13 +291,13 @@ def _check_gaps(gaps: str) -> None:
         raise InputError("gaps", "", f"is {gaps!r}", "'refuse' or 'mark'")
 
 
-def _recordings(sources: Sources) -> list[Recording]:
+def _recordings(sources: Sources, least: int = 1) -> list[Recording]:
     if isinstance(sources, Recording | str | Path):
         return [_recording(sources)]
     if isinstance(sources, Mapping) or not isinstance(sources, Iterable):
         raise _no_recording(sources)
     several = [_recording(one) for one in sources]
-    if not several:
+    if len(several) < least:
         raise InputError("recordings", "", "hold none", "give one or several")
     return several
 

@@ -268,3 +268,11 @@ def test_identify_and_diagnose_give_typed_results(other_rig: ModuleType, tmp_pat
     assert repr(told).startswith("<Identification from sweep.csv, weave.csv: ")
     assert told.plot()._repr_png_().startswith(b"\x89PNG")
     assert told.report(tmp_path / "identified.html").stat().st_size > 10_000
+
+
+def test_no_holdouts_are_none_and_not_a_mistake() -> None:
+    from eps_hil.api.jobs import _recordings
+
+    assert _recordings((), least=0) == []
+    with pytest.raises(eps_hil.EpsHilError, match="recordings: hold none"):
+        _recordings(())
