@@ -103,3 +103,11 @@ def test_a_data_frame(library: str) -> None:
 def test_a_mistake_names_its_place(columns: Any, said: str) -> None:
     with np.errstate(divide="ignore"), pytest.raises(InputError, match=re.escape(said)):
         from_arrays(columns, "drive")
+
+
+def test_two_clocks_that_say_something_else_are_told() -> None:
+    t_ns = np.arange(5) * 1_000_000
+    assert from_arrays(table(time_ns=t_ns)).notes == ()
+    made = from_arrays(table(time_ns=t_ns * 3))
+    assert made.series["motor_torque_nm"].t_ns.tolist() == (t_ns * 3).tolist()
+    assert made.notes == ("time_s and time_ns are up to 0.008 s apart: time_ns is taken",)
