@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from eps_hil.bus.live_senders import LISTEN_S
 from eps_hil.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def replay(
     paused: Annotated[bool, typer.Option("--paused", help="Begin paused.")] = False,
     listen: Annotated[
         float, typer.Option(min=0.1, help="Seconds to listen for live senders before sending.")
-    ] = 0.3,
+    ] = LISTEN_S,
     config: Annotated[
         Path | None, typer.Option(help="Bus, and which messages are commands, from this file.")
     ] = None,
