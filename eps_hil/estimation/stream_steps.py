@@ -57,7 +57,7 @@ _INCONSISTENT = int(Reason.INCONSISTENT)
 _SOUND = int(Reason.SETTLING | Reason.OUT_OF_RANGE)
 """What leaves the state itself sound, and worth going back to."""
 _BAD, _IMPLAUSIBLE = int(Reason.BAD_SAMPLE), int(Reason.IMPLAUSIBLE)
-_FAR_LESS = 0.25
+_FAR_LESS = 0.1
 """Share of a known variance of noise below which that of the last samples is believed."""
 _JUMP_NS = 1_000_000_000
 BATCH_ROWS = 11_000
