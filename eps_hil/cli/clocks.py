@@ -10,6 +10,8 @@ if TYPE_CHECKING:
 
     from eps_hil.clocks.audit import Audit, ChannelAudit
 
+_SHOWN = 3
+
 
 def register(app: typer.Typer) -> None:
     """Add the verb."""
@@ -83,19 +85,20 @@ def _show(console: "object", found: "Audit") -> None:
             console.print(f"  {line}")
     for pair in found.pairs:
         console.print(
-            f"{pair.channel} against {pair.reference}: {1e3 * pair.offset_s:+.4f} ms at the start "
-            f"(± {1e3 * pair.offset_half_width_s:.4f}), {pair.drift_ppm:+.2f} ppm "
+            f"{pair.channel} against {pair.reference}: {_offset(pair.offset_s)} at the start "
+            f"(± {1e3 * pair.offset_half_width_s:.4f} ms), {pair.drift_ppm:+.2f} ppm "
             f"(± {pair.drift_half_width_ppm:.2f}), by {pair.pairs} frames that both have"
         )
+        if pair.within_s is not None:
+            console.print(f"  payloads repeat: right if the clocks are within {pair.within_s:g} s")
         for step in pair.line.steps:
             console.print(f"  {1e3 * step.by_s:+.3f} ms from {step.at_s:.1f} s on")
-    known = {found.reference, *(pair.channel for pair in found.pairs)}
-    for channel in found.channels:
-        if channel.channel.name not in known:
-            console.print(
-                f"{channel.channel.name}: no frame in common with {found.reference}: their clocks "
-                "cannot be compared"
-            )
+    for untied in found.untied:
+        console.print(f"{untied.channel} against {untied.reference}: {untied.why}")
+
+
+def _offset(seconds: float) -> str:
+    return f"{1e3 * seconds:+.4f} ms" if abs(seconds) < 10.0 else f"{seconds:+.6f} s"
 
 
 def _headline(channel: "ChannelAudit") -> str:
@@ -103,7 +106,7 @@ def _headline(channel: "ChannelAudit") -> str:
 
 
 def _rows(channel: "ChannelAudit") -> "Iterator[list[str]]":
-    from eps_hil.clocks.cadence import FEWEST
+    from eps_hil.clocks.jumps import FEWEST
 
     for message, told in channel.messages:
         name, frames = message.name, str(len(message.t_ns))
@@ -124,13 +127,33 @@ def _rows(channel: "ChannelAudit") -> "Iterator[list[str]]":
 
 
 def _remarks(channel: "ChannelAudit") -> "Iterator[str]":
-    count, most_ns = channel.channel.went_back
+    count, most_ns = channel.went_back
     if count:
         yield f"{count} frames stand before an earlier one, by up to {most_ns * 1e-6:.3g} ms"
+    or_less = {jump.at_s: jump.or_less_s for jump in channel.jumps}
     for step in channel.steps:
-        yield f"the clock steps by {1e3 * step.by_s:+.3f} ms at {step.at_s:.1f} s"
+        less = or_less.get(step.at_s)
+        lost = (
+            ""
+            if less is None
+            else (f"; by multiples of {1e3 * less:.4g} ms less if all messages lost frames then")
+        )
+        yield f"the clock steps by {1e3 * step.by_s:+.3f} ms at {step.at_s:.1f} s{lost}"
+    yield from _silences(channel)
+    single = sum(told is not None for _, told in channel.messages) == 1
+    why = " or the clock stepped: one message does not tell" if single else ""
     for name, step in channel.slipped:
         yield (
             f"{name} comes {1e3 * abs(step.by_s):.3f} ms {'later' if step.by_s > 0 else 'earlier'} "
-            f"from {step.at_s:.1f} s on: its place in its sender's schedule moved"
+            f"from {step.at_s:.1f} s on: its place in its sender's schedule moved{why}"
         )
+
+
+def _silences(channel: "ChannelAudit") -> "Iterator[str]":
+    for silence in sorted(channel.silences, key=lambda one: -one.for_s)[:_SHOWN]:
+        yield (
+            f"no message for {1e3 * silence.for_s:.6g} ms from {silence.at_s:.1f} s on: lost "
+            "cycles, a pause, or a step of the clock; nothing tells, and nothing is corrected"
+        )
+    if len(channel.silences) > _SHOWN:
+        yield f"{len(channel.silences) - _SHOWN} more of these, shorter ones"

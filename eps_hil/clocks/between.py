@@ -1,21 +1,19 @@
 """Two channels' clocks against each other, by frames that both have (a gateway, two interfaces)."""
 
-from collections import defaultdict, deque
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.clocks.cadence import Line, line_with_steps
-from eps_hil.clocks.stamps import Channel, Message
+from eps_hil.clocks.cadence import Line, line_with_steps, moved_to
+from eps_hil.clocks.same_frames import FEWEST, Ambiguous, Same, same_frames
+from eps_hil.clocks.stamps import Channel
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
-FEWEST = 50
-_APART_NS = 500_000_000
-"""Frames of equal content further apart than this are not the same frame."""
-_MOST = 40_000
-_BLOCKS = 60
+_BLOCKS = 240
+_PER_BLOCK = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,72 +26,81 @@ class Between:
     channel: str
     reference: str
     pairs: int
+    base_ns: int
+    """A whole part of the difference: clocks may be years apart."""
     line: Line
-    """The difference over time since the log's start, s, with its steps."""
+    """What is beyond it over time since the reference's first stamp, s, with steps that the
+    channels by themselves did not show."""
     offset_s: float
     offset_half_width_s: float
     drift_ppm: float
     drift_half_width_ppm: float
     jitter_s: float
+    within_s: float | None
+    """How near the clocks were taken to be, as payloads repeat; None where nothing was taken."""
+
+    def on_reference(self, t_ns: Integers, reference_start_ns: int) -> Integers:
+        """Stamps (n,) of the channel by the reference's clock."""
+        rough = t_ns - self.base_ns
+        late_s = self.line.at(np.asarray((rough - reference_start_ns) * 1e-9, np.float64))
+        at_s: Floats = np.asarray((rough - reference_start_ns) * 1e-9 - late_s, np.float64)
+        return np.asarray(rough - np.round(self.line.at(at_s) * 1e9).astype(np.int64))
 
 
-def between(
-    channel: Channel, reference: Channel, start_ns: int, least_s: float = 30e-6
-) -> Between | None:
-    """How ``channel``'s clock lies to the ``reference``'s; None where no frame is on both.
+@dataclass(frozen=True, slots=True)
+class Untied:
+    """A channel whose clock cannot be compared, and why, in words."""
+
+    channel: str
+    reference: str
+    why: str
+
+
+def between(channel: Channel, reference: Channel, least_s: float = 30e-6) -> Between | Untied:
+    """How ``channel``'s clock lies to the ``reference``'s, both without their own jumps.
 
     ``least_s``: smallest step that is looked for.
     """
-    theirs = {(one.can_id, one.extended): one for one in reference.messages}
-    at, apart = [], []
-    for one in channel.messages:
-        other = theirs.get((one.can_id, one.extended))
-        if other is not None:
-            a, b = _same_frames(one, other)
-            at.append(b)
-            apart.append(a - b)
-    t_ns = np.concatenate(at) if at else np.zeros(0, np.int64)
-    if len(t_ns) < FEWEST:
-        return None
-    order = np.argsort(t_ns, kind="stable")
-    t: Floats = np.asarray((t_ns - start_ns)[order] * 1e-9, np.float64)
-    difference: Floats = np.asarray(np.concatenate(apart)[order] * 1e-9, np.float64)
-    groups = np.array_split(np.arange(len(t)), min(_BLOCKS, max(len(t) // 8, 2)))
+    same = same_frames(channel, reference)
+    if not isinstance(same, Same):
+        return Untied(channel.name, reference.name, _why(same))
+    start_ns = int(reference.t_ns[0])
+    apart_ns = same.t_ns - same.reference_ns
+    base_ns = int(np.median(apart_ns))
+    t: Floats = np.asarray((same.reference_ns - start_ns) * 1e-9, np.float64)
+    difference: Floats = np.asarray((apart_ns - base_ns) * 1e-9, np.float64)
+    blocks = min(_BLOCKS, max(len(t) // _PER_BLOCK, 2))
+    groups = np.array_split(np.arange(len(t)), blocks)
     middle = np.array([float(np.mean(t[g])) for g in groups], np.float64)
     usual = np.array([float(np.median(difference[g])) for g in groups], np.float64)
-    line = line_with_steps(middle, usual, least_s)
+    line = moved_to(line_with_steps(middle, usual, least_s), t, difference)
     before = float(line.at(np.zeros(1))[0])
     wide = float(np.hypot(line.errors[0], line.middle_s * line.slope_sigma))
-    jitter = np.subtract(difference, line.at(t))
+    jitter = difference - line.at(t)
     return Between(
         channel=channel.name,
         reference=reference.name,
         pairs=len(t),
+        base_ns=base_ns,
         line=line,
-        offset_s=before,
+        offset_s=base_ns * 1e-9 + before,
         offset_half_width_s=1.96 * wide,
         drift_ppm=1e6 * line.slope,
         drift_half_width_ppm=1.96e6 * line.slope_sigma,
         jitter_s=float(np.sqrt(np.mean(jitter**2))),
+        within_s=same.within_s,
     )
 
 
-def _same_frames(
-    one: Message, other: Message
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Stamps of both for the frames of equal content that are next to each other in time."""
-    waiting: dict[bytes, deque[int]] = defaultdict(deque)
-    for t, data in zip(other.t_ns[:_MOST].tolist(), other.data, strict=False):
-        waiting[data].append(t)
-    mine, theirs = [], []
-    for t, data in zip(one.t_ns[:_MOST].tolist(), one.data, strict=False):
-        queue = waiting.get(data)
-        while queue and queue[0] < t - _APART_NS:
-            queue.popleft()
-        # the next of the same content is nearer where this one was lost on one channel
-        while queue and len(queue) > 1 and abs(queue[1] - t) < abs(queue[0] - t):
-            queue.popleft()
-        if queue and abs(queue[0] - t) <= _APART_NS:
-            mine.append(t)
-            theirs.append(queue.popleft())
-    return np.array(mine, dtype=np.int64), np.array(theirs, dtype=np.int64)
+def _why(same: Ambiguous | None) -> str:
+    if same is None:
+        return f"fewer than {FEWEST} frames in common, by id and payload: cannot be compared"
+    nearest, apart = same.nearest_ns * 1e-9, same.apart_ns * 1e-9
+    return (
+        f"payloads repeat: {_time(nearest)} fits, and so do others, {_time(apart)} and more from "
+        "it; nothing is corrected by it"
+    )
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.3f} s" if abs(seconds) >= 10.0 else f"{1e3 * seconds:.1f} ms"

@@ -6,10 +6,12 @@ straight line, but for steps.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+
+from eps_hil.clocks.jumps import CYCLIC, FEWEST
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -20,11 +22,9 @@ NOMINAL_MS = (
 )
 """Cycle times that are in use; a sender's quartz is within :data:`QUARTZ` of one of them."""
 QUARTZ = 500e-6
-FEWEST = 64
-"""Frames below which nothing is said of a message's clock."""
-_CYCLIC = 0.3
-"""Of the usual interval: a message whose middle half of intervals spreads more is not cyclic."""
 _BLOCK_S = 0.5
+_MOST_BLOCKS = 600
+"""Of a long log; the search for a step takes the square of it."""
 _FEWEST_BLOCKS = 12
 _STEP_SIGMA, LEAST_STEP_NS = 6.0, 30_000.0
 _LESS = 0.9
@@ -58,7 +58,8 @@ class Cadence:
     ``period_s``: by the logger's clock. ``nominal_s``: the usual cycle time next to it, None where
     none is within 500 ppm. ``drift_ppm``, ``drift_ci95``: how much slower than nominal the sender
     runs by the logger's clock. ``late_p50_s``, ``late_p99_s``, ``late_max_s``: of the stamps beyond
-    the envelope. ``lost``: cycles without a frame.
+    the envelope. ``lost``: cycles without a frame. ``at_jumps``: what is left of known jumps of the
+    clock, as far as this message tells.
     """
 
     frames: int
@@ -73,6 +74,8 @@ class Cadence:
     steps: tuple[Step, ...]
     envelope_s: float
     """Deviation of the envelope's blocks from the line: what the clock's own noise is."""
+    block_s: float
+    at_jumps: tuple[Step, ...] = ()
 
 
 def resolution_ns(t_ns: Integers) -> int:
@@ -83,25 +86,30 @@ def resolution_ns(t_ns: Integers) -> int:
     return 1
 
 
-def cadence(t_ns: Integers, start_ns: int, resolution: int = 1) -> Cadence | None:
+def cadence(
+    t_ns: Integers, start_ns: int, resolution: int = 1, jumps_s: Sequence[float] = ()
+) -> Cadence | None:
     """The clock of one message; None where it has too few frames or is not cyclic.
 
-    ``t_ns`` (n,): stamps; ``start_ns``: where times count from; ``resolution``: of stamps, ns.
+    ``t_ns`` (n,): stamps; ``start_ns``: where times count from; ``resolution``: of stamps, ns;
+    ``jumps_s``: when jumps were that have been taken out roughly.
     """
     if len(t_ns) < FEWEST:
         return None
     t = np.sort(t_ns - start_ns).astype(np.float64) * 1e-9
     usual = float(np.median(np.diff(t)))
     low, high = np.percentile(np.diff(t), [25, 75])
-    if usual <= 0.0 or high - low > 2.0 * _CYCLIC * usual:
+    if usual <= 0.0 or high - low > 2.0 * CYCLIC * usual:
         return None
     cycle, period = _cycles(t, usual)
-    per_block = max(round(_BLOCK_S / period), 8)
+    cycles = float(cycle[-1] - cycle[0])
+    per_block = max(round(_BLOCK_S / period), 8, int(np.ceil(cycles / _MOST_BLOCKS)))
     place, low_s = _envelope(t, cycle, period, per_block)
     if len(place) < _FEWEST_BLOCKS:
         return None
     least_s = max(LEAST_STEP_NS, _COARSE * resolution) * 1e-9
-    line = line_with_steps(place * period, low_s, least_s)
+    first_s = float(t[0] - cycle[0] * period)
+    line = line_with_steps(place * period, low_s, least_s, [at - first_s for at in jumps_s])
     late = np.maximum(t - cycle * period - line.at(cycle * period), 0.0)
     period *= 1.0 + line.slope
     nominal = min((ms * 1e-3 for ms in NOMINAL_MS), key=lambda one: abs(period / one - 1.0))
@@ -119,9 +127,30 @@ def cadence(t_ns: Integers, start_ns: int, resolution: int = 1) -> Cadence | Non
         late_p99_s=float(p99),
         late_max_s=float(np.max(late)),
         lost=max(int(cycle[-1] - cycle[0]) + 1 - len(t), 0),
-        steps=line.steps,
+        steps=tuple(_later(one, first_s) for one in line.steps if one.at_s not in line.known_s),
         envelope_s=line.spread_s,
+        block_s=per_block * period,
+        at_jumps=tuple(_later(one, first_s) for one in line.steps if one.at_s in line.known_s),
     )
+
+
+def located(step: Step, t_ns: Integers, start_ns: int, told: Cadence) -> Step:
+    """A step of one message at the very frame, not between two blocks."""
+    near = 2.0 * told.block_s
+    t = np.sort(t_ns - start_ns) * 1e-9
+    t = t[slice(*np.searchsorted(t, [step.at_s - near, step.at_s + near]))]
+    first = t[t < step.at_s - 0.5 * told.block_s]
+    if len(first) < 4:
+        return step
+    period = told.period_s
+    rest = (t - t[0] + 0.5 * period) % period - 0.5 * period
+    rest = (rest - float(np.median(rest[: len(first)])) + 0.25 * period) % period - 0.25 * period
+    by = (step.by_s + 0.25 * period) % period - 0.25 * period
+    return replace(step, at_s=float(t[_where(rest, by)]))
+
+
+def _later(step: Step, by_s: float) -> Step:
+    return replace(step, at_s=step.at_s + by_s)
 
 
 def _cycles(t: Floats, usual: float) -> tuple[Floats, float]:
@@ -180,6 +209,8 @@ class Line:
     numbers: Floats
     errors: Floats
     spread_s: float
+    known_s: tuple[float, ...] = ()
+    """Those of the cuts that were given."""
 
     @property
     def slope(self) -> float:
@@ -206,14 +237,18 @@ class Line:
         return np.asarray(columns @ self.numbers)
 
 
-def line_with_steps(at_s: Floats, low_s: Floats, least_s: float) -> Line:
-    """The line through blocks (n,); steps of ``least_s`` or more.
+def line_with_steps(
+    at_s: Floats, low_s: Floats, least_s: float, known_s: Sequence[float] = ()
+) -> Line:
+    """The line through blocks (n,); steps of ``least_s`` or more, and those at ``known_s``.
 
     A step is taken where it is clear of the blocks' scatter and that falls by a tenth by it.
     """
-    cuts: list[int] = []
+    cuts = _known_cuts(at_s, known_s)
+    known = tuple(float(0.5 * (at_s[k - 1] + at_s[k])) for k in cuts)
     line = _solved(at_s, low_s, cuts)
-    while len(cuts) < _MOST_STEPS:
+    most = _MOST_STEPS + len(cuts)
+    while len(cuts) < most:
         usable = [
             k for k in range(_EDGE, len(at_s) - _EDGE) if all(abs(k - one) >= _EDGE for one in cuts)
         ]
@@ -227,7 +262,36 @@ def line_with_steps(at_s: Floats, low_s: Floats, least_s: float) -> Line:
         if not clear or trial.spread_s > _LESS * line.spread_s:
             break
         cuts, line = more, trial
-    return line
+    return replace(line, known_s=known)
+
+
+def moved_to(line: Line, at_s: Floats, low_s: Floats) -> Line:
+    """The line with each cut at the very sample of (n,), not between two blocks of them."""
+    cuts = []
+    for at, step in zip(line.cuts_s, line.steps, strict=True):
+        edges = sorted([*line.cuts_s, at_s[0], at_s[-1]])
+        before = max(one for one in edges if one <= at and one != at)
+        after = min(one for one in edges if one > at)
+        a, b = np.searchsorted(at_s, [0.5 * (before + at), 0.5 * (at + after)])
+        rest = low_s[a:b] - line.at(at_s[a:b]) + step.by_s * (at_s[a:b] >= at)
+        cuts.append(float(at_s[a:b][_where(rest, step.by_s)]))
+    return replace(line, cuts_s=tuple(cuts))
+
+
+def _where(rest: Floats, by: float) -> int:
+    """The first of the samples (n,) that are higher by ``by`` than those before them."""
+    gain = np.abs(rest - by) - np.abs(rest)  # of what is said of a sample after the step
+    total = np.concatenate([[0.0], np.cumsum(gain)])
+    return min(int(np.argmax(total)), len(rest) - 1)
+
+
+def _known_cuts(at_s: Floats, known_s: Sequence[float]) -> list[int]:
+    """The blocks that known steps are before; none that would leave less than two to a level."""
+    cuts: list[int] = []
+    for k in np.searchsorted(at_s, np.sort(np.asarray(known_s, np.float64))).tolist():
+        if k - (cuts[-1] if cuts else 0) >= 2 and len(at_s) - k >= 2:
+            cuts.append(k)
+    return cuts
 
 
 def _columns(at_s: Floats, cuts: Sequence[int]) -> Floats:

@@ -1,6 +1,6 @@
 """A copy of a CAN log with the clocks put right: steps taken out, channels on one clock."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,9 +8,9 @@ import numpy as np
 
 from eps_hil.bus.frame import Frame
 from eps_hil.clocks.audit import Audit
-from eps_hil.clocks.cadence import Line
+from eps_hil.clocks.stamps import Stamps
 from eps_hil.errors import InputError
-from eps_hil.recordings.can_log import read_unordered_frames
+from eps_hil.recordings.can_log import LOOK_AHEAD_NS, read_unordered_frames
 from eps_hil.recordings.conversion import LOG_SUFFIXES, as_message, log_writer
 from eps_hil.recordings.files import replacing
 from eps_hil.recordings.mf4_bus import write_bus_mf4
@@ -27,42 +27,39 @@ def check_suffix(target: Path) -> None:
         raise InputError(target, "--out", problem, f"use {known}")
 
 
-def correction(found: Audit) -> Callable[[str, np.ndarray], np.ndarray]:
-    """``correct(channel, t_ns)``: stamps (n,) in ns -> what the reference's clock would say.
+def corrected_stamps(found: Audit) -> dict[str, Stamps]:
+    """By channel, for its frames in the order of the file: what the reference's clock would say.
 
-    The reference's own steps are taken out first. A channel without a frame in common with the
-    reference loses its steps, no more: nothing ties its clock to the other.
+    A channel without a frame in common with the reference loses its steps, no more: nothing ties
+    its clock to the other.
     """
-    steps = {one.channel.name: one.steps for one in found.channels}
-    lines: dict[str, Line] = {one.channel: one.line for one in found.pairs}
-
-    def correct(channel: str, t_ns: np.ndarray) -> np.ndarray:
-        at_s = (t_ns - found.start_ns) * 1e-9
-        late_s = np.zeros(len(t_ns))
-        if channel in lines:  # its difference to the reference has the steps of both
-            late_s += lines[channel].at(at_s)
-            on = steps[found.reference]
-        else:
-            on = steps[channel]
-        for step in on:
-            late_s += step.by_s * (at_s >= step.at_s)
-        return np.asarray(t_ns - np.round(late_s * _NS).astype(np.int64))
-
-    return correct
+    channels = {one.channel.name: one.straight for one in found.channels}
+    stamps = {name: one.t_ns for name, one in channels.items()}
+    start_ns = int(channels[found.reference].t_ns[0])
+    for pair in found.pairs:
+        stamps[pair.channel] = pair.on_reference(stamps[pair.channel], start_ns)
+    return stamps
 
 
 def write_corrected(
     found: Audit, target: Path, on_progress: Callable[[float], None] | None = None
 ) -> int:
-    """Write the copy, in the order of the corrected stamps; return its number of frames."""
+    """Write the copy, in the order of the corrected stamps; return its number of frames.
+
+    Frames of one channel stay in the order of the file. :class:`InputError` where one clock went
+    back and by how much could not be told.
+    """
     check_suffix(target)
+    stamps_of = corrected_stamps(found)
+    _check_rising(found, stamps_of)
     tagged = list(read_unordered_frames(found.path, on_progress))
-    correct = correction(found)
-    stamps = np.array([frame.t_ns for _, frame in tagged], dtype=np.int64)
+    stamps = np.zeros(len(tagged), dtype=np.int64)
+    place = np.zeros(len(tagged), dtype=np.int64)
     names = np.array([name for name, _ in tagged])
-    for name in dict.fromkeys(names.tolist()):
-        stamps[names == name] = correct(str(name), stamps[names == name])
-    order = np.argsort(stamps, kind="stable").tolist()
+    for name, t_ns in stamps_of.items():
+        stamps[names == name] = t_ns
+        place[names == name] = np.maximum.accumulate(t_ns)
+    order = np.argsort(place, kind="stable").tolist()
     source = found.path.suffix.lower()
     with replacing(target) as temporary:
         if target.suffix.lower() == ".mf4":
@@ -76,6 +73,15 @@ def write_corrected(
         finally:
             writer.stop()
     return len(tagged)
+
+
+def _check_rising(found: Audit, stamps_of: Mapping[str, Stamps]) -> None:
+    for name, t_ns in stamps_of.items():
+        back_ns = int(np.max(np.maximum.accumulate(t_ns) - t_ns, initial=0))
+        if back_ns > LOOK_AHEAD_NS:
+            problem = f"the clock of {name} goes back by {back_ns / _NS:.6g} s or more"
+            remedy = "no cyclic message tells by how much: split the log there"
+            raise InputError(found.path, "--out", problem, remedy)
 
 
 def _at(frame: Frame, t_ns: int) -> Frame:

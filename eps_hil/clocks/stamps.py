@@ -1,7 +1,7 @@
 """The receive stamps of a CAN log by channel and message, in the order of the file."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +15,17 @@ Stamps = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Stamps (n,) in ns of one CAN id on one channel, and its payloads in the same order."""
+    """Stamps (n,) in ns of one CAN id on one channel, and its payloads in the same order.
+
+    ``frame`` (n,): which frames of the channel they are, in the order of the file.
+    """
 
     channel: str
     can_id: int
     extended: bool
     t_ns: Stamps
     data: tuple[bytes, ...]
+    frame: Stamps
 
     @property
     def name(self) -> str:
@@ -36,6 +40,11 @@ class Channel:
     name: str
     t_ns: Stamps
     messages: tuple[Message, ...]
+
+    def with_stamps(self, t_ns: Stamps) -> "Channel":
+        """The same frames with other stamps (n,), in the order of the file."""
+        messages = tuple(replace(one, t_ns=t_ns[one.frame]) for one in self.messages)
+        return replace(self, t_ns=t_ns, messages=messages)
 
     @property
     def went_back(self) -> tuple[int, int]:
@@ -52,23 +61,28 @@ def read_channels(
     stamps: dict[str, list[int]] = {}
     by_id: dict[tuple[str, int, bool], tuple[list[int], list[bytes]]] = {}
     for channel, frame in read_unordered_frames(path, on_progress):
-        stamps.setdefault(channel, []).append(frame.t_ns)
+        all_of = stamps.setdefault(channel, [])
+        all_of.append(frame.t_ns)
         if frame.error or frame.remote:
             continue
-        times, payloads = by_id.setdefault((channel, frame.can_id, frame.extended), ([], []))
-        times.append(frame.t_ns)
+        places, payloads = by_id.setdefault((channel, frame.can_id, frame.extended), ([], []))
+        places.append(len(all_of) - 1)
         payloads.append(frame.data)
     if not stamps:
         raise InputError(path, "", "holds no CAN frame", "check that it is a CAN log")
     return tuple(
-        Channel(
-            name,
-            np.array(all_ns, dtype=np.int64),
-            tuple(
-                Message(name, can_id, extended, np.array(times, dtype=np.int64), tuple(payloads))
-                for (on, can_id, extended), (times, payloads) in sorted(by_id.items())
-                if on == name
-            ),
-        )
-        for name, all_ns in stamps.items()
+        _channel(name, np.array(all_ns, dtype=np.int64), by_id) for name, all_ns in stamps.items()
     )
+
+
+def _channel(
+    name: str,
+    t_ns: Stamps,
+    by_id: dict[tuple[str, int, bool], tuple[list[int], list[bytes]]],
+) -> Channel:
+    messages = []
+    for (on, can_id, extended), (places, payloads) in sorted(by_id.items()):
+        if on == name:
+            frame = np.array(places, dtype=np.int64)
+            messages.append(Message(name, can_id, extended, t_ns[frame], tuple(payloads), frame))
+    return Channel(name, t_ns, tuple(messages))

@@ -1,0 +1,66 @@
+"""Counters in payloads, found without a database: they tell lost frames from a clock's step."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Integers = npt.NDArray[np.int64]
+
+FEWEST = 32
+_BY_ONE = 0.8
+"""Share of frames that count one more than the one before; the others are losses and restarts."""
+_CARRIED = 0.98
+_SMALLEST = 4
+_MOST_BYTES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Counter:
+    """Values (n,) that count frames, modulo ``modulus``."""
+
+    values: Integers
+    modulus: int
+
+    def lost_between(self, before: int, after: int) -> int:
+        """Frames that were sent between two of the log, modulo ``modulus``."""
+        return int((self.values[after] - self.values[before] - 1) % self.modulus)
+
+
+def find_counter(data: Sequence[bytes]) -> Counter | None:
+    """The widest counter in a message's payloads; None where there is none."""
+    size = len(data[0]) if data else 0
+    if len(data) < FEWEST or not size or any(len(one) != size for one in data):
+        return None
+    content = np.frombuffer(b"".join(data), np.uint8).reshape(len(data), size).astype(np.int64)
+    for place in range(size):
+        if _counts(content[:, place], 256):
+            return _widened(content, place)
+    parts = [part for column in content.T for part in (column, column & 15, column >> 4)]
+    for values in parts:
+        modulus = int(np.max(values)) + 1
+        if modulus >= _SMALLEST and _counts(values, modulus):
+            return Counter(values, modulus)
+    return None
+
+
+def _counts(values: Integers, modulus: int) -> bool:
+    return float(np.mean(np.diff(values) % modulus == 1)) > _BY_ONE
+
+
+def _widened(content: Integers, place: int) -> Counter:
+    """With the bytes that take the carry, on the side on which there are some."""
+    for side in (-1, 1):
+        values, modulus, at = content[:, place], 256, place + side
+        while 0 <= at < content.shape[1] and modulus < 256**_MOST_BYTES:
+            next_byte = content[:, at]
+            one_more = np.diff(values) % modulus == 1
+            carry = (values[1:] == 0)[one_more]
+            moved = (np.diff(next_byte) % 256)[one_more]
+            if not np.any(carry) or np.mean(moved[carry] == 1) < _CARRIED or np.any(moved[~carry]):
+                break
+            values, modulus, at = values + modulus * next_byte, modulus * 256, at + side
+        if modulus > 256:
+            return Counter(values, modulus)
+    return Counter(content[:, place], 256)
