@@ -60,8 +60,10 @@ class ChannelAudit:
 
     @property
     def went_back(self) -> tuple[int, int]:
-        """Frames before an earlier one of the file, without the jumps, and the most, ns."""
-        return without_jumps(self.channel, self.jumps).went_back
+        """Frames before an earlier one of the file, but for steps of the clock; the most, ns."""
+        back = -np.diff(self.channel.t_ns)
+        back[[one.frame - 1 for one in self.jumps]] = 0
+        return int(np.sum(back > 0)), int(np.max(back, initial=0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,10 +280,11 @@ def _with_step(one: ChannelAudit, when_ns: int, by_s: float, sigma_s: float) -> 
             return _judged(one.channel, _in_order([*one.jumps, jump]), rest)
     as_told = Step(when_s + sum(j.by_s for j in one.jumps if j.at_s <= when_s), by_s, sigma_s)
     for name, slip in one.slipped:
-        told = next(told for message, told in one.messages if message.name == name)
+        message, told = next(both for both in one.messages if both[0].name == name)
         if told is not None and _alike_in(as_told, slip, told):
+            at_s = located(Step(when_s, slip.by_s, sigma_s), message.t_ns, start_ns, told).at_s
             risen = np.maximum.accumulate(one.straight.t_ns)
-            frame = int(np.searchsorted(risen, when_ns - round(0.5e9 * told.period_s)))
+            frame = int(np.searchsorted(risen, start_ns + round(1e9 * (at_s - 0.5e-6))))
             last_s = (int(one.channel.t_ns[max(frame - 1, 0)]) - start_ns) * 1e-9
             jump = Jump(max(frame, 1), last_s, by_s, sigma_s)
             return _judged(one.channel, _in_order([*one.jumps, jump]), one.silences)

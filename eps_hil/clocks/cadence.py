@@ -33,6 +33,7 @@ _MOST_STEPS = 8
 _EDGE = 3
 """Blocks at either end, and between steps, in which no step is looked for."""
 _RESOLUTIONS_NS = tuple(10**k for k in range(9, -1, -1))
+_MOST_FITTED = 100_000
 _LOW = 5.0
 """Percentile of a block's stamps that stands for its earliest: a frame that is late by most of a
 cycle looks early in the next one, and there are few of those."""
@@ -158,18 +159,19 @@ def _cycles(t: Floats, usual: float) -> tuple[Floats, float]:
     period, first = usual, float(t[0])
     hi = min(FEWEST, len(t))
     while True:
-        cycle = np.round((t[:hi] - first) / period)
+        some = t[: hi : hi // _MOST_FITTED + 1]
+        cycle = np.round((some - first) / period)
         for _ in range(3):
-            rest = t[:hi] - first - cycle * period
+            rest = some - first - cycle * period
             centre = float(np.median(rest))
             good = np.abs(rest - centre) < 0.25 * period
             if np.sum(good) < 8:
                 break
-            slope, level = np.polyfit(cycle[good], t[:hi][good], 1)
+            slope, level = np.polyfit(cycle[good], some[good], 1)
             period, first = float(slope), float(level)
-            cycle = np.round((t[:hi] - first) / period)
+            cycle = np.round((some - first) / period)
         if hi == len(t):
-            return _in_order(cycle), period
+            return _in_order(np.round((t - first) / period)), period
         hi = min(2 * hi, len(t))
 
 

@@ -14,6 +14,7 @@ _BY_ONE = 0.8
 _CARRIED = 0.98
 _SMALLEST = 4
 _MOST_BYTES = 4
+_LOOKED_AT = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +34,16 @@ def find_counter(data: Sequence[bytes]) -> Counter | None:
     size = len(data[0]) if data else 0
     if len(data) < FEWEST or not size or any(len(one) != size for one in data):
         return None
-    content = np.frombuffer(b"".join(data), np.uint8).reshape(len(data), size).astype(np.int64)
+    content = np.frombuffer(b"".join(data), np.uint8).reshape(len(data), size)
+    some = content[:_LOOKED_AT].astype(np.int64)
     for place in range(size):
-        if _counts(content[:, place], 256):
-            return _widened(content, place)
-    parts = [part for column in content.T for part in (column, column & 15, column >> 4)]
-    for values in parts:
-        modulus = int(np.max(values)) + 1
-        if modulus >= _SMALLEST and _counts(values, modulus):
-            return Counter(values, modulus)
+        for shift, mask in ((0, 255), (0, 15), (4, 15)):
+            values = (some[:, place] >> shift) & mask
+            modulus = int(np.max(values)) + 1
+            if modulus >= _SMALLEST and _counts(values, modulus):
+                if modulus == 256:
+                    return _widened(content, some, place)
+                return Counter(((content[:, place] >> shift) & mask).astype(np.int64), modulus)
     return None
 
 
@@ -49,18 +51,20 @@ def _counts(values: Integers, modulus: int) -> bool:
     return float(np.mean(np.diff(values) % modulus == 1)) > _BY_ONE
 
 
-def _widened(content: Integers, place: int) -> Counter:
+def _widened(content: npt.NDArray[np.uint8], some: Integers, place: int) -> Counter:
     """With the bytes that take the carry, on the side on which there are some."""
     for side in (-1, 1):
-        values, modulus, at = content[:, place], 256, place + side
+        values, modulus, at = some[:, place], 256, place + side
+        whole = content[:, place].astype(np.int64)
         while 0 <= at < content.shape[1] and modulus < 256**_MOST_BYTES:
-            next_byte = content[:, at]
             one_more = np.diff(values) % modulus == 1
             carry = (values[1:] == 0)[one_more]
-            moved = (np.diff(next_byte) % 256)[one_more]
+            moved = (np.diff(some[:, at]) % 256)[one_more]
             if not np.any(carry) or np.mean(moved[carry] == 1) < _CARRIED or np.any(moved[~carry]):
                 break
-            values, modulus, at = values + modulus * next_byte, modulus * 256, at + side
+            values = values + modulus * some[:, at]
+            whole += modulus * content[:, at].astype(np.int64)
+            modulus, at = modulus * 256, at + side
         if modulus > 256:
-            return Counter(values, modulus)
-    return Counter(content[:, place], 256)
+            return Counter(whole, modulus)
+    return Counter(content[:, place].astype(np.int64), 256)

@@ -168,6 +168,10 @@ def _suspects(tracks: Sequence[_Track]) -> list[int]:
             unusual += there & (beyond > track.unusual)
             known += there
         frames = frames[unusual > _MOST_OF * known]
+        if len(tracks) == 1:  # only what one message alone can tell, see _of_one
+            only = tracks[0]
+            beyond = sign * only.excess[np.searchsorted(only.frame, frames) - 1]
+            frames = frames[beyond > (1.0 if sign < 0.0 else _SILENT_CYCLES - 1) * only.period]
         if len(frames) > _MOST_LOOKED_AT:  # a log full of losses: the longest are looked at
             fast = min(tracks, key=lambda one: one.period)
             k = np.clip(np.searchsorted(fast.frame, frames) - 1, 0, len(fast.excess) - 1)

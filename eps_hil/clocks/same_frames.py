@@ -17,6 +17,8 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 FEWEST = 50
+_MOST = 200_000
+"""Frames of a message that are looked for on the reference, evenly over the log."""
 _WINDOWS = 40
 _WINDOW_NS = 4_000_000_000
 _MOST_VOTERS = 256
@@ -154,21 +156,26 @@ def _centre(channel: Channel, reference: Channel) -> int:
 
 def _shared(one: Message, other: Message) -> _Shared:
     # the hash is of 64 bits: two payloads that share it do not occur
-    payloads = np.fromiter(map(hash, (*one.data, *other.data)), np.int64)
-    _, codes = np.unique(payloads, return_inverse=True)
-    codes = codes.astype(np.int64)
-    code, their_code = codes[: len(one.data)], codes[len(one.data) :]
-    order = np.lexsort((other.t_ns, their_code))
-    theirs, their_code = other.t_ns[order], their_code[order]
+    by_time = np.argsort(one.t_ns, kind="stable")
+    by_time = by_time[:: len(by_time) // _MOST + 1]
+    mine = np.fromiter((hash(one.data[k]) for k in by_time.tolist()), np.int64)
+    payload = np.fromiter(map(hash, other.data), np.int64)
+    order = np.lexsort((other.t_ns, payload))
+    theirs, payload = other.t_ns[order], payload[order]
+    begins = np.flatnonzero(np.diff(payload, prepend=payload[0] - 1))
+    their_code = np.zeros(len(payload), np.int64)
+    their_code[begins[1:]] = 1
+    their_code = np.cumsum(their_code)
+    kinds = payload[begins]
+    code = np.minimum(np.searchsorted(kinds, mine), len(kinds) - 1)
+    code[kinds[code] != mine] = len(kinds)  # not among the reference's
     apart = np.diff(theirs)[np.diff(their_code) == 0]
     wide = _WIDE_NS if not len(apart) else min(_WIDE_NS, int(_OF_REPEAT * float(np.median(apart))))
-    by_time = np.argsort(one.t_ns, kind="stable")
     first = int(theirs.min())
-    kinds = int(np.max(codes)) + 1
-    unit = int(theirs.max() - first + 4) * kinds // 2**62 + 1
+    unit = int(theirs.max() - first + 4) * (len(kinds) + 1) // 2**62 + 1
     span = int(theirs.max() - first) // unit + 3
     key = their_code * span + (theirs - first) // unit + 1
-    t, code = one.t_ns[by_time], code[by_time]
+    t = one.t_ns[by_time]
     return _Shared(t, code, theirs, their_code, max(wide, 1), first, unit, span, key)
 
 

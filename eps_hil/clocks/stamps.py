@@ -46,13 +46,6 @@ class Channel:
         messages = tuple(replace(one, t_ns=t_ns[one.frame]) for one in self.messages)
         return replace(self, t_ns=t_ns, messages=messages)
 
-    @property
-    def went_back(self) -> tuple[int, int]:
-        """Frames whose stamp is before the one ahead of them in the file, and the most, ns."""
-        back = -np.diff(self.t_ns)
-        there = back > 0
-        return int(np.sum(there)), int(np.max(back[there], initial=0))
-
 
 def read_channels(
     path: str | Path, on_progress: Callable[[float], None] | None = None
