@@ -147,7 +147,10 @@ def located(step: Step, t_ns: Integers, start_ns: int, told: Cadence) -> Step:
     rest = (t - t[0] + 0.5 * period) % period - 0.5 * period
     rest = (rest - float(np.median(rest[: len(first)])) + 0.25 * period) % period - 0.25 * period
     by = (step.by_s + 0.25 * period) % period - 0.25 * period
-    return replace(step, at_s=float(t[_where(rest, by)]))
+    k = _where(rest, by)
+    while 0 < k < len(t) - 1 and t[k] - by < t[k - 1]:  # a late frame before it: none overtakes
+        k += 1
+    return replace(step, at_s=float(t[k]))
 
 
 def _later(step: Step, by_s: float) -> Step:

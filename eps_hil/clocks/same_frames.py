@@ -34,6 +34,8 @@ _FITS = 0.75
 """Of the best share: another difference from here on fits as well."""
 _NEAR_NS = 50_000_000
 """A frame is matched this near to the coarse difference, and no other like it within twice."""
+_ECHO_NS = 500_000
+"""The same payload again within this is the logger's own frame, sent and received."""
 _FAST = 500e-6
 """Drift that two quartzes have at most."""
 _AROUND_NS = 100_000_000_000
@@ -170,6 +172,7 @@ def _shared(one: Message, other: Message) -> _Shared:
     code = np.minimum(np.searchsorted(kinds, mine), len(kinds) - 1)
     code[kinds[code] != mine] = len(kinds)  # not among the reference's
     apart = np.diff(theirs)[np.diff(their_code) == 0]
+    apart = apart[apart > _ECHO_NS]
     wide = _WIDE_NS if not len(apart) else min(_WIDE_NS, int(_OF_REPEAT * float(np.median(apart))))
     first = int(theirs.min())
     unit = int(theirs.max() - first + 4) * (len(kinds) + 1) // 2**62 + 1
@@ -304,8 +307,7 @@ def _matched(
     told = (left < 0) | (right < 0) | (left == right)  # two partners: one is chance
     chosen = np.where(told, np.maximum(left, right), -1)
     mine = np.flatnonzero(chosen >= 0)
-    _, first, count = np.unique(chosen[mine], return_index=True, return_counts=True)
-    mine = mine[first[count == 1]]
+    mine = mine[np.unique(chosen[mine], return_index=True)[1]]
     return one.t[mine], one.theirs[chosen[mine]]
 
 
@@ -315,4 +317,6 @@ def _partners(one: _Shared, expected: Integers) -> Integers:
     high = one.place(one.code, expected + 2 * _NEAR_NS)
     place = np.clip(low, 0, len(one.theirs) - 1)
     near = np.abs(one.theirs[place] - expected) <= _NEAR_NS
-    return np.where((high - low == 1) & near, place, -1)
+    last = np.clip(high - 1, 0, len(one.theirs) - 1)
+    alone = (high > low) & (one.theirs[last] - one.theirs[place] <= _ECHO_NS)
+    return np.where(alone & near, place, -1)

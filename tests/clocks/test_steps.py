@@ -94,7 +94,8 @@ def test_several_steps_both_ways_and_one_too_small_for_single_frames(
     write_senders: Write,
 ) -> None:
     def clock(t: np.ndarray) -> np.ndarray:
-        return 1e3 + t + 13.1e-3 * (t > 7.0) - 0.1 * (t > 9.0) + 2e-4 * (t > 20.0)
+        late = 13.1e-3 * (t > 7.0) - 0.1 * (t > 9.0) + 2e-4 * (t > 20.0)
+        return np.asarray(1e3 + t + late)
 
     steps = only(write_senders({"can0": clock})).steps
     assert [one.by_s for one in steps] == pytest.approx([13.1e-3, -0.1, 2e-4], abs=1e-5)
