@@ -63,7 +63,11 @@ def clocks(
         if path in targets:
             with progress(f"writing {targets[path].name}") as bar:
                 count = write_corrected(found, targets[path], bar)
-            typer.echo(f"{count} frames written to {targets[path]}")
+            own = ", ".join(one.channel for one in found.untied)
+            typer.echo(
+                f"{count} frames written to {targets[path]}"
+                + (f"; {own}: by its own clock" * bool(own))
+            )
     if json is not None:
         write_json(json, told[0] if len(told) == 1 else {"schema": told[0]["schema"], "logs": told})
 

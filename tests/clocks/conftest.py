@@ -58,8 +58,9 @@ def write_senders(tmp_path: Path) -> Callable[..., Path]:
     """``write_senders(clocks, payload, ...)`` -> a candump log in the order of arrival.
 
     ``clocks``: by channel what its clock says at a true time (n,), s after the epoch. ``payload``:
-    ``rare`` (a counter of 32 bits), ``counter`` (of 4 bits), ``constant``. Messages of ``periods``
-    are 60 us late on average. ``silent``: from when and how long no message comes.
+    ``rare`` (a counter of 32 bits), ``counter`` (of 4 bits), ``wraps`` (after 2000), ``constant``.
+    Messages of ``periods`` are ``late_s`` late on average. ``silent``: from when and how long no
+    message comes.
     """
 
     def write(
@@ -68,6 +69,7 @@ def write_senders(tmp_path: Path) -> Callable[..., Path]:
         periods: tuple[float, ...] = (1e-3, 1e-2, 2e-2),
         seconds: float = 30.0,
         silent: tuple[float, float] = (0.0, 0.0),
+        late_s: float = 6e-5,
     ) -> Path:
         rng = np.random.default_rng(11)
         rows: list[tuple[float, float, str, int, str]] = []
@@ -76,9 +78,13 @@ def write_senders(tmp_path: Path) -> Callable[..., Path]:
             sent = 2e-4 * number + k * period * (1.0 + (8e-5, -4e-5, 1e-5)[number])
             there = (sent < silent[0]) | (sent >= sum(silent))
             for channel, clock in clocks.items():
-                t = np.sort(sent + rng.exponential(6e-5, len(k)))
+                t = np.sort(sent + rng.exponential(late_s, len(k)))
                 for at, stamp, n in zip(t[there], clock(t)[there], k[there].tolist(), strict=True):
-                    data = {"rare": n.to_bytes(4, "big"), "counter": bytes([7, n % 16])}
+                    data = {
+                        "rare": n.to_bytes(4, "big"),
+                        "counter": bytes([7, n % 16]),
+                        "wraps": (n % 2000).to_bytes(2, "big"),
+                    }
                     shown = data.get(payload, b"\x01\x02").hex()
                     rows.append((at, stamp, channel, 0x100 + number, shown))
         path = tmp_path / "senders.log"

@@ -41,6 +41,14 @@ def test_payloads_that_repeat_are_said_to_be_ambiguous_and_correct_nothing(
         assert np.array_equal(corrected_stamps(found)[one.channel.name], one.channel.t_ns)
 
 
+def test_a_log_that_a_payload_repeats_in_once_is_ambiguous_too(write_senders: Write) -> None:
+    # in its middle each payload is alone: there is no frame 20 s before or after
+    clocks = {"can0": clock(0.0), "can1": clock(37.1e-3)}
+    found = audit(write_senders(clocks, "wraps", (1e-2,)))
+    assert found.pairs == ()
+    assert "37.1 ms fits, and so do others, 20.00" in found.untied[0].why
+
+
 @pytest.mark.parametrize("offset_s", [0.6, -70.0, 12.3 - EPOCH])
 def test_clocks_far_apart_are_compared(write_senders: Write, offset_s: float) -> None:
     found = audit(write_senders({"can0": clock(0.0), "can1": clock(offset_s, ppm=10.0)}))

@@ -102,13 +102,41 @@ def test_several_steps_both_ways_and_one_too_small_for_single_frames(
     assert [one.at_s for one in steps] == pytest.approx([7.0, 9.013, 19.913], abs=0.02)
 
 
-def test_a_burst_after_a_stall_is_no_step(write_senders: Write) -> None:
+@pytest.mark.parametrize("payload", ["counter", "constant"])
+def test_bursts_after_stalls_are_no_steps(write_senders: Write, payload: str) -> None:
     def clock(t: np.ndarray) -> np.ndarray:
-        held = (t > 10.0) & (t < 10.05)
-        return np.asarray(1e3 + np.where(held, 10.05 + 1e-3 * (t - 10.0), t))
+        for start, stop in ((8.0, 8.05), (12.0, 12.031), (13.0, 13.012), (20.0, 20.25)):
+            t = np.where((t > start) & (t < stop), stop + 1e-2 * (t - start), t)
+        return np.asarray(1e3 + t)
 
-    channel = only(write_senders({"can0": clock}, "constant"))
+    channel = only(write_senders({"can0": clock}, payload))
     assert (channel.steps, channel.slipped, channel.silences) == ((), (), ())
+    assert lost(channel) == [0, 0, 0]
+
+
+def test_a_step_amid_late_frames_is_compared_modulo_each_messages_cycle(
+    write_senders: Write,
+) -> None:
+    # too small to stand out of single intervals; 3.3 ms are 1.7 ms early for a cycle of 5 ms
+    channel = only(
+        write_senders({"can0": stepping(3.3e-3)}, periods=(5e-3, 1e-2, 2e-2), late_s=5e-4)
+    )
+    (step,) = channel.steps
+    assert step.by_s == pytest.approx(3.3e-3, abs=5e-5)
+    assert channel.slipped == ()
+    assert channel.jumps == ()
+
+
+def test_a_frame_that_stands_out_of_order_stays_there(write_senders: Write, tmp_path: Path) -> None:
+    path = write_senders({"can0": stepping(-0.1)}, periods=(1e-2, 2e-2))
+    lines = path.read_text().splitlines(keepends=True)
+    lines[50:52] = lines[51:49:-1]
+    path.write_text("".join(lines))
+    found = audit(path)
+    assert found.channels[0].went_back[0] == 1
+    write_corrected(found, tmp_path / "copy.log")
+    copy = (tmp_path / "copy.log").read_text().upper().splitlines()
+    assert [line.split()[2] for line in copy] == [line.upper().split()[2] for line in lines]
 
 
 def test_one_message_shows_a_step_back_and_cannot_tell_a_pause_from_one_forward(
