@@ -127,18 +127,10 @@ def audit(path: str | Path, on_progress: Callable[[float], None] | None = None) 
 def _judged(channel: Channel, jumps: Sequence[Jump], silences: Sequence[Silence]) -> ChannelAudit:
     resolution = resolution_ns(channel.t_ns)
     start_ns = int(channel.t_ns[0])
-    clear_s = 1e-9 * resolution
-    while True:
-        straight = without_jumps(channel, jumps)
-        at = [float(straight.t_ns[one.frame] - start_ns) * 1e-9 for one in jumps]
-        found = tuple(
-            (one, cadence(one.t_ns, start_ns, resolution, at)) for one in straight.messages
-        )
-        finer = [_finer(one, at_s, found) for one, at_s in zip(jumps, at, strict=True)]
-        real = [abs(one.by_s) > max(_CLEAR * one.sigma_s, clear_s) for one in finer]
-        if all(real):
-            break
-        jumps = [one for one, is_real in zip(jumps, real, strict=True) if is_real]
+    rough = without_jumps(channel, jumps)
+    at = [float(rough.t_ns[one.frame] - start_ns) * 1e-9 for one in jumps]
+    found = tuple((one, cadence(one.t_ns, start_ns, resolution, at)) for one in rough.messages)
+    finer = [_finer(one, at_s, found) for one, at_s in zip(jumps, at, strict=True)]
     straight = without_jumps(channel, finer)
     common, alone = _common([(one, told) for one, told in found if told is not None], start_ns)
     same = float(np.mean(np.diff(np.sort(channel.t_ns)) == 0)) if len(channel.t_ns) > 1 else 0.0

@@ -193,8 +193,6 @@ def _across(track: _Track, frame: int, since: int, resolution_ns: int) -> _Inter
     if before is None or behind is None:
         return None
     excess = (behind[0] - before[0]) - track.period
-    if _caught_up(track, after, excess):
-        excess = 0.0
     sigma = float(np.hypot(before[1], behind[1])) + 0.3e-9 * resolution_ns
     sigma += _PERIOD_ERROR * abs(excess)
     counter = track.counter
@@ -202,16 +200,6 @@ def _across(track: _Track, frame: int, since: int, resolution_ns: int) -> _Inter
     modulus = 0 if counter is None else counter.modulus
     fell = bool(track.t[after] < track.t[after - 1])
     return _Interval(excess, sigma, track.period, lost, modulus, fell)
-
-
-def _caught_up(track: _Track, after: int, excess: float) -> bool:
-    """The frames were held up and came in one burst: the log has them all."""
-    held_up = round(excess / track.period)
-    last = after + 2 * held_up + _AROUND
-    if held_up < 1 or last >= len(track.t):
-        return False
-    took = track.t[last] - track.t[after]
-    return bool(took < (last - after - 0.5 * held_up) * track.period)
 
 
 def _instant(t: Floats, which: int, cycle: Floats, period: float) -> tuple[float, float] | None:
