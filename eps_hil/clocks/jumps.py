@@ -39,6 +39,7 @@ _FIT = 0.8
 """Share of the messages whose intervals a jump must explain."""
 _MOST_LOOKED_AT = 4_000
 _MOST_LOST = 4_000
+_NEXT = 1.5
 _SILENT_CYCLES = 10
 """Cycles that one message alone must lack before it is called a silence."""
 
@@ -246,7 +247,10 @@ def _told(
         return None
     silent = any(abs(one) <= _LEAST_S for one in fits)
     if silent and not decided:
-        return Silence(frame, at_s, size, len(across))
+        slow = max(across, key=lambda one: one.period)
+        # the quartzes of the senders differ: after a long silence only losses fit them all
+        whole = slow.excess - size < _NEXT * slow.period
+        return Silence(frame, at_s, size, len(across)) if whole else None
     others = [one for one in fits[1:] if abs(one) > _LEAST_S and one > 0.0]
     or_less = size - others[0] if others and not decided and size > 0.0 else None
     return Jump(frame, at_s, size, sigma, or_less)

@@ -68,9 +68,7 @@ def test_counters_tell_a_step_of_whole_cycles_from_lost_cycles(write_senders: Wr
     assert lost(silent) == pytest.approx([260, 26, 13], abs=1)
 
 
-@pytest.mark.parametrize(
-    ("by_s", "silent"), [(0.26, (0.0, 0.0)), (0.0, (AT_S, 0.26)), (0.0, (AT_S, 6.0))]
-)
+@pytest.mark.parametrize(("by_s", "silent"), [(0.26, (0.0, 0.0)), (0.0, (AT_S, 0.26))])
 def test_without_counters_a_step_of_whole_cycles_and_silence_are_one(
     write_senders: Write, by_s: float, silent: tuple[float, float]
 ) -> None:
@@ -79,6 +77,14 @@ def test_without_counters_a_step_of_whole_cycles_and_silence_are_one(
     (silence,) = channel.silences
     assert silence.for_s == pytest.approx(by_s + silent[1], abs=2e-3)
     assert silence.at_s == pytest.approx(AT_S, abs=5e-3)
+
+
+def test_after_a_long_silence_the_senders_quartzes_tell_that_frames_were_lost(
+    write_senders: Write,
+) -> None:
+    channel = only(write_senders({"can0": stepping(0.0)}, "constant", silent=(AT_S, 6.0)))
+    assert (channel.steps, channel.silences) == ((), ())
+    assert lost(channel) == pytest.approx([6000, 600, 300], abs=1)
 
 
 def test_a_forward_step_without_counters_says_how_much_losses_would_change(
