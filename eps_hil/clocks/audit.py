@@ -27,6 +27,7 @@ _CLEAR = 6.0
 _LEAST_S = 30e-6
 _MOST_OF = 0.5
 """Of a channel's cyclic messages that would show it: beyond, a step is the channel's clock's."""
+_TURNS = 3
 _SAME_STEP_S = 1e-3
 """Step between channels and silence on one of them: the same up to the stamps' lateness."""
 
@@ -108,29 +109,35 @@ class Audit:
 def audit(path: str | Path, on_progress: Callable[[float], None] | None = None) -> Audit:
     """Judge the stamps of a CAN log; :class:`InputError` where it is none."""
     channels = read_channels(path, on_progress)
-    judged = [_judged(one, *find_jumps(one, resolution_ns(one.t_ns))) for one in channels]
-    best = min(judged, key=lambda one: one.noise_s).channel.name
-    for _ in range(2):  # a second time where the channels told whose a step is
-        reference = next(one for one in judged if one.channel.name == best)
-        found = [
-            between(one.straight, reference.straight) for one in judged if one is not reference
-        ]
+    told = [judged(one, *find_jumps(one, resolution_ns(one.t_ns))) for one in channels]
+    best = min(told, key=lambda one: one.noise_s).channel.name
+    for turn in range(_TURNS):  # again where the channels told whose a step is
+        reference = next(one for one in told if one.channel.name == best)
+        found = [between(one.straight, reference.straight) for one in told if one is not reference]
         pairs = tuple(one for one in found if isinstance(one, Between))
-        told = _told_by_others(judged, best, pairs)
-        if all(one is other for one, other in zip(told, judged, strict=True)):
+        more = _told_by_others(told, best, pairs) if turn < _TURNS - 1 else told
+        if all(one is other for one, other in zip(more, told, strict=True)):
             break
-        judged = told
+        told = more
     untied = tuple(one for one in found if isinstance(one, Untied))
-    return Audit(Path(path), tuple(judged), best, pairs, untied)
+    return Audit(Path(path), tuple(told), best, pairs, untied)
 
 
-def _judged(channel: Channel, jumps: Sequence[Jump], silences: Sequence[Silence]) -> ChannelAudit:
+def judged(channel: Channel, jumps: Sequence[Jump], silences: Sequence[Silence]) -> ChannelAudit:
+    """One channel without regard to the others, its jumps roughly known."""
     resolution = resolution_ns(channel.t_ns)
     start_ns = int(channel.t_ns[0])
-    rough = without_jumps(channel, jumps)
-    at = [float(rough.t_ns[one.frame] - start_ns) * 1e-9 for one in jumps]
-    found = tuple((one, cadence(one.t_ns, start_ns, resolution, at)) for one in rough.messages)
-    finer = [_finer(one, at_s, found) for one, at_s in zip(jumps, at, strict=True)]
+    least_s = max(_LEAST_S, 1e-9 * resolution)
+    while True:
+        rough = without_jumps(channel, jumps)
+        at = [float(rough.t_ns[one.frame] - start_ns) * 1e-9 for one in jumps]
+        found = tuple((one, cadence(one.t_ns, start_ns, resolution, at)) for one in rough.messages)
+        finer = [_finer(one, at_s, found) for one, at_s in zip(jumps, at, strict=True)]
+        real = [abs(one.by_s) > max(_CLEAR * one.sigma_s, least_s) for one in finer]
+        if all(real):
+            break
+        # the frames around it were late, those beyond them are where they were
+        jumps = [one for one, is_real in zip(jumps, real, strict=True) if is_real]
     straight = without_jumps(channel, finer)
     common, alone = _common([(one, told) for one, told in found if told is not None], start_ns)
     same = float(np.mean(np.diff(np.sort(channel.t_ns)) == 0)) if len(channel.t_ns) > 1 else 0.0
@@ -237,10 +244,10 @@ def _would_show(one: _Seen, told: Cadence) -> bool:
 
 
 def _told_by_others(
-    judged: Sequence[ChannelAudit], best: str, pairs: Sequence[Between]
+    told: Sequence[ChannelAudit], best: str, pairs: Sequence[Between]
 ) -> list[ChannelAudit]:
     """The channels with the steps that only the comparison shows to be their clock's."""
-    by_name = {one.channel.name: one for one in judged}
+    by_name = {one.channel.name: one for one in told}
     start_ns = int(by_name[best].straight.t_ns[0])
     for pair in pairs:
         for step in pair.line.steps:
@@ -257,7 +264,7 @@ def _told_by_others(
         by_name[pair.channel] = _told_silences(one, other, -pair.base_ns, steps_ns)
         steps_ns = [at + pair.base_ns for at in steps_ns]
         by_name[best] = _told_silences(other, one, pair.base_ns, steps_ns)
-    return [by_name[one.channel.name] for one in judged]
+    return [by_name[one.channel.name] for one in told]
 
 
 def _with_step(one: ChannelAudit, when_ns: int, by_s: float, sigma_s: float) -> ChannelAudit | None:
@@ -269,7 +276,7 @@ def _with_step(one: ChannelAudit, when_ns: int, by_s: float, sigma_s: float) -> 
         if abs(at_s - when_s) < _SAME_TIME_S and abs(silence.for_s - by_s) < _SAME_STEP_S:
             jump = Jump(silence.frame, silence.at_s, by_s, sigma_s)
             rest = [other for other in one.silences if other is not silence]
-            return _judged(one.channel, _in_order([*one.jumps, jump]), rest)
+            return judged(one.channel, _in_order([*one.jumps, jump]), rest)
     as_told = Step(when_s + sum(j.by_s for j in one.jumps if j.at_s <= when_s), by_s, sigma_s)
     for name, slip in one.slipped:
         message, told = next(both for both in one.messages if both[0].name == name)
@@ -279,7 +286,7 @@ def _with_step(one: ChannelAudit, when_ns: int, by_s: float, sigma_s: float) -> 
             frame = int(np.searchsorted(risen, start_ns + round(1e9 * (at_s - 0.5e-6))))
             last_s = (int(one.channel.t_ns[max(frame - 1, 0)]) - start_ns) * 1e-9
             jump = Jump(max(frame, 1), last_s, by_s, sigma_s)
-            return _judged(one.channel, _in_order([*one.jumps, jump]), one.silences)
+            return judged(one.channel, _in_order([*one.jumps, jump]), one.silences)
     return None
 
 

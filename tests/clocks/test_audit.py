@@ -43,11 +43,14 @@ def test_the_quartz_of_each_sender_is_found_and_its_losses(write_log: Write) -> 
     assert channel.source.startswith("software")
 
 
-def test_a_step_of_the_clock_is_told_from_a_message_that_slipped(write_log: Write) -> None:
-    found = audit(write_log(step_s=2e-4, slip_s=4e-3))
+@pytest.mark.parametrize("step_s", [2e-4, 1e-4])
+def test_a_step_of_the_clock_is_told_from_a_message_that_slipped(
+    write_log: Write, step_s: float
+) -> None:
+    found = audit(write_log(step_s=step_s, slip_s=4e-3))
     (channel,) = [one for one in found.channels if one.channel.name == "can0"]
     (step,) = channel.steps
-    assert step.by_s == pytest.approx(2e-4, rel=0.05)
+    assert step.by_s == pytest.approx(step_s, rel=0.05)
     assert step.at_s == pytest.approx(17.0, abs=0.6)
     ((name, slip),) = channel.slipped
     assert name == "0x120"

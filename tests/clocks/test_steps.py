@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eps_hil.clocks.audit import ChannelAudit, audit
+from eps_hil.clocks.audit import ChannelAudit, audit, judged
 from eps_hil.clocks.corrected import corrected_stamps, write_corrected
+from eps_hil.clocks.jumps import Jump
+from eps_hil.clocks.stamps import read_channels
 from eps_hil.errors import InputError
 
 Write = Callable[..., Path]
@@ -148,6 +150,13 @@ def test_a_frame_that_stands_out_of_order_stays_there(write_senders: Write, tmp_
     write_corrected(found, tmp_path / "copy.log")
     copy = (tmp_path / "copy.log").read_text().upper().splitlines()
     assert [line.split()[2] for line in copy] == [line.upper().split()[2] for line in lines]
+
+
+def test_a_jump_that_the_rest_of_the_log_does_not_show_is_none(write_senders: Write) -> None:
+    (channel,) = read_channels(write_senders({"can0": stepping(0.0)}))
+    for by_s in (1e-4, -7e-4):
+        jump = Jump(frame=9_000, at_s=8.0, by_s=by_s, sigma_s=1e-5)
+        assert judged(channel, [jump], ()).steps == ()
 
 
 def test_one_message_shows_a_step_back_and_cannot_tell_a_pause_from_one_forward(
