@@ -161,7 +161,7 @@ def judged(channel: Channel, jumps: Sequence[Jump], silences: Sequence[Silence])
 def _finer(jump: Jump, at_s: float, found: Sequence[tuple[Message, Cadence | None]]) -> Jump:
     """A jump measured by all blocks of its messages, not by the frames around it."""
     rest = [
-        step
+        (step, told.period_s)
         for _, told in found
         if told is not None
         for step in told.at_jumps
@@ -169,9 +169,16 @@ def _finer(jump: Jump, at_s: float, found: Sequence[tuple[Message, Cadence | Non
     ]
     if not rest:
         return jump
-    weight = np.array([1.0 / max(one.sigma_s, 1e-9) ** 2 for one in rest])
-    more = float(np.sum(weight * [one.by_s for one in rest]) / np.sum(weight))
-    return replace(jump, by_s=jump.by_s + more, sigma_s=float(np.sum(weight) ** -0.5))
+    more, sigma_s = _size(rest)
+    return replace(jump, by_s=jump.by_s + more, sigma_s=sigma_s)
+
+
+def _size(seen: Sequence[tuple[Step, float]]) -> tuple[float, float]:
+    """One step by several messages of some periods, each but for whole cycles; its deviation."""
+    slow, _ = max(seen, key=lambda one: one[1])
+    weight = np.array([1.0 / max(step.sigma_s, 1e-9) ** 2 for step, _ in seen])
+    sizes = [step.by_s + round((slow.by_s - step.by_s) / cycle) * cycle for step, cycle in seen]
+    return float(np.sum(weight * sizes) / np.sum(weight)), float(np.sum(weight) ** -0.5)
 
 
 def _as_stamped(step: Step, jumps: Sequence[Jump], at_s: Sequence[float]) -> Step:
@@ -209,15 +216,10 @@ def _common(
             alone.append((first[0].name, first[2]))
             left = left[1:]
             continue
-        weight = np.array([1.0 / max(step.sigma_s, 1e-9) ** 2 for _, _, step in alike])
-        sizes = [
-            step.by_s + round((first[2].by_s - step.by_s) / told.period_s) * told.period_s
-            for _, told, step in alike
-        ]
-        size = float(np.sum(weight * sizes) / np.sum(weight))
+        size, sigma_s = _size([(step, told.period_s) for _, told, step in alike])
         message, told, step = min(alike, key=lambda one: one[1].period_s)
         at = located(step, message.t_ns, start_ns, told).at_s
-        common.append(Step(at, size, float(np.sum(weight) ** -0.5)))
+        common.append(Step(at, size, sigma_s))
         left = [one for one in left if not any(one is other for other in alike)]
     return tuple(common), tuple(alone)
 
