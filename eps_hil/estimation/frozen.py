@@ -17,8 +17,9 @@ _TURNS = 0.9
 _WHITE_TURNS, _MOSTLY_NOISE = 2.0 / 3.0, 0.4
 _EQUAL_NOISE = 0.03
 """The least that is taken for how often two samples of noise are equal."""
-_UNLIKELY = 100
-"""So many equal samples of a torque while the rotor moves are no accident, whatever it is."""
+_DOUBTED, _UNLIKELY = 16, 100
+"""So many equal samples of a torque of which nothing was learnt, while the rotor moves, are waited
+for; so many are no accident, whatever it is. A car's torque of 50 Hz has runs of ten."""
 _NONE_OF = 3.0
 """What none of n was may be as often as 3 of n (95 %)."""
 
@@ -59,25 +60,25 @@ def _judge_frozen(w: Watch, p: Limits, i: int, on: bool) -> None:
             if noise:
                 learnt = w.repeats[i] if w.learnt[i] >= _LEARNT else 0.0
                 rested += w.same[i] * math.log(max(equal, learnt))
-    long = w.same[i] >= _UNLIKELY and untold(w, p, i)
+    long = w.same[i] >= _UNLIKELY and _untold(w, i)
     w.frozen[i] = 1 if long or min(moved, rested) < _NO_ACCIDENT else 0
     if i <= _SENSOR and w.last_ns[_TORQUE] == w.last_ns[_SENSOR]:
         _judge_both(w, p)
 
 
 @kernel
-def torques_untold(w: Watch, p: Limits) -> bool:
+def torques_untold(w: Watch) -> bool:
     """Whether the rotor moves and a torque stands still of which nothing is known."""
-    return w.moving != 0 and (untold(w, p, _TORQUE) or untold(w, p, _SENSOR))
+    return w.moving != 0 and (_untold(w, _TORQUE) or _untold(w, _SENSOR))
 
 
 @kernel
-def untold(w: Watch, p: Limits, i: int) -> bool:
+def _untold(w: Watch, i: int) -> bool:
     """Whether torque ``i`` stands still as the rotor moves, and nothing tells if it may: who began
     to look while it stood still has not learnt how often its neighbours are equal. Exactly 0 is a
     motor that is off, or no sensor."""
     new = i <= _SENSOR and w.learnt[i] < _LEARNT
-    return new and w.last[i] != 0.0 and w.same[i] >= p.frozen_samples
+    return new and w.last[i] != 0.0 and w.same[i] >= _DOUBTED
 
 
 @kernel

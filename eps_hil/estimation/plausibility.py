@@ -195,7 +195,7 @@ def judge_step(
         bridge(w, p, u)
     in_the_dark(w, p, u.speed_periods > 1.0)
     at = w.steps & WRAP
-    reason = unseen(w, p) | (_SETTLING if torques_untold(w, p) else 0)
+    reason = unseen(w, p) | (_SETTLING if torques_untold(w) else 0)
     torque = u.motor_torque_nm + p.sensor_to_rotor * u.torque_sensor_nm
     w.torque[at] = course(w, p, torque - w.unexplained_nm, u.drive_noise, seen)
     w.speed[at] = u.motor_speed_rad_s
