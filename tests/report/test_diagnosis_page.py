@@ -215,6 +215,10 @@ def test_page_of_two_states_says_what_changed(explained: Diagnosis) -> None:
     assert "the baseline model, which is the first state" in text
     assert "The mismatch is explained" not in text
     assert "which is the second state" in page_of({**content, "seen_in": "before"})
+    gone = {**change, "is": "gone", "share_after": {"value": 0.1, "ci95": [0.05, 0.15]}}
+    del gone["share_before"]
+    told = page_of({**content, "findings": [{**found[0], "change": gone}], "seen_in": "before"})
+    assert "the second recordings hold 5 to 15 %" in told
     nothing = page_of({**content, "findings": [], "before": {"findings": []}})
     assert "Nothing has changed that these recordings could show." in nothing
     assert "Beyond the model file" not in nothing
