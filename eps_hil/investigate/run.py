@@ -6,7 +6,7 @@ the motor, and lets go of it after every experiment, however that ends.
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -115,14 +115,15 @@ class Investigation:
             used_s = sum(one.rig_s for one in steps)
             done = [one.experiment for one in steps]
             barred = [one.experiment for one in steps if one.problem]
-            decision = decide(possible, rounds, done, budget_s - used_s)
+            decided = decide(possible, rounds, done, budget_s - used_s)
+            chosen = [one for one in decided.choices if one.experiment not in barred]
+            decision = replace(decided, choices=chosen)  # what is said is what is run
             content = _content(len(steps), used_s, possible, decision) | {"problem": problem}
             self._journal.write_round(content)
             rounds = [*rounds, content]
             self._say(content)
             if decision.stop is not None:
                 return Outcome(rounds, found, decision.stop, used_s)
-            chosen = [one for one in decision.choices if one.experiment not in barred]
             if stop():
                 raise self._interrupted()
             if not chosen:

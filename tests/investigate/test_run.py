@@ -113,8 +113,11 @@ def test_beyond_a_limit_it_ends_with_status_3_and_does_not_run_that_again(
     assert SafetyStop.exit_status == 3
     with pytest.raises(SafetyStop):
         investigation(tight, limited).run(600.0)
-    steps = Journal(tmp_path / "out", menu.model, limited.limits, True).steps()
+    journal = Journal(tmp_path / "out", menu.model, limited.limits, True)
+    steps = journal.steps()
     assert len({one.experiment for one in steps}) == 2
+    said = json.dumps(journal.rounds()[-1]["next"][0])
+    assert steps[1].experiment.name in said, "what is said to be next is what is run"
 
 
 @pytest.mark.slow
