@@ -19,7 +19,7 @@ _EQUAL_NOISE = 0.03
 """The least that is taken for how often two samples of noise are equal."""
 _DOUBTED, _UNLIKELY = 16, 100
 """So many equal samples of a torque of which nothing was learnt, while the rotor moves, are waited
-for; so many are no accident, whatever it is. A car's torque of 50 Hz has runs of ten."""
+for; so many are no accident, whatever it is. A coarse, slow torque has runs of less."""
 _NONE_OF = 3.0
 """What none of n was may be as often as 3 of n (95 %)."""
 

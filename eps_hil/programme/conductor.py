@@ -23,7 +23,7 @@ _APPROACH_GAIN_PER_S = 4.0
 _APPROACH_RAD_S = 60.0
 _REST_RAD_S = 1.0
 _OVERSHOOT = 1.5
-"""Of the fastest set-point: on its torsion bar the rotor of the reference rig reaches 1.4 times."""
+"""Times the fastest set-point: on its torsion bar the rotor overshoots, by less than this."""
 _BEYOND_M = 3e-3
 """Over the file's rack_travel_m: a pass may begin there, give or take ``_POSITION_M``."""
 

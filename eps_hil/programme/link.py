@@ -86,9 +86,9 @@ def command_values(wanted: Wanted, model: Model, request: float = _ENABLE) -> di
 
 
 class Readings:
-    """Means of what came in since the last tick; what brought nothing new stays as it was.
+    """Means of each signal's samples since the last tick; without a new one the last mean is kept.
 
-    Nobody may be led by what stays so: :meth:`check` says so from :data:`STALE_S` on, or from three
+    A kept mean leads nobody: :meth:`check` refuses it from :data:`STALE_S` on, or from three
     cycles of a slower message (``period_s``, by signal). Times in seconds of any steady clock.
     """
 
