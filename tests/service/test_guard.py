@@ -601,8 +601,9 @@ class TestLimits:
         ceiling = CEILINGS[name]
         lowest = math.nextafter(-ceiling, -math.inf) if "position_m" in name else 0.0
         above = math.nextafter(ceiling, math.inf)
-        beyond: tuple[object, ...] = (lowest, above, math.inf, -math.inf, math.nan, "much")
-        for wrong in beyond:
+        beyond = (lowest, above, math.inf, -math.inf, math.nan)
+        no_numbers: tuple[object, ...] = (True, str(low), "much")  # `yes` in YAML is True
+        for wrong in beyond + no_numbers:
             with pytest.raises(ValidationError) as caught:
                 from_file(good | {name: wrong})
             (problem,) = caught.value.errors()
