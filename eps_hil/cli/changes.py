@@ -85,6 +85,8 @@ def _say(content: Mapping[str, Any]) -> None:
         typer.echo(f"Beyond the model file, the first state has {', '.join(known)}.")
     if content["findings"]:
         typer.echo("What has changed:")
+    elif content["undecided"]:
+        typer.echo("Not decided whether anything has changed; what stands against it is below.")
     else:
         typer.echo("Nothing has changed that these recordings could show.")
     for one in content["findings"]:

@@ -18,6 +18,7 @@ from eps_hil.diagnosis.simulator.differences import NUMBERS, Surplus, numbers, s
 from eps_hil.diagnosis.simulator.simulation import Simulated, explain, silent_on
 from eps_hil.diagnosis.simulator.traces import Signals
 from eps_hil.diagnosis.verdict.content import without_nan
+from eps_hil.diagnosis.verdict.whom import against as said_against
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 
@@ -63,6 +64,7 @@ def diagnose_against(
         simulated.unexplained_nm,
     )
     content = _with_surplus(result, simulated.model, extra)
+    content["findings"] = said_against(content["findings"], "the simulator")
     caveats = [*simulated.content["caveats"], *_silent(result, simulated)]
     content["simulation"] = {
         **simulated.content,

@@ -18,16 +18,32 @@ from eps_hil.diagnosis.beside_shared import alike, beside_shared, gain
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.direct.already import MEASURED_WHOLE
 from eps_hil.diagnosis.given_load import Diagnosis
+from eps_hil.diagnosis.in_numbers import in_words as numbers_in_words
 from eps_hil.diagnosis.one_way import UNKNOWN, Finding, OneWay, Recordings, against, part
 from eps_hil.diagnosis.verdict.content import without_nan
+from eps_hil.diagnosis.verdict.whom import against as said_against
 from eps_hil.physics.model import Model
 
-_TURNED = {"new": "gone", "gone": "new", "stronger": "weaker", "weaker": "stronger"}
+_TURNED = {
+    "new": "gone",
+    "gone": "new",
+    "stronger": "weaker",
+    "weaker": "stronger",
+    "higher": "lower",
+    "lower": "higher",
+}
+_SIZED = ("stronger", "weaker", "higher", "lower")
 _AS_MUCH = (
     "what has no name is left in both states, and no more of it in the second: that is no change"
 )
 _ONE_WAY_ONLY = (
-    "{}: found in one state beside what the other has, not the other way round: that is no change"
+    "{}: found in one state beside what the other has, not the other way round: whether it has "
+    "changed is not decided"
+)
+_ONE_STATE_ONLY = (
+    "something without a name is left in the {} state's recordings alone, and is not clear against "
+    "what the other has: whether it has changed is not decided. Record both states in the same "
+    "manoeuvres, for longer"
 )
 
 
@@ -36,7 +52,8 @@ class Changes:
     """``before``: the diagnosis of the first state. ``after``: what differs, and its evidence.
 
     ``after.content`` is the JSON (CONTRACT 7); its findings hold ``change`` and it has the keys
-    ``before`` and ``seen_in``. ``model``: the second state's.
+    ``before``, ``seen_in`` and ``undecided``: effects that may have changed, or not. ``model``: the
+    second state's.
     """
 
     before: Diagnosis
@@ -52,6 +69,18 @@ def changes(model: Model, before: Recordings, after: Recordings, say: Say | None
     """
     first = diagnose(model, before, {}, part(say, 0.0, 0.2, "before"))
     second = diagnose(model, after, {}, part(say, 0.2, 0.2, "after"))
+    return _with_undecided(_between(first, second, model, before, after, say), first, second)
+
+
+def _between(
+    first: Diagnosis,
+    second: Diagnosis,
+    model: Model,
+    before: Recordings,
+    after: Recordings,
+    say: Say | None,
+) -> Changes:
+    """What differs, of two states that are diagnosed."""
     unknown = [UNKNOWN in _every(one) for one in (first, second)]
     came, went = (one & MEASURED_WHOLE.keys() for one in _apart(first, second))
     shared = all(unknown) and alike(first, second)
@@ -85,6 +114,22 @@ def changes(model: Model, before: Recordings, after: Recordings, say: Say | None
     if back:
         return told(other, back & (_own(ways[word][0]) - _own(ways[turned][0])))
     return told(one, found & alone)
+
+
+def _with_undecided(found: Changes, first: Diagnosis, second: Diagnosis) -> Changes:
+    """Said, too, where one state alone leaves something unnamed that is told as no change."""
+    content = found.after.content
+    there = [UNKNOWN in _every(one) for one in (first, second)]
+    told = {one["effect"] for one in content["findings"]} | set(content["undecided"])
+    if there[0] == there[1] or UNKNOWN in told:
+        return found
+    limit = _ONE_STATE_ONLY.format("first" if there[0] else "second")
+    content = {
+        **content,
+        "undecided": [*content["undecided"], UNKNOWN],
+        "limits": [limit, *content["limits"]],
+    }
+    return replace(found, after=replace(found.after, content=content))
 
 
 def _beside_shared(
@@ -160,7 +205,10 @@ def _turned(way: OneWay, k: int) -> dict[str, Any]:
         **told,
         "is": is_,
         "before": [] if is_ == "new" else had,
-        "size_after": 1.0 / size if size and is_ in ("stronger", "weaker") else None,
+        "size_after": 1.0 / size if size and is_ in _SIZED else None,
+        "numbers": [
+            {**one, "before": one["after"], "after": one["before"]} for one in told["numbers"]
+        ],
     }
 
 
@@ -183,8 +231,10 @@ def _content(
             (True, True): "partly_explained",
             (False, True): "unknown_effect",
         }[named, UNKNOWN in names]
-    content["findings"] = list(told)
+    known = "the first state" if way.word == "before" else "the second state"
+    content["findings"] = said_against(told, known)
     content["seen_in"] = "after" if way.word == "before" else "before"
+    content["undecided"] = one_way
     content["limits"] = [
         *way.limits,
         *([_AS_MUCH] if way.as_much_unknown() else []),
@@ -204,9 +254,11 @@ def _content(
 
 def in_words(change: Mapping[str, Any]) -> str:
     """``gone``, ``new``, ``stronger: 1.4 times what it was`` of a finding's ``change``."""
-    size = change["size_after"]
+    size, numbers = change["size_after"], numbers_in_words(change["numbers"])
     if size is None or change["is"] in ("gone", "new"):
-        return str(change["is"])
-    if size < 0.0:
-        return "other sign than before"
-    return f"{change['is']}: {size:.3g} times what it was"
+        said = str(change["is"])
+    elif size < 0.0:
+        said = "other sign than before"
+    else:
+        said = f"{change['is']}: {size:.3g} times what it was"
+    return f"{said} ({numbers})" if numbers else said

@@ -20,6 +20,7 @@ from eps_hil.diagnosis.balance.problem import Problem, huber, knee, plain, term_
 from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.given_load import Diagnosis
+from eps_hil.diagnosis.in_numbers import moved, ratio
 from eps_hil.diagnosis.remainder.find import with_remainder
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -227,21 +228,30 @@ class OneWay:
     def change(self, k: int) -> dict[str, Any]:
         """In which way finding ``k`` makes the other state differ from the known one."""
         told: dict[str, Any] = {"is": "new", "before": self.held(k), "size_after": None}
+        told["numbers"] = []
         share = self.share(k)
         if share is not None:
             low, high = share.value - share.half_width, share.value + share.half_width
             told[f"share_{self.word}"] = {"value": share.value, "ci95": [low, high]}
+        entries, name = self.entries(k), self.findings[k]["effect"]
+        effects = tuple(one for one in self.baseline.effects if one["effect"] != name)
+        bare = replace(self.baseline, effects=effects)
+        after = entries if self.anew else [*told["before"], *entries]
+        if entries:
+            numbers = moved(bare, name, told["before"], after)
+            told["numbers"], factor = [one.content() for one in numbers], ratio(numbers)
+            if factor is not None:
+                told["size_after"] = factor
+                told["is"] = "gone" if factor == 0.0 else "higher" if factor > 1.0 else "lower"
+                return told
         if not told["before"]:
             return told
         told["is"] = "different"
-        entries, problem = self.entries(k), replace(self.other.problem, remainder=None)
-        if not entries:
+        if not entries or told["numbers"]:
             return told
-        name = self.findings[k]["effect"]
-        effects = tuple(one for one in self.baseline.effects if one["effect"] != name)
-        bare = replace(self.baseline, effects=effects)
+        problem = replace(self.other.problem, remainder=None)
         had = _added(problem, bare, told["before"])
-        now = _added(problem, bare, entries if self.anew else [*told["before"], *entries])
+        now = _added(problem, bare, after)
         energy, product = float(had @ had), float(had @ now)
         if energy <= 0.0:
             return told

@@ -206,6 +206,8 @@ def _what_changed(content: Mapping[str, Any]) -> str:
         f"({in_words(one['change'])})"
         for one in content["findings"]
     ]
+    if not told and content["undecided"]:
+        return f"Not decided whether anything has changed; why is below.{both if known else ''}"
     if not told:
         return f"Nothing has changed that these recordings could show.{both if known else ''}"
     return f"What has changed: {'; '.join(told)}.{both if known else ''}"

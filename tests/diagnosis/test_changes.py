@@ -49,7 +49,7 @@ def test_a_change_is_beyond_the_intervals_of_both_states(
     ],
 )
 def test_a_change_in_words(kind: str, size: float | None, words: str) -> None:
-    assert in_words({"is": kind, "size_after": size}) == words
+    assert in_words({"is": kind, "size_after": size, "numbers": []}) == words
 
 
 def test_the_same_recording_in_both_states_is_refused(
@@ -85,7 +85,7 @@ class Told:
 
 def told_of(*names: str) -> Told:
     holdout: dict[str, Any] = {"augmented": {}, "noise_floor": {}}
-    findings = [{"effect": one} for one in names]
+    findings = [{"effect": one, "summary": ""} for one in names]
     better = {"torque_residual": {"share": 0.5, "ci95": [0.4, 0.6]}}
     fit = {"holdout": holdout, "improvement": better}
     return Told({"findings": findings, "verdict": "", "limits": [], "fit": fit})
@@ -98,7 +98,7 @@ class Way(OneWay):
         return False
 
     def change(self, k: int) -> dict[str, Any]:
-        return {"is": "new", "before": [], "size_after": None}
+        return {"is": "new", "before": [], "size_after": None, "numbers": []}
 
 
 @pytest.mark.parametrize(
@@ -148,6 +148,32 @@ def test_a_change_is_told_the_way_that_explains_both_states(
         assert content["verdict"] in ("", "no_mismatch")
 
 
+@pytest.mark.parametrize(
+    ("states", "undecided"),
+    [
+        ((("unknown",), ()), ["unknown"]),  # cold, then warm: one of them holds what has no name
+        (((), ("unknown",)), ["unknown"]),
+        ((("unknown",), ("unknown",)), []),
+        (((), ()), []),
+    ],
+)
+def test_what_one_state_alone_leaves_unnamed_is_not_said_to_be_the_same(
+    states: tuple[tuple[str, ...], tuple[str, ...]],
+    undecided: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Neither state shows it against the other."""
+    said = {"before": told_of(*states[0]), "after": told_of(*states[1])}
+    nothing = Way(cast("Any", told_of()), cast("Any", told_of()), cast("Any", None), "before", {})
+    monkeypatch.setattr(module, "diagnose", lambda _model, recordings, *_: said[recordings])
+    monkeypatch.setattr(module, "against", lambda *_: nothing)
+    monkeypatch.setattr(module, "alike", lambda *_: False)
+    content = changes(NOTHING, cast("Any", "before"), cast("Any", "after")).after.content
+    assert content["findings"] == []
+    assert content["undecided"] == undecided
+    assert any("not decided" in one for one in content["limits"]) is bool(undecided)
+
+
 def run(
     record: Callable[..., Any],
     model: Model,
@@ -191,6 +217,35 @@ def test_an_effect_of_another_size_and_shape_says_how_much(
     assert told(found) == [("stribeck", "stronger")]
     (finding,) = found.after.content["findings"]
     assert finding["change"]["size_after"] == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("levels", "says"), [((0.8, 0.9), "higher"), ((0.8, 0.7), "lower")])
+def test_levels_that_the_file_has_wrong_are_told_by_where_they_go(
+    levels: tuple[float, float],
+    says: str,
+    record: Callable[..., Any],
+    reference_model: Model,
+    other_rig: Any,
+) -> None:
+    """The file's are a fifth too high in the first state: what is off of them says nothing."""
+    friction = reference_model.friction
+    first, second = (
+        {other_rig.K0P: by * friction.offset_pos_nm, other_rig.K0N: by * friction.offset_neg_nm}
+        for by in levels
+    )
+    found = run(record, reference_model, first, second)
+    assert told(found) == [("coulomb_level", says)]
+    (finding,) = found.after.content["findings"]
+    change = finding["change"]
+    assert change["size_after"] == pytest.approx(levels[1] / levels[0], rel=0.02)
+    assert [one["name"] for one in change["numbers"]] == ["offset_pos_nm", "offset_neg_nm"]
+    for one, offset in zip(
+        change["numbers"], (friction.offset_pos_nm, friction.offset_neg_nm), strict=True
+    ):
+        assert one["before"] == pytest.approx(levels[0] * offset, rel=0.03)
+        assert one["after"] == pytest.approx(levels[1] * offset, rel=0.03)
+    assert " state." in finding["summary"]
 
 
 @pytest.mark.slow

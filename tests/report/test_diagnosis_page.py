@@ -198,11 +198,13 @@ def test_page_of_two_states_says_what_changed(explained: Diagnosis) -> None:
         "is": "new",
         "before": [],
         "size_after": None,
+        "numbers": [],
         "share_before": None,
     }
     found = [{**explained.content["findings"][0], "change": change}]
     first = {"findings": [{"effect": "stribeck"}]}
     content = {**explained.content, "findings": found, "before": first, "seen_in": "after"}
+    content["undecided"] = []
 
     def page_of(content: dict[str, Any]) -> str:
         result = replace(explained, content=content)
@@ -222,6 +224,8 @@ def test_page_of_two_states_says_what_changed(explained: Diagnosis) -> None:
     nothing = page_of({**content, "findings": [], "before": {"findings": []}})
     assert "Nothing has changed that these recordings could show." in nothing
     assert "Beyond the model file" not in nothing
+    open_one = page_of({**content, "findings": [], "undecided": ["unknown"]})
+    assert "Not decided whether anything has changed" in open_one
 
 
 def test_what_is_wrong_with_the_data_is_said_once_and_with_the_names_of_the_axes(

@@ -1,0 +1,111 @@
+"""A change as numbers of the rig: what they were in the first state, what they are in the second.
+
+An effect is written as what it adds to a model. Where it moves a number that the model has as well
+(a friction level, a drag, a delay, a torque constant), what it adds in one state or in the other
+says nothing of up or down: a level of 0.8 times the file's that rises to 0.9 is *higher*, although
+less of the effect is left. Such a change is told by the whole number.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from eps_hil.identification.state import FRICTION_UNITS
+from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
+from eps_hil.physics.effects.effect import Effect, Slot
+from eps_hil.physics.model import Model
+
+Entry = Mapping[str, Any]
+
+_ALIKE = 0.02
+"""Of a ratio: numbers that move together by it have one in common."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """One number that differs between two states."""
+
+    name: str
+    first: float
+    second: float
+    unit: str
+
+    def content(self) -> dict[str, Any]:
+        """For the JSON."""
+        return {"name": self.name, "before": self.first, "after": self.second, "unit": self.unit}
+
+
+def moved(model: Model, name: str, first: Sequence[Entry], second: Sequence[Entry]) -> list[Moved]:
+    """Numbers of the rig that effect ``name`` has other in the second state; empty where it has
+    none that the model has as well. ``model``: with neither's entries of it.
+    """
+    effect = catalogue().get(name)
+    if effect is None:
+        return []
+    if effect.slot is Slot.MODEL and effect.change is not None:
+        return _in_the_model(model, effect, first, second)
+    probe = effect.probe
+    if probe is None:
+        return []
+    unit = next(one.unit for one in effect.parameters if one.name == probe.amplitude)
+    sizes = [[float(one[probe.amplitude]) for one in entries] for entries in (first, second)]
+    if probe.neutral == 1.0:  # a gain: one after the other
+        was, now = (math.prod(one) for one in sizes)
+    elif probe.lowest is not None:  # beside a number that the model has: there, nothing would be 0
+        own = -probe.lowest(model)
+        was, now = (own + sum(one) for one in sizes)
+    else:
+        return []
+    return [Moved(probe.amplitude, was, now, "" if unit == "1" else unit)]
+
+
+def ratio(numbers: Sequence[Moved]) -> float | None:
+    """The factor that all of them share, second state by first; None where they have none."""
+    if not numbers or any(one.first <= 0.0 or one.second < 0.0 for one in numbers):
+        return None
+    every = [one.second / one.first for one in numbers]
+    return every[0] if max(every) - min(every) <= _ALIKE * max(every) else None
+
+
+def in_words(numbers: Sequence[Mapping[str, Any]]) -> str:
+    """``offset_pos_nm 0.0512 → 0.0553 Nm`` of a finding's ``change.numbers``."""
+    return ", ".join(
+        f"{one['name']} {one['before']:.4g} → {one['after']:.4g} {one['unit']}".strip()
+        for one in numbers
+    )
+
+
+def _in_the_model(
+    model: Model, effect: Effect, first: Sequence[Entry], second: Sequence[Entry]
+) -> list[Moved]:
+    """The model's own numbers, as the effect's entries leave them."""
+    there, here = (
+        _flat(with_model_effects(replace(model, effects=(*model.effects, *map(dict, entries)))))
+        for entries in (first, second)
+    )
+    return [
+        Moved(name, there[name], here[name], _unit(name))
+        for name in there
+        if there[name] != here[name]
+    ]
+
+
+def _flat(model: Model) -> dict[str, float]:
+    """Every number of the model by the name that its file gives it."""
+    told = asdict(replace(model, effects=()))
+    nested = {"friction": told.pop("friction"), "delays_s": told.pop("delays_s")}
+    numbers = {**told, **nested["friction"]}
+    numbers |= {f"delays_s.{name}": value for name, value in nested["delays_s"].items()}
+    return {k: float(v) for k, v in numbers.items() if isinstance(v, int | float)}
+
+
+def _unit(name: str) -> str:
+    return "s" if name.startswith("delays_s.") else _UNITS.get(name, "")
+
+
+_UNITS = {
+    **FRICTION_UNITS,
+    "inertia_kg_m2": "kg m²",
+    "rack_to_rotor_ratio_rad_per_m": "rad/m",
+}

@@ -1,0 +1,76 @@
+"""A change of a number that the model has as well is told by the whole number."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from eps_hil.diagnosis.in_numbers import Moved, in_words, moved, ratio
+from eps_hil.physics.model import Model
+
+Entries = Sequence[Mapping[str, Any]]
+
+
+def entry(effect: str, **values: float) -> dict[str, Any]:
+    return {"effect": effect, **values}
+
+
+def told(model: Model, first: Entries, second: Entries) -> list[Moved]:
+    return moved(model, str(second[0]["effect"]), first, second)
+
+
+def test_a_level_below_the_files_that_rises_is_higher(reference_model: Model) -> None:
+    """0.8 times the file's, then 1.1 times that: less is off, and the friction is higher."""
+    first = [entry("coulomb_level", scale=0.8)]
+    found = told(reference_model, first, [*first, entry("coulomb_level", scale=1.1)])
+    assert ratio(found) == pytest.approx(1.1)
+    assert [one.name for one in found] == ["offset_pos_nm", "offset_neg_nm"]
+    assert found[0].first == pytest.approx(0.8 * reference_model.friction.offset_pos_nm)
+    assert found[0].second == pytest.approx(0.88 * reference_model.friction.offset_pos_nm)
+    assert {one.unit for one in found} == {"Nm"}
+
+
+@pytest.mark.parametrize("part", [-0.4, 0.4])
+def test_drag_is_counted_with_the_models_own(part: float, reference_model: Model) -> None:
+    name, friction = "coefficient_nm_s_per_rad", reference_model.friction
+    own = min(friction.viscous_pos_nm_s_per_rad, friction.viscous_neg_nm_s_per_rad)
+    first = part * own
+    had = [entry("viscous_friction", **{name: first})]
+    (found,) = told(reference_model, had, [*had, entry("viscous_friction", **{name: 1e-4})])
+    assert found.first == pytest.approx(own + first)
+    assert found.second == pytest.approx(own + first + 1e-4)
+    assert found.unit == "Nm s/rad"
+    assert ratio([found]) == pytest.approx((own + first + 1e-4) / (own + first))
+
+
+def test_gains_act_one_after_the_other(reference_model: Model) -> None:
+    first = [entry("motor_torque_gain", gain=0.95)]
+    (found,) = told(reference_model, first, [*first, entry("motor_torque_gain", gain=1.02)])
+    assert (found.first, found.second) == (0.95, pytest.approx(0.969))
+    assert ratio([found]) == pytest.approx(1.02)
+    assert in_words([found.content()]) == "gain 0.95 → 0.969"
+
+
+def test_a_delay_that_comes_has_no_ratio_and_one_that_grows_has(reference_model: Model) -> None:
+    bare = replace(reference_model, delays_s=replace(reference_model.delays_s, motor_speed=0.0))
+    late = entry("speed_sensor_delay", delay_s=2e-3)
+    (came,) = told(bare, [], [late])
+    assert ratio([came]) is None
+    assert in_words([came.content()]) == "delays_s.motor_speed 0 → 0.002 s"
+    (grew,) = told(bare, [late], [late, entry("speed_sensor_delay", delay_s=1e-3)])
+    assert ratio([grew]) == pytest.approx(1.5)
+
+
+def test_an_asymmetry_moves_two_levels_apart(reference_model: Model) -> None:
+    found = told(reference_model, [], [entry("friction_asymmetry", half_difference_nm=0.01)])
+    up, down = (one.second - one.first for one in found)
+    assert (up, down) == (pytest.approx(0.01), pytest.approx(-0.01))
+    assert ratio(found) is None
+
+
+def test_what_the_model_has_no_number_for_has_none(reference_model: Model) -> None:
+    stribeck = entry("stribeck", level_nm=0.03, speed_rad_s=5.0)
+    assert told(reference_model, [], [stribeck]) == []
+    assert moved(reference_model, "unknown", [], [{"effect": "empirical"}]) == []
+    assert ratio([]) is None
