@@ -6,6 +6,7 @@ says nothing of up or down: a level of 0.8 times the file's that rises to 0.9 is
 less of the effect is left. Such a change is told by the whole number.
 """
 
+import cmath
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -20,6 +21,8 @@ Entry = Mapping[str, Any]
 
 _ALIKE = 0.02
 """Of a ratio: numbers that move together by it have one in common."""
+_AS_STRONG = 0.15
+"""Of an amplitude: a ripple whose own differs by less has only moved."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +61,37 @@ def moved(model: Model, name: str, first: Sequence[Entry], second: Sequence[Entr
     else:
         return []
     return [Moved(probe.amplitude, was, now, "" if unit == "1" else unit)]
+
+
+def shifted(name: str, first: Sequence[Entry], second: Sequence[Entry]) -> list[Moved]:
+    """Amplitude and phase of a ripple that is as strong as before and begins elsewhere; else empty.
+
+    A new zero of the angle does that, or a part put back another way round.
+    """
+    effect = catalogue().get(name)
+    probe = None if effect is None else effect.probe
+    if effect is None or probe is None or probe.phase is None or not second:
+        return []
+    units = {one.name: one.unit for one in effect.parameters}
+    shape = units.keys() - {probe.amplitude, probe.phase}
+
+    def alike(one: Entry) -> bool:  # of the order that is looked at, if there are others
+        pairs = [(float(one.get(key, 0.0)), float(second[-1].get(key, 0.0))) for key in shape]
+        return all(abs(a - b) <= _ALIKE * max(abs(a), abs(b)) for a, b in pairs)
+
+    first, second = ([one for one in entries if alike(one)] for entries in (first, second))
+    if not first:
+        return []
+    was, now = (
+        sum(cmath.rect(float(one[probe.amplitude]), float(one[probe.phase])) for one in entries)
+        for entries in (first, second)
+    )
+    if abs(abs(now) - abs(was)) > _AS_STRONG * abs(was):
+        return []
+    return [
+        Moved(probe.amplitude, abs(was), abs(now), units[probe.amplitude]),
+        Moved(probe.phase, cmath.phase(was), cmath.phase(now), units[probe.phase]),
+    ]
 
 
 def ratio(numbers: Sequence[Moved]) -> float | None:

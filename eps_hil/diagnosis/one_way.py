@@ -20,7 +20,7 @@ from eps_hil.diagnosis.balance.problem import Problem, huber, knee, plain, term_
 from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.given_load import Diagnosis
-from eps_hil.diagnosis.in_numbers import moved, ratio
+from eps_hil.diagnosis.in_numbers import moved, ratio, shifted
 from eps_hil.diagnosis.remainder.find import with_remainder
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -249,6 +249,8 @@ class OneWay:
         told["is"] = "different"
         if not entries or told["numbers"]:
             return told
+        if numbers := shifted(name, told["before"], after):
+            return told | {"is": "shifted", "numbers": [one.content() for one in numbers]}
         problem = replace(self.other.problem, remainder=None)
         had = _added(problem, bare, told["before"])
         now = _added(problem, bare, after)

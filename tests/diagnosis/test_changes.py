@@ -249,6 +249,22 @@ def test_levels_that_the_file_has_wrong_are_told_by_where_they_go(
 
 
 @pytest.mark.slow
+def test_a_new_zero_of_the_angle_shifts_the_cogging(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any
+) -> None:
+    """The same sine of 7 a turn, which begins 1.2 rad later: the difference is another sine."""
+    first, second = (
+        {other_rig.COG: 0.02, other_rig.COG_N: 7.0, other_rig.COG_P: phase} for phase in (0.4, 1.6)
+    )
+    found = run(record, reference_model, first, second)
+    assert told(found) == [("cogging_torque", "shifted")]
+    numbers = {one["name"]: one for one in found.after.content["findings"][0]["change"]["numbers"]}
+    amplitude, phase = numbers["amplitude_nm"], numbers["phase_rad"]
+    assert amplitude["after"] == pytest.approx(amplitude["before"], rel=0.05)
+    assert phase["after"] - phase["before"] == pytest.approx(1.2, abs=0.1)
+
+
+@pytest.mark.slow
 def test_the_verb_writes_json_page_and_the_model_of_the_second_state(
     record: Callable[..., Any],
     other_rig: Any,

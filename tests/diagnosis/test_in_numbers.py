@@ -1,12 +1,13 @@
 """A change of a number that the model has as well is told by the whole number."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from eps_hil.diagnosis.in_numbers import Moved, in_words, moved, ratio
+from eps_hil.diagnosis.in_numbers import Moved, in_words, moved, ratio, shifted
 from eps_hil.physics.model import Model
 
 Entries = Sequence[Mapping[str, Any]]
@@ -47,7 +48,7 @@ def test_drag_is_counted_with_the_models_own(part: float, reference_model: Model
 def test_gains_act_one_after_the_other(reference_model: Model) -> None:
     first = [entry("motor_torque_gain", gain=0.95)]
     (found,) = told(reference_model, first, [*first, entry("motor_torque_gain", gain=1.02)])
-    assert (found.first, found.second) == (0.95, pytest.approx(0.969))
+    assert [found.first, found.second] == pytest.approx([0.95, 0.969])
     assert ratio([found]) == pytest.approx(1.02)
     assert in_words([found.content()]) == "gain 0.95 → 0.969"
 
@@ -65,7 +66,7 @@ def test_a_delay_that_comes_has_no_ratio_and_one_that_grows_has(reference_model:
 def test_an_asymmetry_moves_two_levels_apart(reference_model: Model) -> None:
     found = told(reference_model, [], [entry("friction_asymmetry", half_difference_nm=0.01)])
     up, down = (one.second - one.first for one in found)
-    assert (up, down) == (pytest.approx(0.01), pytest.approx(-0.01))
+    assert [up, down] == pytest.approx([0.01, -0.01])
     assert ratio(found) is None
 
 
@@ -74,3 +75,34 @@ def test_what_the_model_has_no_number_for_has_none(reference_model: Model) -> No
     assert told(reference_model, [], [stribeck]) == []
     assert moved(reference_model, "unknown", [], [{"effect": "empirical"}]) == []
     assert ratio([]) is None
+
+
+def cogging(amplitude_nm: float, phase_rad: float, order: float = 24.0) -> dict[str, Any]:
+    name, values = "cogging_torque", {"amplitude_nm": amplitude_nm, "phase_rad": phase_rad}
+    return entry(name, **values, order=order)
+
+
+def test_a_ripple_that_begins_elsewhere_is_shifted() -> None:
+    """The difference of two sines of 0.01 Nm, 1 rad apart, is one of 2·0.01·sin(0.5) Nm."""
+    other, had = cogging(0.02, 0.1, 12.0), cogging(0.01, 0.3)
+    difference = cogging(0.02 * math.sin(0.5), 0.3 + 0.5 + math.pi / 2)
+    amplitude, phase = shifted("cogging_torque", [had, other], [had, other, difference])
+    assert (amplitude.name, phase.name) == ("amplitude_nm", "phase_rad")
+    assert [amplitude.first, amplitude.second] == pytest.approx([0.01, 0.01])
+    assert [phase.first, phase.second] == pytest.approx([0.3, 1.3])
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "second"),
+    [
+        ("cogging_torque", [cogging(0.01, 0.3)], [cogging(0.013, 1.3)]),  # stronger, too
+        ("cogging_torque", [cogging(0.01, 0.3)], [cogging(0.01, 1.3, 12.0)]),  # another order
+        ("cogging_torque", [], [cogging(0.01, 1.3)]),
+        ("stribeck", [entry("stribeck")], [entry("stribeck")]),
+        ("unknown", [entry("unknown")], [entry("unknown")]),
+    ],
+)
+def test_only_a_ripple_of_one_order_and_strength_is(
+    name: str, first: Entries, second: Entries
+) -> None:
+    assert shifted(name, first, second) == []

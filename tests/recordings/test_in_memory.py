@@ -89,7 +89,7 @@ def test_a_data_frame() -> None:
             "row 1, column motor_torque_nm: holds 'x', not a number",
         ),
         (table(motor_torque_nm=TORQUE * 1j), "holds complex128, not numbers"),
-        (table(motor_torque_nm=np.where(TIME_S == TIME_S[1], np.inf, TORQUE)), "row 1"),
+        (table(motor_torque_nm=np.where(TIME_S[1] == TIME_S, np.inf, TORQUE)), "row 1"),
         (table(time_s=TIME_S[::-1]), "row 1, column time_s: time goes back from"),
         (table(time_s=0 * TIME_S), "row 1, column time_s: time repeats at 0.0 s"),
         (table(time_s=np.array([0, 1, np.nan, 3, 4])), "row 2, column time_s: is empty"),
