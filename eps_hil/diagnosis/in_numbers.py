@@ -51,16 +51,19 @@ def moved(model: Model, name: str, first: Sequence[Entry], second: Sequence[Entr
     probe = effect.probe
     if probe is None:
         return []
-    unit = next(one.unit for one in effect.parameters if one.name == probe.amplitude)
-    sizes = [[float(one[probe.amplitude]) for one in entries] for entries in (first, second)]
     if probe.neutral == 1.0:  # a gain: one after the other
-        was, now = (math.prod(one) for one in sizes)
-    elif probe.lowest is not None:  # beside a number that the model has: there, nothing would be 0
+        was, now = (math.prod(_sizes(probe.amplitude, one)) for one in (first, second))
+    elif probe.lowest is not None:  # beside a number that the model has: there, nothing is left
         own = -probe.lowest(model)
-        was, now = (own + sum(one) for one in sizes)
+        was, now = (own + sum(_sizes(probe.amplitude, one)) for one in (first, second))
     else:
         return []
+    unit = next(one.unit for one in effect.parameters if one.name == probe.amplitude)
     return [Moved(probe.amplitude, was, now, "" if unit == "1" else unit)]
+
+
+def _sizes(amplitude: str, entries: Sequence[Entry]) -> list[float]:
+    return [float(one[amplitude]) for one in entries]
 
 
 def shifted(name: str, first: Sequence[Entry], second: Sequence[Entry]) -> list[Moved]:

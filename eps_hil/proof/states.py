@@ -22,7 +22,8 @@ State = Mapping[str, Mapping[str, Floats]]
 class TwoStates:
     """Recordings by name (canonical columns at 1 kHz) of a state without and with the change.
 
-    ``reached``: the change's effect-to-noise ratio on the first state's training; 0 for none.
+    ``reached``: the change's effect-to-noise ratio on the training of the state that has it; 0 for
+    none.
     """
 
     without: State
@@ -36,18 +37,21 @@ def two_states(
     """Both states under programmes and sensor noise of their own.
 
     ``shared`` and ``change``: ids with their ratio to the sensor noise. Strength and shape of what
-    is shared are the same in both states.
+    is shared are the same in both states. The change gets its ratio on the recordings that hold
+    it: an end stop just within the travel of one programme lies outside that of another.
     """
     rng = np.random.default_rng([seed, _KIND])
     first, second = programme("training", rng), programme("training", rng)
     world, simple = World(False), World(True)
     noise = cases.usual_noise(world, first[:-1], rng)
     hidden = []
-    for name, ratio in (*shared, *([change] if change else [])):
+    asked = [(*one, first[:-1]) for one in shared]
+    asked += [(*change, second[:-1])] if change else []
+    for name, ratio, training in asked:
         effect = find(name)
         ground = world if effect.placed else simple
-        base = cases.measure(ground, first[:-1], noise)
-        hidden.append(cases.hide(ground, base, effect, ratio, first[:-1], rng, raw=effect.free))
+        base = cases.measure(ground, training, noise)
+        hidden.append(cases.hide(ground, base, effect, ratio, training, rng, raw=effect.free))
     states = []
     for program, effects in ((first, hidden[: len(shared)]), (second, hidden)):
         changed = world

@@ -73,6 +73,8 @@ def test_an_asymmetry_moves_two_levels_apart(reference_model: Model) -> None:
 def test_what_the_model_has_no_number_for_has_none(reference_model: Model) -> None:
     stribeck = entry("stribeck", level_nm=0.03, speed_rad_s=5.0)
     assert told(reference_model, [], [stribeck]) == []
+    curve = entry("position_torque") | {"curve_nm": [[-0.05, 0.01], [0.05, 0.0]]}
+    assert told(reference_model, [curve], [curve]) == []
     assert moved(reference_model, "unknown", [], [{"effect": "empirical"}]) == []
     assert ratio([]) is None
 

@@ -4,12 +4,14 @@ import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from eps_hil.errors import InputError
+from eps_hil.proof import cases, states
 from eps_hil.proof.changed import (
     ChangePlan,
     Desk,
@@ -95,6 +97,33 @@ def test_gone_is_new_with_both_states_exchanged(
         "--after",
         "after_1.csv",
     ]
+
+
+def test_a_change_has_its_size_in_the_state_that_holds_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An end stop within the travel of one programme lies outside that of another."""
+    programmes, sized = iter([["a1", "a2", "a3"], ["b1", "b2", "b3"]]), {}
+
+    def hide_one(_ground: Any, base: Any, effect: Any, ratio: float, training: Any, *_: Any,
+                 **__: Any) -> Any:  # fmt: skip
+        sized[effect.id] = (base, training)
+        kept = SimpleNamespace(apply=lambda world, *_: world)
+        return SimpleNamespace(effect=kept, strength=1.0, shape={}, ratio=ratio)
+
+    monkeypatch.setattr(states, "programme", lambda *_: next(programmes))
+    monkeypatch.setattr(states, "measured", lambda *_: {})
+    for name, done in {
+        "usual_noise": lambda *_: 1.0,
+        "measure": lambda _ground, training, _noise: training,
+        "noiseless": lambda *_: {},
+        "hide": hide_one,
+    }.items():
+        monkeypatch.setattr(cases, name, done)
+    made = states.two_states(5, [("alien_heat_loss", 3.0)], ("end_stop", 0.6))
+    assert made.reached == 0.6
+    assert sized == {
+        "alien_heat_loss": (["a1", "a2"], ["a1", "a2"]),
+        "end_stop": (["b1", "b2"], ["b1", "b2"]),
+    }
 
 
 def hidden(plan: ChangePlan, folder: Path) -> dict[str, Any]:
