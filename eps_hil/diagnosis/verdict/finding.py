@@ -10,6 +10,7 @@ from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.baseline import HOLD
 from eps_hil.diagnosis.balance.fit import Fit
+from eps_hil.diagnosis.balance.probes import bounds
 from eps_hil.diagnosis.balance.problem import Problem, term_of
 from eps_hil.diagnosis.data.entry import place
 from eps_hil.diagnosis.data.entry import unknown as unknown_entry
@@ -30,6 +31,12 @@ INSTANT = 0.1
 its interval a value was taken, how the controller held it and how its filters shaped it."""
 SLOW_SAMPLES_S = 2e-3
 """Between samples: half of a shorter step is below what is named (``least`` of the delay)."""
+_AT_THE_END = 0.5
+"""No name is surer whose scale ended at the bound of the search."""
+_FARTHER = (
+    " So far it was looked for: more is asked for, or something else that this stands in for. Look "
+    "at the signal's unit and scale first."
+)
 _FOLLOWS = 0.25
 """Of what is left: a curve that holds less is no description of it."""
 _INTERNAL = ("belt_ratio", "pole_pairs", "harmonic")
@@ -64,10 +71,13 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
         held = as_held(
             parameters["delay_s"]["ci95"], max(one.interval_s for one in problem.recordings)
         )
+    sure = _confidence(gain, least, rivals)
+    if _at_the_end(effect, entry, problem):
+        sure, held = min(sure, _AT_THE_END), f"{held}{_FARTHER}"
     return {
         "effect": effect.id,
         "kind": str(effect.kind),
-        "confidence": _confidence(gain, least, rivals),
+        "confidence": sure,
         "equation": effect.equation,
         "summary": sentence.format(**values) + held,
         "parameters": parameters,
@@ -78,6 +88,18 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
         "confusable_with": twins,
         "next_experiment": _experiment(effect, twins),
     }
+
+
+def _at_the_end(effect: Effect, entry: Mapping[str, Any], problem: Problem) -> bool:
+    """Whether a scale ended where the search for it ends: the data ask for more, and do not get it.
+
+    Of other numbers that may be as it is: what is narrow, early or fast has a bound of its own.
+    """
+    probe = effect.probe
+    if probe is None or probe.neutral != 1.0:
+        return False
+    scale = next(one for one in effect.parameters if one.name == probe.amplitude)
+    return entry[scale.name] in bounds(effect, scale, problem)
 
 
 def as_held(delay_s: Sequence[float], interval_s: float) -> str:

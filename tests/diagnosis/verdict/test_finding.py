@@ -91,6 +91,28 @@ def test_no_delay_is_known_better_than_when_a_slow_signal_was_taken(problem: Pro
     assert width(0.01) == pytest.approx(np.hypot(3e-4, 1.96 * 1e-3))
 
 
+@pytest.mark.slow
+def test_a_scale_that_ended_at_its_bound_is_no_sure_name(problem: Problem) -> None:
+    def told(gain: float) -> tuple[float, str]:
+        found = fit(problem, [{"effect": "motor_torque_gain", "gain": gain}], 0)
+        selection = Selection(
+            found,
+            found,
+            [],
+            problem,
+            found,
+            gains={"motor_torque_gain": 1e5},
+            least={"motor_torque_gain": 30.0},
+        )
+        content = finding(problem, selection, 0)
+        return content["confidence"], content["summary"]
+
+    assert told(3.0)[0] == 0.5
+    assert "So far it was looked for" in told(3.0)[1]
+    assert told(2.9)[0] == SUREST
+    assert "So far" not in told(2.9)[1]
+
+
 @pytest.mark.parametrize(
     ("interval_s", "delay_s", "said"),
     [
