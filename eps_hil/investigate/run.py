@@ -118,7 +118,10 @@ class Investigation:
             decided = decide(possible, rounds, done, budget_s - used_s)
             chosen = [one for one in decided.choices if one.experiment not in barred]
             decision = replace(decided, choices=chosen)  # what is said is what is run
-            content = _content(len(steps), used_s, possible, decision) | {"problem": problem}
+            content = _content(len(steps), used_s, possible, decision) | {
+                "problem": problem,
+                "tripped": [[one.experiment.words, one.problem] for one in steps if one.problem],
+            }
             self._journal.write_round(content)
             rounds = [*rounds, content]
             self._say(content)

@@ -1,5 +1,6 @@
 """Whole investigations on a simulated rig in lock-step: found, told, resumed, ended by limits."""
 
+import html
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +12,15 @@ from eps_hil.bus.config import load_bus_setup
 from eps_hil.cli.investigate import seconds
 from eps_hil.cli.main import main
 from eps_hil.errors import EpsHilError, InputError, SafetyStop
+from eps_hil.investigate import story
+from eps_hil.investigate.decide import Stop
 from eps_hil.investigate.journal import Journal
 from eps_hil.investigate.lockstep import LockstepRig
 from eps_hil.investigate.possible import Menu
 from eps_hil.investigate.run import (
     InterruptedInvestigationError,
     Investigation,
+    Outcome,
     letting_go,
     prepared_menu,
 )
@@ -80,13 +84,13 @@ def test_the_budget_is_kept_over_calls_and_the_page_tells_it(
     assert main([*words, "--write-model", str(tmp_path / "m.yaml")]) == 0
     said = capsys.readouterr().out
     assert "The budget is spent" in said
-    story = json.loads((tmp_path / "s.json").read_text())
-    assert story["stop"] == "budget"
-    assert len(story["rounds"]) == 3
-    assert story["rounds"][0]["next"][0]["bits"] > 0.0
-    html = (out / "investigation.html").read_text()
-    assert "Round by round" in html
-    assert story["rounds"][0]["next"][0]["words"] in html
+    content = json.loads((tmp_path / "s.json").read_text())
+    assert content["stop"] == "budget"
+    assert len(content["rounds"]) == 3
+    assert content["rounds"][0]["next"][0]["bits"] > 0.0
+    told = (out / "investigation.html").read_text()
+    assert "Round by round" in told
+    assert content["rounds"][0]["next"][0]["words"] in told
     assert [one["effect"] for one in load_model(tmp_path / "m.yaml").effects] == ["stribeck"]
 
     assert main(words) == 0
@@ -118,6 +122,10 @@ def test_beyond_a_limit_it_ends_with_status_3_and_does_not_run_that_again(
     assert len({one.experiment for one in steps}) == 2
     said = json.dumps(journal.rounds()[-1]["next"][0])
     assert steps[1].experiment.name in said, "what is said to be next is what is run"
+    last = {**journal.rounds()[-1], "stop": "nothing_more"}
+    assert last["tripped"] == [[step.experiment.words, step.problem]]
+    story.write_page(Outcome([last], None, Stop.NOTHING_MORE, 60.0), tmp_path / "p.html", "m.yaml")
+    assert step.problem in html.unescape((tmp_path / "p.html").read_text())
 
 
 @pytest.mark.slow
