@@ -20,7 +20,7 @@ from eps_hil.diagnosis.balance.problem import Problem, huber, knee, plain, term_
 from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.given_load import Diagnosis
-from eps_hil.diagnosis.in_numbers import moved, ratio, shifted
+from eps_hil.diagnosis.in_numbers import Moved, moved, ratio, shifted
 from eps_hil.diagnosis.remainder.find import with_remainder
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -237,32 +237,46 @@ class OneWay:
         effects = tuple(one for one in self.baseline.effects if one["effect"] != name)
         bare = replace(self.baseline, effects=effects)
         after = entries if self.anew else [*told["before"], *entries]
-        if entries:
-            numbers = moved(bare, name, told["before"], after)
-            told["numbers"], factor = [one.content() for one in numbers], ratio(numbers)
-            if factor is not None:
-                told["size_after"] = factor
-                told["is"] = "gone" if factor == 0.0 else "higher" if factor > 1.0 else "lower"
-                return told
+        numbers = moved(bare, name, told["before"], after) if entries else []
+        if numbers:
+            return told | _in_numbers(numbers, new=not told["before"])
         if not told["before"]:
             return told
         told["is"] = "different"
-        if not entries or told["numbers"]:
+        if not entries:
             return told
         if numbers := shifted(name, told["before"], after):
             return told | {"is": "shifted", "numbers": [one.content() for one in numbers]}
         problem = replace(self.other.problem, remainder=None)
-        had = _added(problem, bare, told["before"])
-        now = _added(problem, bare, after)
-        energy, product = float(had @ had), float(had @ now)
-        if energy <= 0.0:
-            return told
-        size = product / energy
-        rest = float((now - size * had) @ (now - size * had))
-        if rest < (1.0 - _ALIKE) * max(energy, float(now @ now)):
+        size = _times(_added(problem, bare, told["before"]), _added(problem, bare, after))
+        if size is not None:
             told["size_after"] = size
             told["is"] = "gone" if abs(size) < _GONE else "stronger" if size > 1.0 else "weaker"
         return told
+
+
+def _in_numbers(numbers: Sequence[Moved], *, new: bool) -> dict[str, Any]:
+    """A change of numbers that the model has as well; without a ratio: through zero, or several
+    that go ways of their own.
+    """
+    told = {"numbers": [one.content() for one in numbers]}
+    factor = ratio(numbers)
+    if factor is not None:
+        is_ = "gone" if factor == 0.0 else "higher" if factor > 1.0 else "lower"
+        return {**told, "is": is_, "size_after": factor}
+    if new or len(numbers) > 1:
+        return {**told, "is": "new" if new else "different"}
+    return {**told, "is": "higher" if numbers[0].second > numbers[0].first else "lower"}
+
+
+def _times(had: Floats, now: Floats) -> float | None:
+    """The multiple of what was ``had`` that there is ``now``; None where it has another shape."""
+    energy = float(had @ had)
+    if energy <= 0.0:
+        return None
+    size = float(had @ now) / energy
+    rest = float((now - size * had) @ (now - size * had))
+    return size if rest < (1.0 - _ALIKE) * max(energy, float(now @ now)) else None
 
 
 def _written(told: Diagnosis) -> Model:
