@@ -10,7 +10,7 @@ from eps_hil.diagnosis.accept.proof_of_fit import Holdout, rack_force_error_n
 from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Selection, timed
 from eps_hil.diagnosis.balance.baseline import HOLD, STIFFNESS, is_free
-from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, deviation, fit, matters
+from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, deviation, fit, half_widths_off, matters
 from eps_hil.diagnosis.balance.problem import SLIDING_RAD_S, Problem, clipped, knee, plain, term_of
 from eps_hil.diagnosis.mismatch.curve import winds
 from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN
@@ -157,11 +157,11 @@ def _clear(problem: Problem, found: Fit, k: int) -> bool:
     if problem.remainder is not None and halves:
         probe = catalogue()[entry["effect"]].probe
         assert probe is not None
-        return deviation(entry, problem) > _BESIDE_HALVES * halves[probe.amplitude]
+        return half_widths_off(entry, halves[probe.amplitude], problem) > _BESIDE_HALVES
     if len(halves) != 1:
         return True
     least = _BRISTLE_HALVES if entry["effect"] == BRISTLE else 1.0
-    return deviation(entry, problem) > least * next(iter(halves.values()))
+    return half_widths_off(entry, next(iter(halves.values())), problem) > least
 
 
 def _only_clear(problem: Problem, selection: Selection, findings: Sequence[int]) -> list[int]:
