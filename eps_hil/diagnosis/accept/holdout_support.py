@@ -10,8 +10,9 @@ from eps_hil.diagnosis.accept.proof_of_fit import Holdout, rack_force_error_n
 from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Selection, timed
 from eps_hil.diagnosis.balance.baseline import HOLD, STIFFNESS, is_free
-from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, deviation, fit, half_widths_off, matters
+from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, deviation, fit, matters
 from eps_hil.diagnosis.balance.problem import SLIDING_RAD_S, Problem, clipped, knee, plain, term_of
+from eps_hil.diagnosis.balance.turning import half_widths_off
 from eps_hil.diagnosis.mismatch.curve import winds
 from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN
 from eps_hil.diagnosis.remainder.find import rounded

@@ -282,27 +282,6 @@ def deviation(entry: Mapping[str, Any], problem: Problem) -> float:
     return float(abs(entry[probe.amplitude] - neutral_value(probe, problem.model)))
 
 
-def half_widths_off(entry: Mapping[str, Any], half_width: float, problem: Problem) -> float:
-    """How many half widths of its 95 % interval an entry's amplitude is from nothing.
-
-    Of a stiffer bristle than the model's, in the way over which friction turns round, T_fs/σ0, to
-    which what the model leaves is proportional. Of a rig without presliding that way is nothing,
-    give or take a little; σ0 is any large number, and its own interval always reaches the model's.
-    """
-    if half_width == 0.0:
-        return float(np.inf)
-    off = deviation(entry, problem) / half_width
-    stiffer = stiffness_ratio(entry, problem)
-    return off * stiffer if stiffer > 1.0 else off
-
-
-def stiffness_ratio(entry: Mapping[str, Any], problem: Problem) -> float:
-    """σ0 of a bristle's entry over the model's; 1 for another effect."""
-    if entry["effect"] != BRISTLE:
-        return 1.0
-    return float(entry["sigma0_nm_per_rad"]) / problem.model.friction.sigma0_nm_per_rad
-
-
 def matters(entry: Mapping[str, Any], problem: Problem) -> bool:
     """Whether an entry is large enough to be a finding rather than how rigs are."""
     effect = catalogue()[entry["effect"]]

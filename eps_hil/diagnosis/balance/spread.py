@@ -121,7 +121,7 @@ def _open(told: Mapping[str, Any], one: Parameter, probe: Probe | None, ends: En
 
 def _beyond(told: Mapping[str, Any], ends: Ends) -> bool:
     low, high = told["ci95"]
-    return bool(low < ends[0] or high > ends[1])
+    return bool(low < ends[0] or high >= ends[1])
 
 
 def _on_bound(told: Mapping[str, Any], ends: Ends) -> bool:

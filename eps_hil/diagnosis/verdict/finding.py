@@ -12,6 +12,7 @@ from eps_hil.diagnosis.balance.baseline import HOLD
 from eps_hil.diagnosis.balance.fit import Fit
 from eps_hil.diagnosis.balance.probes import bounds
 from eps_hil.diagnosis.balance.problem import Problem, term_of
+from eps_hil.diagnosis.balance.turning import ends_of, in_words
 from eps_hil.diagnosis.data.entry import place
 from eps_hil.diagnosis.data.entry import unknown as unknown_entry
 from eps_hil.diagnosis.mismatch import locate
@@ -74,12 +75,14 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     sure = _confidence(gain, least, rivals)
     if _at_the_end(effect, entry, problem):
         sure, held = min(sure, _AT_THE_END), f"{held}{_FARTHER}"
+    bare = problem.cost(selection.without[term_of(entry)].residual)
+    turning = in_words(problem, found, k, bare, RIVAL)
     return {
         "effect": effect.id,
         "kind": str(effect.kind),
         "confidence": sure,
         "equation": effect.equation,
-        "summary": sentence.format(**values) + held,
+        "summary": sentence.format(**values) + held + turning,
         "parameters": parameters,
         "where": [
             place(region.signal, region.low, region.high, region.share, region.occupancy)
@@ -127,7 +130,7 @@ def _parameters(problem: Problem, found: Fit, k: int, effect: Effect) -> dict[st
             half = float(
                 np.hypot(half, 1.96 * INSTANT * max(one.interval_s for one in problem.recordings))
             )
-        ends = [value - half, value + half]
+        ends = ends_of(entry, parameter.name, half, problem)
         if parameter.closed:
             ends = [max(ends[0], parameter.lower), min(ends[1], parameter.upper)]
         result[parameter.name] = {"value": value, "unit": parameter.unit, "ci95": ends}
