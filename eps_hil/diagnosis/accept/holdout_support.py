@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from eps_hil.diagnosis.accept.proof_of_fit import Holdout, rack_force_error_n
+from eps_hil.diagnosis.accept.proof_of_fit import WORSE, Holdout, rack_force_error_n
 from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Selection, timed
-from eps_hil.diagnosis.balance.baseline import HOLD, STIFFNESS, is_free
-from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, deviation, fit, matters
+from eps_hil.diagnosis.balance.baseline import DAMPING, HOLD, STIFFNESS, is_free
+from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, ablated, deviation, fit, matters
 from eps_hil.diagnosis.balance.problem import SLIDING_RAD_S, Problem, clipped, knee, plain, term_of
 from eps_hil.diagnosis.balance.turning import half_widths_off
 from eps_hil.diagnosis.mismatch.curve import winds
@@ -45,6 +45,7 @@ def holdout_support(
         k for k in _held_out(problem, selection, judged) if not winds(entries[k], visited_m)
     ]
     findings = refitted(problem, selection, findings)
+    findings = _told_from_damping(problem, selection, findings, judged)
     findings = _only_clear(problem, selection, findings)
     findings = refitted(
         problem, selection, _without_spoiling_bristle(problem, selection, findings, judged)
@@ -53,6 +54,40 @@ def holdout_support(
         silent = not_shown(selection.found, findings, judged, problem)
         return findings if len(silent) == len(findings) else []
     return findings
+
+
+def _told_from_damping(
+    problem: Problem, selection: Selection, findings: Sequence[int], judged: Sequence[Holdout]
+) -> list[int]:
+    """The findings, a bristle that only its damping hides fitted beside the model file's own σ1.
+
+    σ1 has no name and is free beside that of σ0. Where friction goes with speed near standstill
+    both rise instead of it, and each is unclear beside the other; but σ1 does nothing for a rack
+    force, and σ0 does. So the hold-outs' force decides whether σ0 alone is a finding.
+    """
+    found, left = selection.found, list(findings)
+    at = [k for k in left if found.entries[k]["effect"] == BRISTLE]
+    if not at or is_free(found.own) or DAMPING not in found.own or _clear(problem, found, at[0]):
+        return left
+    own = {name: value for name, value in found.own.items() if name != DAMPING}
+    alone = timed(problem, fit(problem, found.entries, own=own, like=found))
+    terms = {term_of(found.entries[k]) for k in left}
+    places = [k for k, entry in enumerate(alone.entries) if term_of(entry) in terms]
+    (k,) = (place for place in places if alone.entries[place]["effect"] == BRISTLE)
+    if not _clear(problem, alone, k):
+        return left
+    others = [place for place in left if place != at[0]]
+    force, without = (
+        rack_force_error_n(judged, problem.model, augmented_by(problem, one, named))
+        for one, named in ((alone, places), (found, others))
+    )
+    if force is None or without is None or force * WORSE > without:
+        return left
+    selection.found = alone
+    for place in places:
+        term, spared = term_of(alone.entries[place]), ablated(problem, alone, place)
+        selection.without[term], selection.gains[term] = spared, spared.cost - alone.cost
+    return [place for place in _held_out(problem, selection, judged) if place in places]
 
 
 def _without_spoiling_bristle(

@@ -31,7 +31,7 @@ MUCH_MORE = 2.0
 """Times the energy of what was fitted: such a hold-out shows something that nothing else did."""
 MOST_RUNS = 24
 """Of each hold-out; a longer one is sampled evenly."""
-_WORSE = 1.02
+WORSE = 1.02
 """Times the error that it was, from which a worse estimate is said."""
 CLEARLY = 1.3
 """Times the sensors' noise that is left of a hold-out's torque, from which that is said."""
@@ -168,7 +168,7 @@ def beside_a_gap(holdouts: Sequence[Holdout], model: Model) -> list[str]:
 def worse_force(told: Mapping[str, Mapping[str, float]]) -> list[str]:
     """A sentence where the findings make the hold-outs' rack-force estimate worse."""
     before, after = (told[one].get("rack_force_rmse_n") for one in ("baseline", "augmented"))
-    if before is None or after is None or after <= _WORSE * before:
+    if before is None or after is None or after <= WORSE * before:
         return []
     return [
         f"The estimate of the rack force is worse with the findings: {after:.3g} N off on the "

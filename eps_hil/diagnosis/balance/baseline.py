@@ -17,7 +17,7 @@ from eps_hil.physics.model import Friction, Model
 Width = Callable[[Model, Size], float]
 
 OFFSET, HOLD, SPRING = "motor_torque_offset", "motor_torque_delay", "unmodelled_spring"
-STIFFNESS = "sigma0_nm_per_rad"
+STIFFNESS, DAMPING = "sigma0_nm_per_rad", "sigma1_nm_s_per_rad"
 GRAVITY = ("gravity_sin", "gravity_cos")
 """A weight on a turning joint: torques that follow the sine and the cosine of its angle."""
 _LEARNT, _SPRING_NM_PER_RAD = "empirical", 1e-3
@@ -140,7 +140,7 @@ KNOBS: Sequence[Knob] = (
     _friction("load_pos_nm_per_n", _LOAD),
     _friction("load_neg_nm_per_n", _LOAD),
     _factor(STIFFNESS, 0.4),
-    _factor("sigma1_nm_s_per_rad", 0.5),
+    _factor(DAMPING, 0.5),
     Knob("inertia", _inertia),
     Knob(OFFSET, _raised(OFFSET, "offset_nm", lambda size: OFFSET_NM * size.torque)),
     Knob(HOLD, _hold, 0.25),
@@ -165,7 +165,7 @@ SIDES: Mapping[str, tuple[str, ...]] = {
     "viscous_friction": ("viscous_difference_nm_s_per_rad",),
     "load_dependent_friction": ("load_difference_nm_per_n",),
     HOLD: (HOLD,),
-    "": ("sigma1_nm_s_per_rad",),
+    "": (DAMPING,),
 }
 """Numbers that no name of the contract describes alone: they go with a name, or unnamed.
 
