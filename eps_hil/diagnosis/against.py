@@ -8,13 +8,21 @@ from typing import Any
 from eps_hil.diagnosis.accept.improvement import Judged, improvement, only_if_clear
 from eps_hil.diagnosis.accept.proof_of_fit import measures
 from eps_hil.diagnosis.attribute.select import Say
+from eps_hil.diagnosis.balance.baseline import STIFFNESS
 from eps_hil.diagnosis.balance.load import missing
 from eps_hil.diagnosis.data.channels import check_channels
 from eps_hil.diagnosis.data.intake import check_rates, measured, split
 from eps_hil.diagnosis.data.prepare import Prepared, prepare
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.given_load import Diagnosis
-from eps_hil.diagnosis.simulator.differences import NUMBERS, Surplus, numbers, surplus, without
+from eps_hil.diagnosis.simulator.differences import (
+    NUMBERS,
+    Surplus,
+    comparable,
+    numbers,
+    surplus,
+    without,
+)
 from eps_hil.diagnosis.simulator.simulation import Simulated, explain, silent_on
 from eps_hil.diagnosis.simulator.traces import Signals
 from eps_hil.diagnosis.verdict.content import without_nan
@@ -69,7 +77,7 @@ def diagnose_against(
     content["simulation"] = {
         **simulated.content,
         "caveats": caveats,
-        "differences": _differences(result, base, extra, fitted, simulated.content["parameters"]),
+        "differences": _differences(result, base, extra, fitted, simulated.content),
     }
     return replace(result, content=without_nan(content))
 
@@ -122,25 +130,38 @@ def _differences(
     base: Model,
     extra: Sequence[Surplus],
     fitted: Sequence[Prepared],
-    parameters: Mapping[str, Mapping[str, Any]],
+    simulator: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Both directions, with sizes; ``same``: effects that both have."""
+    """Both directions, with sizes; ``same``: effects of the ``simulator`` (of the JSON) that the
+    recordings were asked for and have, too.
+    """
     findings = result.content["findings"]
-    differ = numbers(fitted, base, result.model, findings, parameters) if findings else []
+    differ = (
+        numbers(fitted, base, result.model, findings, simulator["parameters"]) if findings else []
+    )
     told = {one["name"].split(".")[0] for one in differ}
+    told |= {str(one.entry["effect"]) for one in extra}
     mine = [str(one["effect"]) for one in base.effects]
+    asked = [str(one["effect"]) for one in simulator["effects"] if comparable(one)]
     return {
         "simulator_only": [one.content() for one in extra],
         "rig_only": [
             {"effect": one["effect"], "parameters": one.get("parameters", {})}
             for one in result.content["findings"]
             if one["effect"] not in (*mine, *NUMBERS, "unknown")
+            and not _lacks(one, base)
             and one["kind"] == "structure"
             and "direction" not in one
         ],
         "numbers": differ,
-        "same": [one for one in mine if one not in told],
+        "same": [one for one in asked if one not in told],
     }
+
+
+def _lacks(finding: Mapping[str, Any], base: Model) -> bool:
+    """Whether it is less of the simulator's presliding that the rig has."""
+    stiffness = finding["parameters"].get(STIFFNESS)
+    return stiffness is not None and stiffness["value"] > base.friction.sigma0_nm_per_rad
 
 
 def _silent(result: Diagnosis, simulated: Simulated) -> list[str]:

@@ -26,7 +26,7 @@ _SILENT = 0.1
 _BEYOND_DOUBT = 10.0
 """Times the gain that counts: what hold-outs cannot judge has to show as clearly as this."""
 
-_BRISTLE_HALVES = 2.5
+BRISTLE_HALVES = 2.5
 """Half widths of its interval: on rigs of several forms of friction nearly all below were the
 form's own, and no other stiffness."""
 _BESIDE_HALVES = 4.0
@@ -196,7 +196,7 @@ def _clear(problem: Problem, found: Fit, k: int) -> bool:
         return half_widths_off(entry, halves[probe.amplitude], problem) > _BESIDE_HALVES
     if len(halves) != 1:
         return True
-    least = _BRISTLE_HALVES if entry["effect"] == BRISTLE else 1.0
+    least = BRISTLE_HALVES if entry["effect"] == BRISTLE else 1.0
     return half_widths_off(entry, next(iter(halves.values())), problem) > least
 
 

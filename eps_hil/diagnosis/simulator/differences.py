@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.attribute.scoring import LEAST_GAIN
+from eps_hil.diagnosis.balance.fit import BRISTLE
 from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, plain
 from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.data.prepare import Prepared
@@ -108,9 +109,9 @@ def _gone(
     """The effect, if it is too many: the model's own numbers are free beside all shares of it."""
     effect = catalogue()[entry["effect"]]
     probe = effect.probe
-    size = entry.get(probe.amplitude) if probe is not None else None
-    if probe is None or probe.neutral != 0.0 or not isinstance(size, float) or not size:
+    if probe is None or not comparable(entry):
         return None
+    size = float(entry[probe.amplitude])
     tried = []
     for share in _SHARES:
         scaled = {**entry, probe.amplitude: share * size}
@@ -138,6 +139,15 @@ def _gone(
     of_it = traces.residual(traces.model) - reduce_parameters(replace(traces, model=bare)).residual
     its = _half_width(traces, of_it, traces.residual(traces.model))
     return Surplus(entry, probe.amplitude, unit, share * size, abs(size) * wide, abs(size) * its)
+
+
+def comparable(entry: Mapping[str, Any]) -> bool:
+    """Whether it can be asked how much of an effect the rig has: one size, and none of it is 0."""
+    probe = catalogue()[entry["effect"]].probe
+    if probe is None or probe.neutral != 0.0:
+        return False
+    size = entry.get(probe.amplitude)
+    return isinstance(size, float) and bool(size)
 
 
 def _half_width(problem: Problem, column: Floats, left: Floats) -> float:
@@ -168,7 +178,7 @@ def numbers(
     a finding says that a number differs: what no finding rests on is not made one here.
     ``parameters``: of the simulator, those that its traces moved, with their intervals.
     """
-    told = _of_effects(model, written, findings)
+    told = [*_of_effects(model, written, findings), *_of_bristle(model, findings)]
     if not {one["effect"] for one in findings} & set(NUMBERS):
         return told
     structure = tuple(one for one in written.effects if one["effect"] not in NUMBERS)
@@ -221,6 +231,23 @@ def _of_effects(
             interval = None if ends is None else [before + end for end in ends]
             told.append(_number(f"{name}.{probe.amplitude}", unit, before, after, interval, None))
     return told
+
+
+def _of_bristle(model: Model, findings: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """How the simulator and the rig turn round, where a finding says that they differ."""
+    return [
+        _number(
+            f"friction.{name}",
+            one["unit"],
+            model.friction.sigma0_nm_per_rad,
+            one["value"],
+            one["ci95"],
+            None,
+        )
+        for finding in findings
+        if finding["effect"] == BRISTLE
+        for name, one in finding["parameters"].items()
+    ]
 
 
 def _number(

@@ -15,10 +15,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.accept.holdout_support import BRISTLE_HALVES
 from eps_hil.diagnosis.attribute.scoring import LEAST_GAIN
 from eps_hil.diagnosis.attribute.select import Say, select
-from eps_hil.diagnosis.balance.fit import Fit, ablated, fit
+from eps_hil.diagnosis.balance.baseline import STIFFNESS
+from eps_hil.diagnosis.balance.fit import BRISTLE, Fit, ablated, fit, matters
 from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, plain
+from eps_hil.diagnosis.balance.turning import half_widths_off
 from eps_hil.diagnosis.mismatch.leftover import LEAST_EXCESS
 from eps_hil.diagnosis.simulator.align import Match, pair
 from eps_hil.diagnosis.simulator.caveats import about, caveats
@@ -45,7 +48,8 @@ _PARAMETERS = (
     "inertia",
 )
 """Effects that are nothing but the model file's own numbers moved."""
-_AT_REST = ("presliding_hysteresis",)
+_STIFFER = 2.0
+"""Times the model file's stiffness, where the search for the traces' begins."""
 _SAME_TIME_S = 0.75e-3
 """Delays of the traces that are this near to the model file's are the same."""
 _LEAST_PART = 0.02
@@ -91,7 +95,13 @@ def explain(
     entries = [entry for entry in entries if entry["effect"] not in _TIMING]
     left = problem.residual(fitted)
     unexplained = _unexplained(problem, left)
-    result = replace(reduction.model, effects=(*model.effects, *map(plain, entries)))
+    effects = [plain(entry) for entry in entries if entry["effect"] != BRISTLE]
+    result = replace(reduction.model, effects=(*model.effects, *effects))
+    for entry in entries:
+        if entry["effect"] == BRISTLE:  # a number of the model, which recordings may ask for anew
+            result = replace(
+                result, friction=replace(result.friction, **{STIFFNESS: entry[STIFFNESS]})
+            )
     borrowed = any(lent(trace) for trace in traces.values())
     late, delays = _timing(reduction.model.delays_s, model.delays_s, borrowed)
     result = replace(result, delays_s=delays)
@@ -137,7 +147,7 @@ def _reduced(problem: Problem) -> tuple[Reduction, list[dict[str, Any]]]:
     cut = clipped(reduction.residual, knee(reduction.residual))[problem.sliding]
     excess = float(np.sum(cut**2 - 1.0))
     if excess < LEAST_EXCESS * len(cut):
-        return reduction, []
+        return reduction, _presliding(Problem(problem.recordings, reduction.model))
     found = select(Problem(problem.recordings, reduction.model)).found
     entries = [dict(one) for one in found.entries if one["effect"] not in _PARAMETERS]
     for _ in range(2):
@@ -146,6 +156,16 @@ def _reduced(problem: Problem) -> tuple[Reduction, list[dict[str, Any]]]:
         bare = Problem(problem.recordings, replace(reduction.model, effects=nominal.effects))
         entries = _needed(bare, fit(bare, entries), max(LEAST_GAIN, _LEAST_PART * excess))
     return reduction, entries
+
+
+def _presliding(problem: Problem) -> list[dict[str, Any]]:
+    """The bristle's stiffness where traces that slide as the model does turn round otherwise."""
+    start = {"effect": BRISTLE, STIFFNESS: _STIFFER * problem.model.friction.sigma0_nm_per_rad}
+    found = fit(problem, [start])
+    at_rest = _needed(problem, found, LEAST_GAIN)
+    half_width = next(iter(found.half_width.values()))
+    clear = half_widths_off(found.entries[0], half_width, problem) > BRISTLE_HALVES
+    return at_rest if clear and matters(found.entries[0], problem) else []
 
 
 def _needed(problem: Problem, found: Fit, least: float) -> list[dict[str, Any]]:
@@ -159,7 +179,7 @@ def _needed(problem: Problem, found: Fit, least: float) -> list[dict[str, Any]]:
             without = ablated(problem, found, k)
             whole = float(np.sum(without.residual**2 - found.residual**2))
             slid = float(np.sum((without.residual**2 - found.residual**2)[problem.sliding]))
-            losses.append(whole if entry["effect"] in _AT_REST else min(whole, slid))
+            losses.append(whole if entry["effect"] == BRISTLE else min(whole, slid))
         weakest = int(np.argmin(losses))
         if losses[weakest] > least:
             break
