@@ -44,21 +44,23 @@ def ends_of(
     return [value / (1.0 + share), min(value / (1.0 - share), most) if share < 1.0 else most]
 
 
-def in_words(problem: Problem, found: Fit, k: int, bare: float, alike: float) -> str:
+def in_words(problem: Problem, found: Fit, k: int, without: Fit | None, alike: float) -> str:
     """What a stiffer bristle at place ``k`` says of how the rig turns round; else nothing.
 
-    ``bare``: cost of the fit without it; ``alike``: share of its gain from which another
+    ``without``: the fit that does without it; ``alike``: share of its gain from which another
     explanation is as good.
     """
-    entry = found.entries[k]
-    times = stiffer(entry, problem)
+    times = stiffer(found.entries[k], problem)
     if times <= 1.0:
         return ""
     said = f" Friction turns round over {100.0 / times:.2g} % of the way that the model takes."
+    if without is None:
+        return said
     none = [dict(one) for one in found.entries]
     none[k][_STIFFNESS] = _stiffest(problem)
-    left = problem.cost(problem.residual(problem.with_entries(none, found.own)))
-    if bare - left > alike * (bare - problem.cost(found.residual)):
+    left = problem.residual(problem.with_entries(none, found.own))
+    bare, cost, rigid = (problem.cost(one) for one in (without.residual, found.residual, left))
+    if bare - rigid > alike * (bare - cost):
         said += " No presliding at all, as of friction that only follows speed, explains as much."
     return said
 

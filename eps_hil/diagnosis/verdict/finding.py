@@ -75,8 +75,7 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     sure = _confidence(gain, least, rivals)
     if _at_the_end(effect, entry, problem):
         sure, held = min(sure, _AT_THE_END), f"{held}{_FARTHER}"
-    bare = problem.cost(selection.without[term_of(entry)].residual)
-    turning = in_words(problem, found, k, bare, RIVAL)
+    turning = in_words(problem, found, k, selection.without.get(term_of(entry)), RIVAL)
     return {
         "effect": effect.id,
         "kind": str(effect.kind),
