@@ -11,6 +11,7 @@ from eps_hil.diagnosis.accept.as_written import (
     as_the_file_does,
     in_no_file,
 )
+from eps_hil.diagnosis.accept.at_rest import turns_otherwise
 from eps_hil.diagnosis.accept.free_run import disagreement
 from eps_hil.diagnosis.accept.holdout_support import (
     augmented_by,
@@ -82,7 +83,7 @@ from eps_hil.diagnosis.verdict.finding import more_masses
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
-EMPIRICAL = "empirical"
+EMPIRICAL, UNKNOWN = "empirical", "unknown"
 
 LEAST_SLIDING_S = 4.0
 _AS_WELL = "Hold-outs cannot tell what is found from another explanation"
@@ -338,6 +339,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         model,
         ready_to_write,
     )
+    said = {str(one["effect"]) for one in content["findings"]}
     content["limits"] = [
         *([] if load is None else [load.sentence(look.shown)]),
         *unseen(case.asked.every),
@@ -351,6 +353,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
             [] if left is not None or hidden else how_held(problem, selection.found),
         ),
         *between_recordings([*look.fitted, *(one.prepared for one in judged)], written),
+        *([] if hidden or said & {BRISTLE, UNKNOWN} else turns_otherwise(problem, judged, written)),
         *beside_a_gap(judged, problem.model),
         *in_no_file(content["fit"]["holdout"]),
         *unjudged(now.told.found, findings, judged, now.weighed),
