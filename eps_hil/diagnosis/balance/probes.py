@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import njit
+from eps_hil.diagnosis.balance.baseline import STIFFNESS
 from eps_hil.diagnosis.balance.problem import TERM, Problem
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.physics.effects.added import MOST_TERMS
@@ -78,7 +79,7 @@ class Candidate:
             phase = float(np.arctan2(coefficients[1], coefficients[0]))
             values = {probe.amplitude: amplitude, probe.phase: phase}
         else:
-            values = {probe.amplitude: neutral + float(coefficients[0])}
+            values = {probe.amplitude: _moved_by(float(coefficients[0]), neutral, probe)}
         entry: dict[str, Any] = {"effect": self.effect.id, **self.shape, **values}
         if self.repeats:
             entry[TERM] = f"{self.effect.id} {self.shape['order'] * problem.size.angle:.2f}"
@@ -87,6 +88,17 @@ class Candidate:
                 low, high = bounds(self.effect, parameter, problem)
                 entry[parameter.name] = float(np.clip(entry[parameter.name], low, high))
         return entry
+
+
+def _moved_by(change: float, neutral: float, probe: Probe) -> float:
+    """An amplitude moved as far from ``neutral`` as a small change of it, carried on, asks for.
+
+    Friction turns round over T_fs/σ0: of a stiffness it is that way which is carried on.
+    """
+    if probe.amplitude != STIFFNESS:
+        return neutral + change
+    way = 1.0 - change / neutral
+    return neutral / way if way > 0.0 else np.inf
 
 
 def neutral_value(probe: Probe, model: Model) -> float:

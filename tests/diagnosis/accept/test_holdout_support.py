@@ -40,6 +40,9 @@ pytestmark = pytest.mark.slow
         # the form of presliding is nobody's: what the balance alone shows of it has to be clearer
         ({"effect": "presliding_hysteresis", "sigma0_nm_per_rad": 3.0}, {"s": 0.7}, False),
         ({"effect": "presliding_hysteresis", "sigma0_nm_per_rad": 3.0}, {"s": 0.5}, True),
+        ({"effect": "presliding_hysteresis", "sigma0_nm_per_rad": 5.5}, {"s": 0.7}, False),
+        # of a rig that has none σ0 is any large number; the way over which it turns is nothing
+        ({"effect": "presliding_hysteresis", "sigma0_nm_per_rad": 42.0}, {"s": 24.0}, True),
     ],
 )
 def test_one_number_that_may_as_well_be_nothing_is_no_finding(

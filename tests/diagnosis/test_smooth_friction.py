@@ -1,0 +1,59 @@
+"""A rig whose friction is a smooth function of speed, against a model that has presliding."""
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from eps_hil.diagnosis.diagnose import diagnose
+from eps_hil.physics.model import Model
+
+pytestmark = pytest.mark.slow
+
+
+def asked(
+    record: Callable[..., Any],
+    model: Model,
+    plant: dict[int, float],
+    fitted: tuple[str, ...],
+    kept: tuple[str, ...],
+) -> dict[str, Any]:
+    return diagnose(model, record(plant, fitted), record(plant, kept, seed=2)).content
+
+
+@pytest.mark.parametrize(
+    ("speed_rad_s", "better"),
+    [
+        (0.2, 0.6),  # σ0 may be anything large, so that its interval reaches the model's
+        (0.5, 0.95),  # and rises together with σ1, beside which it is not clear
+    ],
+)
+def test_presliding_that_only_the_model_has_is_found(
+    record: Callable[..., Any],
+    reference_model: Model,
+    other_rig: ModuleType,
+    speed_rad_s: float,
+    better: float,
+) -> None:
+    plant = {other_rig.SMOOTH: speed_rad_s}
+    content = asked(record, reference_model, plant, ("sweep", "weave", "slow"), ("weave", "slow"))
+    (finding,) = content["findings"]
+    assert finding["effect"] == "presliding_hysteresis"
+    assert "% of the way that the model takes" in finding["summary"]
+    stiffness = finding["parameters"]["sigma0_nm_per_rad"]
+    assert stiffness["ci95"][0] > reference_model.friction.sigma0_nm_per_rad
+    before, after = (content["fit"]["holdout"][name] for name in ("baseline", "augmented"))
+    assert after["rack_force_rmse_n"] < better * before["rack_force_rmse_n"]
+
+
+def test_presliding_that_nothing_explains_is_said(
+    record: Callable[..., Any], reference_model: Model, other_rig: ModuleType
+) -> None:
+    """Slow motion alone: other numbers bend to it, and no hold-out bears them out."""
+    for speed_rad_s, said in ((0.35, True), (0.0, False)):
+        plant = {other_rig.SMOOTH: speed_rad_s}
+        programme = ("slow", "steps")
+        content = asked(record, reference_model, plant, (*programme, "slow"), programme)
+        assert content["findings"] == []
+        assert any("while the rotor turns round" in one for one in content["limits"]) is said
