@@ -1,6 +1,7 @@
 """A rig whose friction is a smooth function of speed, against a model that has presliding."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
@@ -57,3 +58,18 @@ def test_presliding_that_nothing_explains_is_said(
         content = asked(record, reference_model, plant, (*programme, "slow"), programme)
         assert content["findings"] == []
         assert any("while the rotor turns round" in one for one in content["limits"]) is said
+
+
+def test_a_bristle_far_softer_than_the_model_s_is_found(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    """Six times: a straight line in σ0 goes past zero, and a fit from there ends elsewhere."""
+    true = reference_model.friction
+    stiff = replace(
+        reference_model, friction=replace(true, sigma0_nm_per_rad=6.0 * true.sigma0_nm_per_rad)
+    )
+    content = asked(record, stiff, {}, ("sweep", "weave", "slow"), ("weave", "slow"))
+    (finding,) = content["findings"]
+    assert finding["effect"] == "presliding_hysteresis"
+    value = finding["parameters"]["sigma0_nm_per_rad"]["value"]
+    assert value == pytest.approx(true.sigma0_nm_per_rad, rel=0.15)
