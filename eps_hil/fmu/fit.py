@@ -231,7 +231,7 @@ def _sigma(jacobian: Floats, residual: Floats, block: int) -> Floats:
     except np.linalg.LinAlgError:
         return np.full(jacobian.shape[1], np.inf)
     few = len(edges) / max(len(edges) - jacobian.shape[1], 1)
-    return np.asarray(np.sqrt(np.diag(few * inverse @ (summed.T @ summed) @ inverse)))
+    return np.asarray(np.sqrt(few) * np.linalg.norm(summed @ inverse, axis=0))
 
 
 def _rms(values: Floats) -> float:

@@ -16,7 +16,7 @@ from eps_hil.identification import filters
 from eps_hil.identification.butterworth import low_pass
 from eps_hil.identification.filters import STEP_S
 from eps_hil.identification.finding import Finding
-from eps_hil.identification.motion_check import check_speed
+from eps_hil.identification.motion_check import check_speed, varies
 from eps_hil.identification.prepare import Prepared
 
 Floats = npt.NDArray[np.float64]
@@ -108,6 +108,9 @@ def skew(recordings: Sequence[Prepared], signs: bool = True) -> Skew | None:
     if signs:
         for one in both:
             check(one)
+    both = [one for one in both if varies(one)]
+    if not both:
+        return None
     late, gain = 0.0, 1.0
     for _ in range(8):
         rows = [_skew_rows(one, late, gain) for one in both]

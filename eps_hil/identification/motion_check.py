@@ -28,6 +28,7 @@ def check_speed(one: Prepared, rate: Floats, measured: Floats) -> None:
     ``rate``: filtered derivative of the angle, ``measured``: filtered speed; (m,), rad/s.
     """
     check_turns(one)
+    _check_dead(one, rate, measured)
     if min(_rms(rate), _rms(measured)) <= 0 or _rms(rate) < _LEAST_RAD_S:
         return
     together = _alike(rate, measured)
@@ -52,6 +53,20 @@ def check_speed(one: Prepared, rate: Floats, measured: Floats) -> None:
     if not 0.5 < gain < 2.0:
         problem = f"is {gain:.3g} times the derivative of motor_angle_rad"
         raise InputError(one.name, "motor_speed_rad_s", problem, "check the units of both")
+
+
+def varies(one: Prepared) -> bool:
+    """Whether both readings of the motion change at all: a constant says nothing of its delay."""
+    return all(np.ptp(one.raw[name]) > 0.0 for name in ("motor_speed_rad_s", "motor_angle_rad"))
+
+
+def _check_dead(one: Prepared, rate: Floats, measured: Floats) -> None:
+    """:class:`InputError` for a reading that stays where it is while the other one moves."""
+    by_name = {"motor_speed_rad_s": measured, "motor_angle_rad": rate}
+    for dead, moving in (tuple(by_name), tuple(reversed(by_name))):
+        if np.ptp(one.raw[dead]) == 0.0 and _rms(by_name[moving]) >= _LEAST_RAD_S:
+            problem = f"is {one.raw[dead][0]:g} all the time while {moving} moves"
+            raise InputError(one.name, dead, problem, "record it, or leave the column out")
 
 
 def check_place(one: Prepared, ratio_rad_per_m: float) -> list[Finding]:

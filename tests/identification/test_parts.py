@@ -84,6 +84,20 @@ def test_speed_against_angle_is_checked(factor: float, words: str) -> None:
         skew([prepare("a", series)])
 
 
+@pytest.mark.parametrize("dead", ["motor_speed_rad_s", "motor_angle_rad"])
+def test_a_dead_reading_of_the_motion_is_named(dead: str) -> None:
+    series = turned(0.0)
+    series[dead] = Series(series[dead].t_ns, np.full(len(series[dead].t_ns), 1.25))
+    with pytest.raises(InputError, match=f"{dead}: is 1.25 all the time while .* moves"):
+        skew([prepare("a", series)])
+
+
+def test_a_rig_at_rest_has_no_skew() -> None:
+    still = {name: Series(one.t_ns, np.zeros(len(one.t_ns))) for name, one in turned(0.0).items()}
+    assert skew([prepare("still", still)]) is None
+    assert skew([prepare("still", still), prepare("a", turned(0.002))]) is not None
+
+
 def test_single_wild_samples_are_bridged_and_steep_signals_are_not() -> None:
     rng = np.random.default_rng(3)
     signal = 400 * np.sin(2 * np.pi * 4 * T) + 0.3 * rng.normal(size=len(T))

@@ -193,7 +193,9 @@ def where_friction_acts(content: Mapping[str, Any]) -> list[str]:
 def small_ratio(content: Mapping[str, Any]) -> list[str]:
     """A sentence where the ratio is clearly off by too little to be a finding."""
     off = content.get("kinematics", {}).get("ratio_error", 0.0)
-    if abs(off) < _TOLD_RATIO or any(one["effect"] == "rack_ratio" for one in content["findings"]):
+    if not _TOLD_RATIO <= abs(off) <= LEAST_RATIO:
+        return []
+    if any(one["effect"] == "rack_ratio" for one in content["findings"]):
         return []
     return [
         f"The ratio from rack to rotor is {off:+.2%} off: up to {LEAST_RATIO:.1%} is how drives "

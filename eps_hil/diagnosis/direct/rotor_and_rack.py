@@ -19,7 +19,7 @@ from eps_hil.diagnosis.data.prepare import CUTOFF_HZ, Prepared
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.direct.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_cost
 from eps_hil.identification.butterworth import low_pass, passed
-from eps_hil.physics.effects.catalogue import with_model_effects
+from eps_hil.physics.effects.catalogue import can_be, with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.physics.simulate import rotor_angle_rad
 
@@ -287,7 +287,7 @@ def _judged(
     """The finding, if its numbers make sense, are large enough, and help on the hold-outs."""
     group = ("ratio",) if constant else _GROUPS[effect]
     entry = _entry(rows, effect, values, constant=constant)
-    if entry is None:
+    if entry is None or not can_be(entry, rows[0].model):
         return None
     if not constant and not _matters(effect, rows, values):
         return None

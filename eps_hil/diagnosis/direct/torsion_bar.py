@@ -18,6 +18,7 @@ from eps_hil.diagnosis.balance.spread import Integers, half_widths
 from eps_hil.diagnosis.data.prepare import Prepared, with_play
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.direct.seen import LEAST_GAIN, LEAST_SHARE, Seen, robust_squares
+from eps_hil.identification.bounds import inside
 from eps_hil.identification.butterworth import low_pass, passed
 from eps_hil.physics.model import Model
 
@@ -157,6 +158,15 @@ def _stretches(rows: Sequence[_Twisted]) -> Integers:
     return np.concatenate(found)
 
 
+def _bounds(offset: float) -> tuple[Floats, Floats]:
+    """Least and most of gain, damping, lag, offset and play, as shares of what is usual.
+
+    The offset is about that of the law without play: how far off a reading's zero is says nothing.
+    """
+    low = np.array([0.2, -1.0, -0.1, offset - 5.0, 0.0])
+    return low, np.array([5.0, 1.0, 0.1, offset + 5.0, 2.0])
+
+
 def _more_than_noise_held_back(gains: Floats, lost: Floats, excess: float) -> bool:
     """Whether a play gains by what is there; by stretch of 10 s: its gain, its loss by no play.
 
@@ -185,9 +195,11 @@ def sensor_play(
     torque = np.concatenate([one.torque for one in rows])
     if np.std(twist) < 1e-9 or np.std(torque) < 1e-9:
         return None
-    if abs(float(np.corrcoef(twist, torque)[0, 1])) < _LEAST_TWIST:
+    alike = float(np.corrcoef(twist, torque)[0, 1])
+    if not abs(alike) >= _LEAST_TWIST:
         return None
-    slope = float(np.std(torque) / np.std(twist))
+    # of a reading whose sign is turned too: the play is in its size
+    slope = float(np.copysign(np.std(torque) / np.std(twist), alike))
     sigma = float(np.sqrt(np.mean([one.sigma_nm(slope) ** 2 for one in rows])))
 
     unit = fitted[0].size.power  # what 1 Nm is on a machine of this size
@@ -207,9 +219,10 @@ def sensor_play(
     plain = least_squares(lambda p: residual(np.append(p, 0.0)), [1.0, 0.0, 0.0, 0.0])
     start = np.append(plain.x, 0.0)
     best = min((np.append(plain.x, w) for w in _PLAYS_NM), key=lambda p: cost(p, rows).sum())
+    low, high = _bounds(float(plain.x[3]))
     done = least_squares(
-        residual, best, loss="soft_l1", f_scale=3 * sigma, x_scale=[0.1, 0.01, 0.001, 0.1, 0.1],
-        bounds=([0.2, -1.0, -0.1, -5.0, 0.0], [5.0, 1.0, 0.1, 5.0, 2.0]), diff_step=1e-3,
+        residual, inside(best, low, high), loss="soft_l1", f_scale=3 * sigma,
+        x_scale=[0.1, 0.01, 0.001, 0.1, 0.1], bounds=(low, high), diff_step=1e-3,
     )  # fmt: skip
     found, play = np.asarray(done.x), unit * float(done.x[4])
     before = cost(start, rows)
@@ -227,12 +240,12 @@ def sensor_play(
     half = half_widths(done.jac, done.fun, (_stretches(rows),))[4]
     # noise in the play and the filter against it
     half = float(np.hypot(unit * half, 1.96 * 0.5 * sigma))
-    low, high = (float(v) for v in np.percentile(torque, [2, 98]))
+    least_nm, most_nm = (float(v) for v in np.percentile(torque, [2, 98]))
     seen = Seen(
         {"effect": PLAY, "play_nm": play},
         {"play_nm": half},
         gain,
         min(1.0, gain / max(excess, 1.0)),
-        (("torque_sensor_nm", low, high, 1.0),),
+        (("torque_sensor_nm", least_nm, most_nm, 1.0),),
     )
     return seen, law(found)

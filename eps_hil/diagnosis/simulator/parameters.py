@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.problem import Problem, knee
+from eps_hil.identification.bounds import inside
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -167,8 +168,9 @@ def _fit(
     bounds = [one.least / one.scale for one in FREE] + [-20.0] * len(_TIMES)
     low = np.array(bounds)[where]
     high = np.array([np.inf] * len(FREE) + [20.0] * len(_TIMES))[where]
-    begin = np.clip(values[where], low + 1e-9, high)
-    done = least_squares(of, begin, jac=slopes, bounds=(low, high), max_nfev=steps)
+    done = least_squares(
+        of, inside(values[where], low, high), jac=slopes, bounds=(low, high), max_nfev=steps
+    )
     result, sigma = values.copy(), np.zeros(len(values))
     result[where] = done.x
     covariance = np.linalg.pinv(done.jac.T @ done.jac)

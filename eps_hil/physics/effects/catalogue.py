@@ -60,6 +60,15 @@ def values_of(
     return effect, {p.name: _value(name, p, entry, model) for p in effect.parameters}
 
 
+def can_be(entry: Mapping[str, Any], model: Model) -> bool:
+    """Whether a model file may hold the entry: a channel in another unit fits what no drive is."""
+    try:
+        values_of(entry, model)
+    except ValueError:
+        return False
+    return True
+
+
 def _value(name: str, parameter: Any, entry: Mapping[str, Any], model: Model) -> Any:
     value = entry.get(parameter.name, parameter.default)
     if parameter.name in _OF_MODEL and parameter.name not in entry:

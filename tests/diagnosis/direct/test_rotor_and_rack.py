@@ -9,10 +9,11 @@ import pytest
 
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.data.quality import look_at
-from eps_hil.diagnosis.direct.kinematics import examine
+from eps_hil.diagnosis.direct.kinematics import examine, small_ratio
 from eps_hil.diagnosis.direct.rotor_and_rack import Rows, _held_out_gain, rotor_against_rack, solved
 from eps_hil.diagnosis.direct.seen import robust_cost
 from eps_hil.diagnosis.direct.separation import separation, shown
+from eps_hil.physics.effects.catalogue import can_be
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -69,6 +70,22 @@ def test_a_ratio_that_hardly_changes_is_no_finding(
     found, _, accepted = rotor_against_rack(exact, [])
     assert "rack_ratio" in accepted
     assert any(one.entry["effect"] == "rack_ratio" for one in found) == named
+
+
+@pytest.mark.parametrize("factor", [0.0, 1e-3, 1e3])
+def test_a_ratio_that_no_drive_has_is_no_finding(
+    record: Callable[..., Any], reference_model: Model, factor: float
+) -> None:
+    """Of an angle in another unit, or dead: no model file may hold it."""
+    some = []
+    for name, one in record({}, ("weave", "slow"), seconds=12.0).items():
+        ready = prepare(name, one)
+        angle = factor * ready.raw["motor_angle_rad"]
+        some.append(ready.changed(raw={**ready.raw, "motor_angle_rad": angle}))
+    seen = examine(some, [], reference_model)
+    for effect in seen.seen:
+        assert can_be(effect.entry, reference_model)
+    assert small_ratio({"kinematics": seen.content, "findings": []}) == []
 
 
 def test_two_that_cancel_each_other_do_not_pass_the_hold_outs(rows: list[Rows]) -> None:

@@ -1,5 +1,7 @@
 """Play in the torque sensor, where the angles that show the bar's twist are noisy."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -90,3 +92,36 @@ def test_where_the_rack_counts_from_is_no_torque(reference_model: Model) -> None
     play = found[0].entry["play_nm"]
     assert play == pytest.approx(0.2, rel=0.1)
     assert other[0].entry["play_nm"] == pytest.approx(play, rel=1e-3)
+
+
+def changed(one: Prepared, name: str, how: Callable[[Floats], Floats]) -> Prepared:
+    return one.changed(raw={**one.raw, name: how(one.raw[name])})
+
+
+@pytest.mark.parametrize(
+    ("name", "how", "play_nm"),
+    [
+        ("torque_sensor_nm", lambda v: -v, 0.2),
+        ("torque_sensor_nm", lambda v: v + 30.0, 0.2),
+        ("torque_sensor_nm", lambda v: 1000.0 * v, None),
+        ("steering_wheel_angle_rad", lambda v: v - 0.3, 0.2),
+        ("steering_wheel_angle_rad", lambda v: np.roll(v, 180), None),
+        ("torque_sensor_nm", lambda v: 0.0 * v, None),
+        ("torque_sensor_nm", lambda v: np.full_like(v, np.nan), None),
+        ("rack_position_m", lambda v: 1000.0 * v, None),
+    ],
+)
+def test_a_reading_that_is_far_off_ends_nothing(
+    reference_model: Model, name: str, how: Callable[[Floats], Floats], play_nm: float | None
+) -> None:
+    """Sign, zero, unit, delay, a channel that is dead: the play that is there, or nothing."""
+    some = [
+        changed(recording(reference_model, torque(2.0, k), 0.2, 1.5e-4, k), name, how)
+        for k in (1, 2, 3)
+    ]
+    found = sensor_play(some[:2], some[2:], reference_model)
+    if play_nm is None:
+        assert found is None
+    else:
+        assert found is not None
+        assert found[0].entry["play_nm"] == pytest.approx(play_nm, rel=0.1)
