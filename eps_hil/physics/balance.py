@@ -101,10 +101,13 @@ def residual_nm(
 
 
 def sliding_levels_nm(model: Model, motion: Motion) -> Floats:
-    """T_fs (n,) of a motion in the direction of its speed, effects included, Nm at the rotor."""
+    """T_fs (n,) of a motion in the direction of its speed, effects included, Nm at the rotor.
+
+    Never below the least that the balance rubs with, whatever effects take off it.
+    """
     drive, levels = drive_of(model), np.zeros((2, len(motion.time_s)))
     _levels_with_effects(drive, motion, levels)
-    return levels[0]
+    return np.maximum(levels[0], SMALLEST_LEVEL_NM)
 
 
 def motor_torque_acting_nm(model: Model, motion: Motion) -> Floats:

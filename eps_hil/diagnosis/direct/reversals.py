@@ -22,6 +22,7 @@ from eps_hil.diagnosis.data.entry import known
 from eps_hil.diagnosis.data.prepare import STEP_S, THIN, Floats, Prepared
 from eps_hil.physics.balance import Motion, residual_nm, sliding_levels_nm
 from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
+from eps_hil.physics.friction import SMALLEST_LEVEL_NM
 from eps_hil.physics.model import Model
 
 Integers = npt.NDArray[np.intp]
@@ -45,6 +46,8 @@ _AS_NOISE = 1.25
 _MOST_LOG = 1.5
 """Farther off is left to the balance, which then shows it plainly."""
 _MOST_STEP, _ROUNDS, _CLOSE, _STRAIGHT = 0.4, 8, 0.01, 0.2
+_OWN_LEVELS = 2
+"""Numbers of its own that each window has: fewer samples say nothing else."""
 _REST_SAMPLES = 20
 """At 1 kHz: a rotor that stays longer has rested."""
 _SPEED_RAD_S = 1.0
@@ -158,11 +161,13 @@ def _asked(
     recordings: Sequence[Prepared], model: Model, masing: bool, fewest: int = FEWEST
 ) -> Bristle | None:
     """ln σ0 by Gauss-Newton over all windows; its deviation from how they differ."""
-    if max(one.interval_s for one in recordings) > LONGEST_INTERVAL_S:
+    if max((one.interval_s for one in recordings), default=np.inf) > LONGEST_INTERVAL_S:
         return None
     if sum(len(_reversals(one, model)) for one in recordings) < fewest:
         return None
     total, windows = 0.0, _windows(recordings, model, masing)
+    if len(windows) < fewest:
+        return None
     for _ in range(_ROUNDS):
         step, sigma, usual_nm = _step(windows)
         step = float(np.clip(step, -_MOST_STEP, _MOST_STEP))
@@ -219,7 +224,9 @@ def _windows(
     masing: bool,
     like: Sequence[_Window] | None = None,
 ) -> list[_Window]:
-    """All windows; what changes them as in those ``like`` them, or taken anew."""
+    """All windows in which the model has friction; what changes them as in those ``like`` them,
+    or taken anew.
+    """
     found: list[_Window] = []
     pairs = (
         (_stiffer(model, _SMALL), _stiffer(model, -_SMALL), 2 * _SMALL),
@@ -238,8 +245,11 @@ def _windows(
         way, level = _way(turning, model), one.thin(_mean_level(one.motion(model), model))
         for instant_s in at:
             rows = _rows(one, instant_s)
+            usual_nm = float(np.mean(level[rows])) if len(rows) else 0.0
+            if not usual_nm > 2.0 * SMALLEST_LEVEL_NM:
+                continue  # friction that the model takes all away has no length to go along
             alone = _less_levels(left[rows], way[rows])
-            log_level = float(np.log(np.mean(level[rows])))
+            log_level = float(np.log(usual_nm))
             if like is not None:
                 found.append(_Window(alone, like[len(found)].columns, log_level))
                 continue
@@ -327,7 +337,7 @@ def _step(windows: Sequence[_Window]) -> tuple[float, float, float]:
         ]
     )
     inverse = np.linalg.pinv(np.asarray(normal))
-    sigma = float(np.sqrt((inverse @ (pulls.T @ pulls) @ inverse)[0, 0]))
+    sigma = float(np.linalg.norm(pulls @ inverse[:, 0]))
     return float(value[0]), sigma, usual
 
 
@@ -352,6 +362,11 @@ def _reversals(one: Prepared, model: Model) -> Floats:
     edge = (len(speed) - len(one.thin_time_s) * THIN) // 2
     full &= (at > edge + room) & (at < len(speed) - edge - room)
     instants = one.time_s[0] + at[full] * STEP_S
+    first, end = (
+        np.searchsorted(one.thin_time_s, instants + side)
+        for side in (-HALF_WINDOW_S, HALF_WINDOW_S)
+    )
+    instants = instants[end - first > _OWN_LEVELS]
     if one.barred is None:
         return np.asarray(instants)
     bad = one.thin_time_s[one.barred]

@@ -13,7 +13,17 @@ from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import Prepared, prepare
 from eps_hil.diagnosis.diagnose import diagnose
-from eps_hil.diagnosis.direct.reversals import Bristle, _power, _Window, bristle, reversals_agree
+from eps_hil.diagnosis.direct.reversals import (
+    Bristle,
+    _asked,
+    _power,
+    _step,
+    _Window,
+    _windows,
+    about_reversals,
+    bristle,
+    reversals_agree,
+)
 from eps_hil.physics.model import Model
 from eps_hil.proof import manoeuvres, sensors
 from eps_hil.proof.programmes import programme
@@ -159,3 +169,32 @@ def test_a_softer_bristle_is_named_with_its_number(
 @pytest.mark.parametrize("simple", [True, False])
 def test_the_right_bristle_is_not_named(diagnosed: Callable[[World], Any], simple: bool) -> None:
     assert diagnosed(world(simple)).content["verdict"] == "no_mismatch"
+
+
+@pytest.mark.parametrize("masing", [False, True])
+@pytest.mark.parametrize("level_nm", [-0.1, -0.3, -10.0])
+def test_friction_that_an_effect_takes_away_ends_nothing(
+    reference_model: Model, level_nm: float, masing: bool
+) -> None:
+    """A level that a fit made nothing or less has no logarithm, and no length to go along."""
+    place = {"level_nm": level_nm, "centre_m": 0.005, "width_m": 0.01}
+    entry = {"effect": "position_dependent_friction", **place}
+    model = replace(reference_model, effects=(entry,))
+    recordings = ready(world(True, 0.7), 3)
+    plain = _windows(recordings, reference_model, masing)
+    windows = _windows(recordings, model, masing)
+    assert len(windows) <= len(plain)
+    assert (len(windows) == 0) is (level_nm == -10.0)
+    if not windows:
+        return
+    assert np.all(np.isfinite([one.log_level for one in windows]))
+    assert np.isfinite(_power(windows))
+    assert np.all(np.isfinite(_step(windows)))
+    assert np.all(np.isfinite(about_reversals(recordings, model, masing)[1]))
+
+
+def test_a_recording_without_friction_or_samples_ends_nothing(reference_model: Model) -> None:
+    place = {"level_nm": -10.0, "centre_m": 0.0, "width_m": 1.0}
+    smooth = replace(reference_model, effects=({"effect": "position_dependent_friction", **place},))
+    assert _asked(ready(world(True, 0.7), 3), smooth, masing=False) is None
+    assert _asked([], reference_model, masing=False) is None
