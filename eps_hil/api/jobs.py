@@ -107,7 +107,7 @@ def estimate(
         trace = batch.estimate(read.series, rig, chosen, changes=within, arrivals=read.arrivals)
         latency_s = batch.latency_s(rig, chosen, batch.sample_periods_s(read.series))
     except ValueError as error:
-        raise _refused(read, error) from None
+        raise _refused(read, error) from error
     if not len(trace.t_ns):
         remedy = f"record more than {latency_s:.3f} s"
         raise InputError(read.name, "", "is too short for one estimate", remedy)
@@ -127,7 +127,7 @@ def simulate(recording: Source, model: Rig, *, physical: bool = False) -> Simula
     try:
         made = forward(_model(model), read.series, physical=physical)
     except InputMissingError as error:
-        raise _refused(read, error) from None
+        raise _refused(read, error) from error
     drives = ("motor_torque_nm", "torque_sensor_nm", "rack_force_n")
     told = invented(read.series, (*drives, "motor_speed_rad_s"), drives[0])
     return Simulation(read, made.t_ns, made.columns, (*made.notes, *told))
@@ -217,9 +217,9 @@ def diagnose(
             traces, _ = traces_of(Path(traces), together, rig, mapping, values)
         return Diagnosis(diagnose_against(traces, rig, first, rest, on_progress, without_effects))
     except RecordingError as error:
-        raise InputError(error.recording, "", str(error)) from None
+        raise InputError(error.recording, "", str(error)) from error
     except ValueError as error:
-        raise InputError(", ".join(together), "", str(error)) from None
+        raise InputError(", ".join(together), "", str(error)) from error
 
 
 def known_effects(names: Collection[str], option: str) -> frozenset[str]:
@@ -250,9 +250,9 @@ def changes(before: Sources, after: Sources, model: Rig) -> Diagnosis:
         found = run(_model(model), first, second)
         return Diagnosis(found.after, found.model)
     except RecordingError as error:
-        raise InputError(error.recording, "", str(error)) from None
+        raise InputError(error.recording, "", str(error)) from error
     except ValueError as error:
-        raise InputError(", ".join([*first, *second]), "", str(error)) from None
+        raise InputError(", ".join([*first, *second]), "", str(error)) from error
 
 
 def compare(
@@ -326,7 +326,7 @@ def _model(rig: Rig) -> Model:
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(map(str, first["loc"]))
-        raise InputError("model", field, first["msg"], f"found {first['input']!r}") from None
+        raise InputError("model", field, first["msg"], f"found {first['input']!r}") from error
     if not isinstance(rig.delays_s, Delays):
         raise InputError("model", "delays_s", "are no Delays", "give eps_hil's own value")
     return rig

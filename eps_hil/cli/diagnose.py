@@ -151,7 +151,7 @@ def diagnose(
                     simulation[0], simulation_signals, simulation_values, together, rig
                 )
             except ValueError as error:
-                raise InputError(", ".join(together), "", str(error)) from None
+                raise InputError(", ".join(together), "", str(error)) from error
         elif simulation:
             traces = _traces(simulation, simulation_signals)
         result = eps_hil.diagnose(

@@ -92,7 +92,7 @@ def frequency_response(
         measured = responses(parts, settings)
     except ValueError as error:
         remedy = "record longer without gaps, or raise --resolution-hz"
-        raise InputError(recordings[0], "", str(error), remedy) from None
+        raise InputError(recordings[0], "", str(error), remedy) from error
     load: Load | None = None
     models: dict[int, dict[str, Response]] = {}
     found: list[Agreement] = []
@@ -129,7 +129,7 @@ def _load(parts: "list[Stretch]", given: tuple[float, float | None] | None, path
         return fitted_load(parts)
     except ValueError as error:
         remedy = "give --load-stiffness and --load-damping"
-        raise InputError(path, "rack_force_n", str(error), remedy) from None
+        raise InputError(path, "rack_force_n", str(error), remedy) from error
 
 
 def _models(

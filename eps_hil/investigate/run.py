@@ -178,7 +178,7 @@ class Investigation:
             return diagnosed(self._menu.model, read), ""
         except ValueError as error:
             if len(logs) >= _TRIED:
-                raise EpsHilError(f"no verdict after {len(logs)} experiments: {error}") from None
+                raise EpsHilError(f"no verdict after {len(logs)} experiments: {error}") from error
             return None, str(error)
 
 

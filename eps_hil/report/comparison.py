@@ -66,7 +66,7 @@ def compare(
             traces[name] = batch.estimate(recording.series, model, chosen)
     except ValueError as error:
         there = ", ".join(sorted(recording.series))
-        raise InputError(recording.name, "", str(error), f"it holds {there}") from None
+        raise InputError(recording.name, "", str(error), f"it holds {there}") from error
     return [_scored(recording, model, name, trace) for name, trace in traces.items()]
 
 

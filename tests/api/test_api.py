@@ -66,6 +66,35 @@ def test_a_wrong_argument_is_one_line(call: Callable[[], object], said: str) -> 
         call()
 
 
+def test_where_a_computation_failed_is_shown_with_debug_alone(
+    drive: eps_hil.Recording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """What the arithmetic could not do is one line, and --debug says where it happened."""
+
+    def fails_inside(*_given: object, **_named: object) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr("eps_hil.diagnosis.diagnose.diagnose", fails_inside)
+    with pytest.raises(eps_hil.InputError, match="SVD did not converge") as caught:
+        eps_hil.diagnose(drive, MODEL)
+    assert isinstance(caught.value.__cause__, np.linalg.LinAlgError)
+    path = tmp_path / "drive.csv"
+    columns = {name: one.value for name, one in drive.series.items()}
+    columns = {"time_s": next(iter(drive.series.values())).t_ns * 1e-9, **columns}
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+    words = ["diagnose", "--recording", str(path), "--model", str(MODEL)]
+    assert main(words) == 2
+    assert capsys.readouterr().err == f"eps-hil: {path}: SVD did not converge\n"
+    assert main([*words, "--debug"]) == 2
+    shown = capsys.readouterr().err
+    assert "in fails_inside" in shown
+    assert shown.endswith(f"eps-hil: {path}: SVD did not converge\n")
+
+
 def test_settings_of_a_wrong_type(drive: eps_hil.Recording) -> None:
     with pytest.raises(eps_hil.InputError, match="settings: are of type dict"):
         eps_hil.estimate(drive, MODEL, {"dead_zone": False})  # type: ignore[arg-type]

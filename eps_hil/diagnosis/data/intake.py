@@ -80,7 +80,7 @@ def prepared(
         one = prepare(name, series, unexplained_nm)
     except ValueError as error:
         there = ", ".join(sorted(series))
-        raise RecordingError(name, f"{error} (it holds {there})") from None
+        raise RecordingError(name, f"{error} (it holds {there})") from error
     return one.changed(begins_s=_began_s(series, whole.get(name, series)))
 
 
