@@ -74,6 +74,7 @@ def changes(
     if report:
         with progress("drawing the page"):
             diagnosis_page.write(found.after, report, str(model))
+        typer.echo(f"page: {report}")
 
 
 def _say(content: Mapping[str, Any]) -> None:

@@ -74,6 +74,7 @@ def test_changes_of_a_rig_that_is_as_it_was(
     out, page = tmp_path / "c.json", tmp_path / "c.html"
     words = ["changes", "--before", str(before), "--after", str(after), "--model", str(MODEL)]
     assert main([*words, "--json", str(out), "--report", str(page)]) == 0
+    assert capsys.readouterr().out.endswith(f"\npage: {page}\n")
     content = json.loads(out.read_text())
     assert content["schema"] == "eps-hil/diagnosis/1"
     assert content["verdict"] == content["before"]["verdict"] == "no_mismatch"
