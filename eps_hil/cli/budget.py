@@ -10,6 +10,7 @@ from eps_hil.cli._files import check_places, write_json
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import ModelPath, progress
 from eps_hil.cli.estimate import Kind
+from eps_hil.unit_words import spaced
 
 if TYPE_CHECKING:
     from eps_hil.budget.budget import Budget
@@ -140,7 +141,7 @@ def _say(found: "Budget", manoeuvre: str) -> None:
         table.add_column(phase, justify="right")
     for line in found.sources:
         assert line.source is not None
-        size = f"{line.source.size:.3g} {line.source.unit}"
+        size = f"{line.source.size:.3g}{spaced(line.source.unit)}"
         table.add_row(line.name, size, *(_number(line.alone_n[phase]) for phase in PHASES))
     table.add_section()
     for name, values in (

@@ -17,6 +17,7 @@ from eps_hil.cli._inputs import (
     say_notes,
     stages,
 )
+from eps_hil.unit_words import spaced
 
 if TYPE_CHECKING:
     from eps_hil.diagnosis.given_load import Diagnosis
@@ -358,7 +359,7 @@ def _say_simulation(simulation: Mapping[str, Any] | None) -> None:
         if one["recording"] is not None:
             typer.echo(f"  {one['file']} is {one['recording']}, {one['offset_s']:+.4f} s apart")
     numbers = [
-        f"{name} {one['value']:.4g} {one['unit']} (file: {one['model_file']:.4g})"
+        f"{name} {one['value']:.4g}{spaced(one['unit'])} (file: {one['model_file']:.4g})"
         for name, one in simulation["parameters"].items()
     ]
     effects = [
@@ -372,7 +373,8 @@ def _say_simulation(simulation: Mapping[str, Any] | None) -> None:
         for name, there in one["rig"].items():
             typer.echo(
                 f"  too many in the simulator: {one['effect']}; {name} "
-                f"{one['parameters'][name]:.3g} {there['unit']}, on the rig {there['value']:.2g}"
+                f"{one['parameters'][name]:.3g}{spaced(there['unit'])}, "
+                f"on the rig {there['value']:.2g}"
             )
     for one in differences["numbers"]:
         typer.echo(f"  another number: {one['summary']}")

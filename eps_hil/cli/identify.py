@@ -17,6 +17,7 @@ from eps_hil.cli._inputs import (
     say_notes,
 )
 from eps_hil.errors import InputError
+from eps_hil.unit_words import of, spaced
 
 if TYPE_CHECKING:
     from eps_hil.identification.result import Estimate, Identification
@@ -137,7 +138,9 @@ def _simulator(
     for name, one in found.parameters.items():
         interval = one["ci95"]
         told = "no interval" if interval is None else f"{interval[0]:.5g} to {interval[1]:.5g}"
-        typer.echo(f"  {name} {one['value']:.5g} {one['unit']}  {told}  (was {one['before']:.4g})")
+        typer.echo(
+            f"  {name} {one['value']:.5g}{spaced(one['unit'])}  {told}  (was {one['before']:.4g})"
+        )
     typer.echo(
         f"torque that the simulator lacks on {found.kept}: {1e3 * found.before_nm:.3g} mNm rms "
         f"before, {1e3 * found.after_nm:.3g} after"
@@ -174,7 +177,7 @@ def _say(found: "Identification") -> None:
 
 
 def _line(one: "Estimate") -> str:
-    scale, unit = (1e3, "ms") if one.unit == "s" else (1.0, one.unit)
+    scale, unit = (1e3, "ms") if one.unit == "s" else (1.0, of(one.unit))
     text = f"{scale * one.value:11.5g} {unit:9}"
     if one.ci95 is not None:
         text += f" {scale * one.ci95[0]:.5g} to {scale * one.ci95[1]:.5g}"

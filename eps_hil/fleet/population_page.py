@@ -7,6 +7,7 @@ from pathlib import Path
 from eps_hil.fleet.batch import Batch
 from eps_hil.fleet.population import FEWEST, Quantity, population
 from eps_hil.report import page
+from eps_hil.unit_words import of
 
 _MOST_LABELS = 40
 
@@ -52,7 +53,7 @@ def _figure(quantity: Quantity) -> str:
         axis.plot([k], [point.value], ".", color=colour, ms=4)
     first, labels = _units([point.unit for point in points])
     axis.set_xticks(first, labels, rotation=60 if len(labels) > 8 else 0, fontsize="small")
-    axis.set(ylabel=f"{quantity.name} in {quantity.si}" if quantity.si else quantity.name)
+    axis.set(ylabel=f"{quantity.name} in {of(quantity.si)}".removesuffix(" in "))
     text = io.StringIO()
     figure.savefig(text, format="svg", bbox_inches="tight")
     svg = text.getvalue()

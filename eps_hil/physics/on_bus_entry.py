@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from eps_hil.physics.effects.effect import Parameter
+from eps_hil.unit_words import spaced
 
 
 def read(
@@ -20,7 +21,7 @@ def read(
     if not parameter.lower <= value <= parameter.upper:
         raise ValueError(
             f"{name}.{parameter.name} is {value:g}, expected {parameter.lower:g} to "
-            f"{parameter.upper:g} {parameter.unit}"
+            f"{parameter.upper:g}{spaced(parameter.unit)}"
         )
     signal = entry.get("signal", default)
     if signal is not None and not isinstance(signal, str):

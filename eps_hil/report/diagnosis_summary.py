@@ -11,6 +11,7 @@ from eps_hil.report import diagnosis_evidence
 from eps_hil.report.diagnosis_evidence import Evidence
 from eps_hil.report.diagnosis_page import titled
 from eps_hil.report.page import number
+from eps_hil.unit_words import spaced
 
 Floats = npt.NDArray[np.float64]
 
@@ -74,7 +75,7 @@ def _value(one: Mapping[str, Any]) -> str:
         even = min(below, above) > 0.7 * max(below, above) > 0.0
         half = number(0.5 * (below + above), 2)
         text += f" ± {half}" if even else f" ({number(ends[0])} to {number(ends[1])})"
-    return text if unit == "1" else f"{text} {unit}".strip()
+    return text + spaced(unit)
 
 
 def _size(card: Mapping[str, Any]) -> str:

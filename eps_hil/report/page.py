@@ -16,6 +16,7 @@ from typing import Any
 from eps_hil import provenance
 from eps_hil.errors import InputError
 from eps_hil.recordings.files import replacing
+from eps_hil.unit_words import of, spaced
 
 
 def check(asked: str = "--report", *libraries: str) -> None:
@@ -37,7 +38,8 @@ def fill(
 ) -> str:
     """The page's HTML from a template of ``package``; a name it lacks is an error.
 
-    ``filters`` of the template stand beside ``number``.
+    ``filters`` of the template stand beside ``number``, ``unit`` (of a column) and ``spaced`` (a
+    unit behind its number).
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -48,7 +50,7 @@ def fill(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update({"number": number, **(filters or {})})
+    environment.filters.update({"number": number, "unit": of, "spaced": spaced, **(filters or {})})
     return environment.get_template(template).render(**values)
 
 

@@ -1,6 +1,7 @@
 """The page of a diagnosis: whole, escaped, self-contained, and right for every verdict."""
 
 import json
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -97,6 +98,34 @@ class _Checked(HTMLParser):
 def _plots(checked: _Checked) -> list[dict[str, Any]]:
     loaded: list[dict[str, Any]] = json.loads(checked.scripts[0])
     return loaded
+
+
+_ROOM = """() => JSON.parse(document.getElementById("plots").textContent).map((plot) => {
+  const pen = document.createElement("canvas").getContext("2d");
+  pen.font = "12px system-ui, 'DejaVu Sans', sans-serif";
+  const area = document.querySelector(`.plot[data-plot="${plot.name}"] .u-over`).style;
+  const middle = parseFloat(area.top) + parseFloat(area.height) / 2;
+  return [plot.name, middle, pen.measureText(plot.y_label).width];
+})"""
+
+
+def test_no_label_beside_an_axis_is_cut(page: str, tmp_path: Path) -> None:
+    """Its middle is the middle of the plot: half of it has to fit above."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("no Chromium here")
+    playwright = pytest.importorskip("playwright.sync_api")
+    (tmp_path / "page.html").write_text(page)
+    with playwright.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        shown = browser.new_page(viewport={"width": 1366, "height": 900})
+        shown.goto(f"file://{tmp_path}/page.html")
+        shown.wait_for_selector(".u-over", state="attached")
+        rooms = shown.evaluate(_ROOM)
+        browser.close()
+    assert any("motor_speed" in name for name, _, _ in rooms)
+    for name, middle, wide in rooms:
+        assert middle >= 0.5 * wide, name
 
 
 def test_page_is_whole_and_loads_nothing(page: str, checked: _Checked) -> None:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from eps_hil.diagnosis.data.size import ORDINARY, Size
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Parameter, Probe
+from eps_hil.unit_words import spaced
 
 Floats = npt.NDArray[np.float64]
 Ends = tuple[float, float]
@@ -130,7 +131,7 @@ def _on_bound(told: Mapping[str, Any], ends: Ends) -> bool:
 
 def _range(told: Mapping[str, Any], one: Parameter, ends: Ends) -> str:
     low, high = told["ci95"]
-    unit = "" if one.unit == "1" else f" {one.unit}"
+    unit = spaced(one.unit)
     if _on_bound(told, ends):
         return f"{one.name} (it ended at {told['value']:.3g}{unit}, the bound of what it can be)"
     if low < ends[0] and high > ends[1]:

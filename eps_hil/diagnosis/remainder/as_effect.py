@@ -13,6 +13,7 @@ from eps_hil.diagnosis.remainder.words import formula, sentence
 from eps_hil.physics.effects.effect import Slot
 from eps_hil.physics.effects.empirical import FADE
 from eps_hil.physics.empirical_entry import NUMBERS, OF_SHAPE, SIGNS, WHERE
+from eps_hil.unit_words import spaced
 
 Entry = Mapping[str, Any]
 
@@ -126,7 +127,7 @@ EFFECT = Effect(
     parameters=(
 {parameters}
     ),
-    sentence="{plain}: size {{size:.3g}} {unit}.",
+    sentence="{plain}: size {{size:.3g}}{unit}.",
     kernel=_kernel,
 {advances}{ends}    probe=Probe("size", 0.0, {step:.3g}, ({{{shapes}}},){phase}),
 )
@@ -168,7 +169,7 @@ def as_effect(entry: Entry, name: str) -> str:
         parameters="\n".join(_parameter(entry, key, value) for key, value in numbers.items()),
         plain=_capital(sentence(entry).split(":")[0]),
         advances="    advance=_advance,\n" if body else "",
-        unit=_unit(entry),
+        unit=spaced(_unit(entry)),
         step=0.1 * abs(numbers["size"]),
         shapes=", ".join(f'"{key}": {value!r}' for key, value in shapes.items()),
         phase=f', phase="{phase}"' if phase else "",

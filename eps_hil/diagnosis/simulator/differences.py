@@ -21,6 +21,7 @@ from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.simulator.parameters import Reduction, reduce_parameters
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
+from eps_hil.unit_words import spaced
 
 Floats = npt.NDArray[np.float64]
 
@@ -68,7 +69,7 @@ class Surplus:
     def content(self) -> dict[str, Any]:
         """For the JSON."""
         effect = catalogue()[self.entry["effect"]]
-        size = f"{self.amplitude} {self.simulator:.3g} {self.unit}".strip()
+        size = f"{self.amplitude} {self.simulator:.3g}{spaced(self.unit)}"
         rig = {"value": self.rig, "unit": self.unit, "ci95": _around(self.rig, self.rig_half_width)}
         return {
             "effect": effect.id,
@@ -266,5 +267,6 @@ def _number(
         "rig": after,
         "ci95": interval,
         "simulator_ci95": its,
-        "summary": f"{name}: {before:.4g} {unit} in the simulator, {after:.4g}{told} on the rig.",
+        "summary": f"{name}: {before:.4g}{spaced(unit)} in the simulator, {after:.4g}{told} "
+        "on the rig.",
     }

@@ -37,7 +37,7 @@ def place_in_words(place: Mapping[str, Any]) -> str:
 
 def share_in_words(place: Mapping[str, Any], where: str = "") -> str:
     """``87 % of it in 12 % of the time at rotor speed -20 to 20 rad/s``; where it is as much of the
-    time as of the excess, that the signal makes no difference. ``where``: other words for the place.
+    time as of the excess, that the signal hardly matters. ``where``: other words for the place.
     """
     share, time = place["share_of_excess"], place.get("share_of_time")
     where = where or place_in_words(place)
@@ -49,7 +49,7 @@ def share_in_words(place: Mapping[str, Any], where: str = "") -> str:
         signal = str(place["signal"]).partition("|")[0]
         name = _WORDS.get(signal, (signal,))[0].removesuffix(" of either sign")
         much = f"{_percent(share)} of it in {_percent(time)} of the time"
-        return f"{much}: no more at one {name} than at another"
+        return f"{much}: hardly more at one {name} than at another"
     return f"{_percent(share)} of it in {_percent(time)} of the time at {where}"
 
 

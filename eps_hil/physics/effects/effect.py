@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from eps_hil.compiled import kernel
 from eps_hil.physics.model import Model
+from eps_hil.unit_words import spaced
 
 Floats = npt.NDArray[np.float64]
 
@@ -165,7 +166,7 @@ class Parameter:
     @property
     def allowed(self) -> str:
         """The same in words: ``0.3 to 3``, ``more than 0 rad/s``."""
-        unit = "" if self.unit == "1" else f" {self.unit}"
+        unit = spaced(self.unit)
         if not self.dimensions:
             return f"{self.lower:g} to {self.upper:g}{unit}"
         if self.lower > 0.0:

@@ -19,6 +19,12 @@
     ticks: { stroke: now("--rule") }, size: SIZE * size, labelSize: label ? 20 * SIZE : 0,
     font: FONT, labelFont: FONT, values: (_u, ticks) => ticks.map(short), space: SIZE * space,
   });
+  const pen = document.createElement("canvas").getContext("2d");
+  // what a plot lacks in height for the label along the middle of its y axis, which would be cut
+  const lacking = (u, label) => {
+    pen.font = FONT;
+    return Math.ceil(pen.measureText(label).width - (2 * u.bbox.top + u.bbox.height) / devicePixelRatio);
+  };
   const fromZero = (_u, _low, high) => [0, 1.1 * (high || 1)];
   // a value that is not there is shown as nothing
   const quiet = (u) => u.root.querySelectorAll(".u-value").forEach((cell) => {
@@ -32,11 +38,16 @@
         { label: line.label, value: (_u, v) => short(v) }));
       if (line.band) bands.push({ series: [k + 1, k], fill: "rgba(120,120,120,.22)" });
     });
+    let height = SIZE * plot.height;
+    const fit = (u) => {
+      const more = lacking(u, plot.y_label);
+      if (more > 0) queueMicrotask(() => u.setSize({ width: u.width, height: height += more }));
+    };
     const options = {
-      width: holder.clientWidth || 1100, height: SIZE * plot.height, series: series, bands: bands,
+      width: holder.clientWidth || 1100, height: height, series: series, bands: bands,
       scales: { x: { time: false }, y: { range: plot.name.startsWith("profile-") ? fromZero : undefined } }, axes: [axis(plot.x_label, 34, 60), axis(plot.y_label, 58, 16)],
       cursor: { drag: { x: true, y: false } },
-      hooks: { ready: [quiet], setCursor: [quiet], setLegend: [quiet] },
+      hooks: { ready: [quiet, fit], setCursor: [quiet], setLegend: [quiet] },
     };
     if (plot.lines.length === 1 || plot.name.startsWith("profile-")) options.legend = { show: false };
     if (plot.sync) options.cursor.sync = { key: plot.sync };
@@ -48,7 +59,7 @@
     });
     new ResizeObserver(() => {
       if (holder.clientWidth && holder.clientWidth !== drawn.width) {
-        drawn.setSize({ width: holder.clientWidth || 1100, height: SIZE * plot.height });
+        drawn.setSize({ width: holder.clientWidth || 1100, height: height });
       }
     }).observe(holder);
   }

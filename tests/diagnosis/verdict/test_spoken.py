@@ -22,7 +22,7 @@ def test_a_share_is_told_beside_its_share_of_the_time() -> None:
     told = share_in_words({**place, "share_of_time": 0.12})
     assert told == "87 % of it in 12 % of the time at rack force 100 to 900 N"
     told = share_in_words({**place, "share_of_time": 0.85})
-    evenly = "87 % of it in 85 % of the time: no more at one {} than at another"
+    evenly = "87 % of it in 85 % of the time: hardly more at one {} than at another"
     assert told == evenly.format("rack force")
     either = {**place, "signal": "abs_motor_speed_rad_s", "share_of_time": 0.85}
     assert share_in_words(either) == evenly.format("rotor speed")
