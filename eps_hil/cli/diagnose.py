@@ -262,7 +262,7 @@ def _traces(paths: list[Path], mapping: Path | None) -> "dict[str, Mapping[str, 
 
 
 def _say(content: Mapping[str, Any]) -> None:
-    from eps_hil.diagnosis.verdict.spoken import most_in_words, share_in_words, when_in_words
+    from eps_hil.diagnosis.verdict.spoken import most_in_words, shares_in_words, when_in_words
     from eps_hil.physics.effects.catalogue import catalogue
 
     words = {
@@ -279,8 +279,8 @@ def _say(content: Mapping[str, Any]) -> None:
         known = catalogue().get(finding["effect"])
         title = f"{known.name} [{finding['effect']}]" if known else finding["effect"]
         typer.echo(f"  {title} ({100 * finding['confidence']:.0f} %): {finding['summary']}")
-        for region in finding["where"]:
-            typer.echo(f"    {share_in_words(region)}")
+        for told in shares_in_words(finding["where"]):
+            typer.echo(f"    {told}")
         if finding["confusable_with"]:
             typer.echo(f"    could also be {', '.join(finding['confusable_with'])}; "
                        f"{finding['next_experiment']}")  # fmt: skip

@@ -15,7 +15,7 @@ from eps_hil.diagnosis.balance.problem import term_of
 from eps_hil.diagnosis.changes import in_words
 from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.remainder.ceiling import left_by_trees
-from eps_hil.diagnosis.verdict.spoken import share_in_words
+from eps_hil.diagnosis.verdict.spoken import shares_in_words
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.report import (
     diagnosis_evidence,
@@ -157,7 +157,7 @@ def _values(diagnosis: Diagnosis, plots: list[Plot]) -> dict[str, Any]:
             for card in cards
         ),
         "others": _others(diagnosis),
-        "share": share_in_words,
+        "shares": shares_in_words,
         "span": _span,
     }
 

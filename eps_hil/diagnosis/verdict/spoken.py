@@ -1,6 +1,6 @@
 """Where and when a mismatch sits, in plain words: what the terminal says of the JSON's places."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 _WORDS: Mapping[str, tuple[str, float, str]] = {
@@ -35,21 +35,43 @@ def place_in_words(place: Mapping[str, Any]) -> str:
     return f"{words} {low:.4g} to {high:.4g} {unit}".rstrip()
 
 
-def share_in_words(place: Mapping[str, Any], where: str = "") -> str:
-    """``87 % of it in 12 % of the time at rotor speed -20 to 20 rad/s``; where it is as much of the
-    time as of the excess, that the signal hardly matters. ``where``: other words for the place.
+def shares_in_words(
+    places: Sequence[Mapping[str, Any]],
+    where: Callable[[Mapping[str, Any]], str] = place_in_words,
+) -> list[str]:
+    """``87 % of it in 12 % of the time at rotor speed -20 to 20 rad/s`` for each place.
+
+    Places of one signal that hold together as much of the time as of the excess are told at once:
+    that signal hardly matters. ``where``: a place in other words.
     """
+    told: dict[str, None] = {}
+    for place in places:
+        alike = [one for one in places if one["signal"] == place["signal"]]
+        share, time = (sum(one.get(key) or 0.0 for one in alike) for key in _SHARES)
+        known = all(one["share_of_excess"] and one.get("share_of_time") for one in alike)
+        if known and share - time < _BEYOND:
+            told[_evenly(str(place["signal"]), share, time)] = None
+        else:
+            told[_share_at(place, where(place))] = None
+    return list(told)
+
+
+_SHARES = ("share_of_excess", "share_of_time")
+
+
+def _evenly(signal: str, share: float, time: float) -> str:
+    name = signal.partition("|")[0]
+    name = _WORDS.get(name, (name,))[0].removesuffix(" of either sign")
+    much = f"{_percent(share)} of it in {_percent(time)} of the time"
+    return f"{much}: hardly more at one {name} than at another"
+
+
+def _share_at(place: Mapping[str, Any], where: str) -> str:
     share, time = place["share_of_excess"], place.get("share_of_time")
-    where = where or place_in_words(place)
     if not share:
         return f"at {where}"
     if time is None:
         return f"{_percent(share)} of it at {where}"
-    if share - time < _BEYOND:
-        signal = str(place["signal"]).partition("|")[0]
-        name = _WORDS.get(signal, (signal,))[0].removesuffix(" of either sign")
-        much = f"{_percent(share)} of it in {_percent(time)} of the time"
-        return f"{much}: hardly more at one {name} than at another"
     return f"{_percent(share)} of it in {_percent(time)} of the time at {where}"
 
 

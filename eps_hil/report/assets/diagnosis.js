@@ -23,7 +23,8 @@
   // what a plot lacks in height for the label along the middle of its y axis, which would be cut
   const lacking = (u, label) => {
     pen.font = FONT;
-    return Math.ceil(pen.measureText(label).width - (2 * u.bbox.top + u.bbox.height) / devicePixelRatio);
+    const room = (2 * u.bbox.top + u.bbox.height) / devicePixelRatio;
+    return Math.ceil(pen.measureText(label).width + 8 * SIZE - room);
   };
   const fromZero = (_u, _low, high) => [0, 1.1 * (high || 1)];
   // a value that is not there is shown as nothing

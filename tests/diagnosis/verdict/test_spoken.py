@@ -3,7 +3,7 @@
 from eps_hil.diagnosis.verdict.spoken import (
     most_in_words,
     place_in_words,
-    share_in_words,
+    shares_in_words,
     when_in_words,
 )
 
@@ -18,17 +18,36 @@ def test_a_place_has_a_plain_name_and_unit() -> None:
 
 def test_a_share_is_told_beside_its_share_of_the_time() -> None:
     place = {"signal": "rack_force_n", "from": 100, "to": 900, "share_of_excess": 0.87}
-    assert share_in_words(place) == "87 % of it at rack force 100 to 900 N"
-    told = share_in_words({**place, "share_of_time": 0.12})
-    assert told == "87 % of it in 12 % of the time at rack force 100 to 900 N"
-    told = share_in_words({**place, "share_of_time": 0.85})
+    assert shares_in_words([place]) == ["87 % of it at rack force 100 to 900 N"]
+    told = shares_in_words([{**place, "share_of_time": 0.12}])
+    assert told == ["87 % of it in 12 % of the time at rack force 100 to 900 N"]
+    told = shares_in_words([{**place, "share_of_time": 0.002}], lambda _place: "the stops")
+    assert told == ["87 % of it in under 1 % of the time at the stops"]
+    told = shares_in_words([{**place, "share_of_excess": 0.0}])
+    assert told == ["at rack force 100 to 900 N"]
+    assert shares_in_words([]) == []
+
+
+def test_what_is_spread_evenly_is_told_once() -> None:
     evenly = "87 % of it in 85 % of the time: hardly more at one {} than at another"
-    assert told == evenly.format("rack force")
-    either = {**place, "signal": "abs_motor_speed_rad_s", "share_of_time": 0.85}
-    assert share_in_words(either) == evenly.format("rotor speed")
-    told = share_in_words({**place, "share_of_time": 0.002}, "the stops")
-    assert told == "87 % of it in under 1 % of the time at the stops"
-    assert share_in_words({**place, "share_of_excess": 0.0}) == "at rack force 100 to 900 N"
+    for signal, name in (
+        ("rack_force_n", "rack force"), ("motor_speed_rad_s|left", "rotor speed"),
+        ("abs_motor_speed_rad_s", "rotor speed"), ("x", "x"),
+    ):  # fmt: skip
+        place = {"signal": signal, "from": 1, "to": 9, "share_of_excess": 0.87}
+        assert shares_in_words([{**place, "share_of_time": 0.85}]) == [evenly.format(name)]
+    speed = {"signal": "motor_speed_rad_s"}
+    down = {**speed, "from": -337, "to": -13.3, "share_of_excess": 0.5, "share_of_time": 0.26}
+    up = {**speed, "from": 13.3, "to": 337, "share_of_excess": 0.36, "share_of_time": 0.27}
+    assert shares_in_words([down, up]) == [
+        "50 % of it in 26 % of the time at rotor speed -337 to -13.3 rad/s",
+        "36 % of it in 27 % of the time at rotor speed 13.3 to 337 rad/s",
+    ]
+    down = {**down, "share_of_excess": 0.3}
+    told = "66 % of it in 53 % of the time: hardly more at one rotor speed than at another"
+    assert shares_in_words([{**down, "share_of_time": 0.3}, {**up, "share_of_time": 0.27}]) == [
+        told.replace("53", "57")
+    ]
 
 
 def test_a_pair_of_signals_is_told_in_plain_words() -> None:
