@@ -65,6 +65,7 @@ def _roughly_without(problem: Problem, found: Fit, places: Collection[int]) -> F
         jacobian=jacobian,
         own=own,
         cost=problem.cost(residual),
+        noise={(left.index(k), name): one for (k, name), one in found.noise.items() if k in left},
     )
 
 

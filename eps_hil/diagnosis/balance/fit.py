@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.balance.baseline import SIDES, is_free, knob_of
+from eps_hil.diagnosis.balance.baseline import HOLD, SIDES, is_free, knob_of
 from eps_hil.diagnosis.balance.probes import bounds, neutral_value, probe_step
 from eps_hil.diagnosis.balance.problem import Problem, huber, knee, term_of
-from eps_hil.diagnosis.balance.spread import Integers, half_widths
+from eps_hil.diagnosis.balance.spread import Integers, half_widths, less_noise
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.effects.effect import Effect
 
@@ -30,6 +30,8 @@ _TRUSTED = 0.7
 """Share of the promised gain below which sensitivities are out of date."""
 _NO_PART = 1e-9
 """Of a small change: an amplitude that is nothing."""
+_DELAY, _OWN = "delay_s", -1
+"""A delay's name, and the place of the model's own numbers among entries."""
 _NEGLIGIBLE = 0.5
 """A fit ends where its next step would gain less than this part of a noise variance."""
 
@@ -54,6 +56,8 @@ class Fit:
     """Blocks and stretches (n,) within which residuals are correlated."""
     told_half_width: Mapping[tuple[int, str], float] | None = None
     """Half widths from a fit that was whitened, where this residual is not."""
+    noise: Mapping[tuple[int, str], float] = field(default_factory=dict)
+    """Energy that noise has in the sensitivity to a delay, by place and name."""
 
     @cached_property
     def half_width(self) -> Mapping[tuple[int, str], float]:
@@ -62,7 +66,8 @@ class Fit:
             return self.told_half_width or {}
         weight = np.sqrt(huber(self.residual, self.knee))
         first, jacobian = len(self.own), self.jacobian * weight[:, None]
-        wide = half_widths(jacobian, self.residual * weight, self.groups, first)[first:]
+        noise = _by_column(self.noise, self.own, self.names)
+        wide = half_widths(jacobian, self.residual * weight, self.groups, first, noise)[first:]
         return dict(zip(self.names, (float(one) for one in wide), strict=True))
 
     def slopes(self) -> dict[tuple[str, str], Floats]:
@@ -110,21 +115,22 @@ def fit(
     jacobian = np.hstack([knobs.columns, np.zeros((len(residual), len(names)))])
     damping = 1e-3
     known = {} if like is None else like.slopes()
-    fresh, columns = not known, knobs.columns
+    fresh = not known
+    noise: dict[tuple[int, str], float] = {}
     if not rounds:
-        jacobian = np.hstack(
-            [knobs.columns, _jacobian(problem, work, names, residual, knobs.values)]
-        )
+        slopes, noise = _jacobian(problem, work, names, residual, knobs.values)
+        jacobian = np.hstack([knobs.columns_beside(work, names, residual, noise), slopes])
     for _ in range(rounds if jacobian.shape[1] else 0):
-        wanted = [n for n in names if fresh or (term_of(work[n[0]]), n[1]) not in known]
-        slopes = _jacobian(problem, work, wanted, residual, knobs.values)
+        wanted = [n for n in names if _stale(n, work, known) or fresh]
+        slopes, told = _jacobian(problem, work, wanted, residual, knobs.values)
+        noise |= told
         known |= {(term_of(work[k]), n): slopes[:, i] for i, (k, n) in enumerate(wanted)}
         found = [known[term_of(work[k]), n] for k, n in names]
-        jacobian = np.column_stack([columns, *found])
+        jacobian = np.column_stack([knobs.columns_beside(work, names, residual, noise), *found])
         fresh_now, fresh = len(wanted) == len(names), False
         normal, slope = _normal(jacobian, residual, at)
         normal[knobs.diagonal] += 1.0
-        slope[: len(knobs.names)] += knobs.vector
+        normal = less_noise(normal, _by_column(noise, knobs.names, names))
         size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
         before = cost
         for _attempt in range(5):
@@ -148,13 +154,22 @@ def fit(
             break
         fresh = before - cost < _TRUSTED * promised
     groups = problem.block, problem.stretch
-    return Fit(tuple(work), residual, names, jacobian, knobs.values, cost, at, groups)
+    return Fit(tuple(work), residual, names, jacobian, knobs.values, cost, at, groups, noise=noise)
 
 
 def _normal(jacobian: Floats, residual: Floats, at: float) -> tuple[Floats, Floats]:
     """Normal matrix and slope under Huber's weights."""
     weighted = jacobian * huber(residual, at)[:, None]
     return weighted.T @ jacobian, weighted.T @ residual
+
+
+def _stale(
+    name: tuple[int, str],
+    entries: Sequence[Mapping[str, Any]],
+    known: Mapping[tuple[str, str], Floats],
+) -> bool:
+    """Whether a sensitivity has to be taken anew: that to a delay is of the noise where it is."""
+    return name[1] == _DELAY or (term_of(entries[name[0]]), name[1]) not in known
 
 
 class _Knobs:
@@ -173,6 +188,30 @@ class _Knobs:
         if not self.names:
             return np.zeros((len(self.problem.scale), 0))
         return np.column_stack([own_column(self.problem, name) for name in self.names])
+
+    def columns_beside(
+        self,
+        entries: Sequence[Mapping[str, Any]],
+        names: Sequence[tuple[int, str]],
+        residual: Floats,
+        noise: dict[tuple[int, str], float],
+    ) -> Floats:
+        """The same beside ``entries``; adds to ``noise`` what it has in the motor torque's hold.
+
+        That is a delay too, and moves far where another one is fitted: then it is taken anew.
+        """
+        columns = self.columns
+        if HOLD not in self.names or all(name != _DELAY for _, name in names):
+            return columns
+        step, now = knob_of(HOLD).step, self.values[HOLD]
+        late, early = (
+            self.problem.residual(self.problem.with_entries(entries, {**self.values, HOLD: at}))
+            for at in (now + step, now - step)
+        )
+        weight = huber(residual, self.problem.knee)
+        noise[_OWN, HOLD] = _noise(late, residual, early, weight) / step**2
+        columns[:, self.names.index(HOLD)] = (late - early) / (2.0 * step)
+        return columns
 
     def moved(self, step: Floats) -> "_Knobs":
         turned = np.clip(self.vector + step, -FARTHEST_OWN, FARTHEST_OWN)
@@ -202,22 +241,55 @@ def _jacobian(
     names: Sequence[tuple[int, str]],
     residual: Floats,
     own: Mapping[str, float],
-) -> Floats:
-    columns = [np.zeros((len(residual), 0))]
+) -> tuple[Floats, dict[tuple[int, str], float]]:
+    """(sensitivities (n, names), energy that noise has in those to delays)."""
+    columns, noise = [np.zeros((len(residual), 0))], {}
     for k, name in names:
         effect = catalogue()[entries[k]["effect"]]
         (parameter,) = (p for p in effect.parameters if p.name == name)
         value = float(entries[k][name])
-        high = problem.size.bounds(parameter, effect)[1]
+        low, high = problem.size.bounds(parameter, effect)
         size = step_of(effect, name, value, problem)
         if name in _PLACE:  # wherever a place counts from, it is as large as its width
             size = 0.01 * float(entries[k]["width_m"])
         step = size if value + size <= high else -size
-        changed = [dict(entry) for entry in entries]
-        changed[k][name] = value + step
-        moved = problem.residual(problem.with_entries(changed, own))
-        columns.append(((moved - residual) / step)[:, None])
-    return np.hstack(columns)
+        moved = problem.residual(problem.with_entries(_with(entries, k, name, step), own))
+        if name == _DELAY and low <= value - step <= high:
+            other = problem.residual(problem.with_entries(_with(entries, k, name, -step), own))
+            weight = huber(residual, problem.knee)
+            noise[k, name] = _noise(moved, residual, other, weight) / step**2
+            columns.append(((moved - other) / (2.0 * step))[:, None])
+        else:
+            columns.append(((moved - residual) / step)[:, None])
+    return np.hstack(columns), noise
+
+
+def _noise(later: Floats, now: Floats, earlier: Floats, weight: Floats) -> float:
+    """Energy that noise has in the sensitivity to a delay, by residuals a step to either side.
+
+    The square of the sensitivity less the curvature of the loss: noise is as large at any delay.
+    With it in the normal matrix steps would be a part of what they have to be, promise less than
+    there is, and end on the way. (A difference to one side alone, or sensitivities at another
+    delay, would go with the noise of the residual and pull towards where they were taken.)
+    """
+    squares = float(np.sum(weight * (later - earlier) ** 2)) / 4.0
+    curvature = float(np.sum(weight * (later**2 + earlier**2 - 2.0 * now**2))) / 2.0
+    return float(np.clip(squares - curvature, 0.0, squares))
+
+
+def _by_column(
+    noise: Mapping[tuple[int, str], float], own: Collection[str], names: Sequence[tuple[int, str]]
+) -> Floats:
+    """Of each column of a Jacobian; the model's ``own`` numbers come first."""
+    return np.array([noise.get(one, 0.0) for one in (*((_OWN, name) for name in own), *names)])
+
+
+def _with(
+    entries: Sequence[Mapping[str, Any]], k: int, name: str, by: float
+) -> list[dict[str, Any]]:
+    changed = [dict(entry) for entry in entries]
+    changed[k][name] += by
+    return changed
 
 
 def step_of(effect: Effect, name: str, value: float, problem: Problem) -> float:

@@ -42,20 +42,48 @@ def partitions(blocks: Sequence[Integers]) -> tuple[Integers, Integers]:
     return np.concatenate(fine), np.concatenate(wide)
 
 
+_MOST_NOISE = 0.99
+"""Of the curvature in any direction: what is left of it is not known to be nothing."""
+
+
+def less_noise(normal: Floats, noise: Floats) -> Floats:
+    """A normal matrix (p, p) without what ``noise`` (p,) in the sensitivities adds to its diagonal.
+
+    A signal at another delay has other noise of the same size: what that makes of a sensitivity is
+    no curvature of the loss. No direction loses all of its curvature.
+    """
+    if not np.any(noise):
+        return normal
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    value, turned = np.linalg.eigh(normal / np.outer(size, size))
+    root = turned / np.sqrt(np.maximum(value, 1e-12))
+    most = float(np.linalg.eigvalsh(root.T @ (root * (noise / size**2)[:, None]))[-1])
+    return np.asarray(normal - np.diag(noise) * min(1.0, _MOST_NOISE / max(most, 1e-300)))
+
+
 def half_widths(
-    jacobian: Floats, residual: Floats, groups: Sequence[Integers], prior: int = 0
+    jacobian: Floats,
+    residual: Floats,
+    groups: Sequence[Integers],
+    prior: int = 0,
+    noise: Floats | None = None,
 ) -> Floats:
     """Half widths (p,) of 95 % intervals of numbers with the sensitivities ``jacobian`` (n, p).
 
     ``groups``: for each partition tried, the group of each sample, ascending, (n,). The first
-    ``prior`` numbers have a prior of width one.
+    ``prior`` numbers have a prior of width one. ``noise`` (p,): energy that noise has in each
+    sensitivity.
     """
-    widths, _, _ = parts(jacobian, residual, groups, prior)
+    widths, _, _ = parts(jacobian, residual, groups, prior, noise)
     return np.max(widths, axis=0)
 
 
 def parts(
-    jacobian: Floats, residual: Floats, groups: Sequence[Integers], prior: int = 0
+    jacobian: Floats,
+    residual: Floats,
+    groups: Sequence[Integers],
+    prior: int = 0,
+    noise: Floats | None = None,
 ) -> tuple[Floats, Floats, Floats]:
     """(half widths, deviations, degrees of freedom), each by partition, (1 + partitions, p).
 
@@ -67,6 +95,8 @@ def parts(
     known = np.zeros(len(normal))
     known[:prior] = 1.0
     normal += np.diag(known)
+    if noise is not None:
+        normal = less_noise(normal, noise)
     size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
     inverse = np.linalg.pinv(normal / np.outer(size, size)) / np.outer(size, size)
     pull = jacobian @ inverse  # what each sample moves each number by, for a residual of one
