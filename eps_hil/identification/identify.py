@@ -12,7 +12,7 @@ from eps_hil.identification.balance import Case, cases
 from eps_hil.identification.cannot_tell import cannot_tell
 from eps_hil.identification.finding import Finding
 from eps_hil.identification.friction_map import friction_map
-from eps_hil.identification.identifiable import choose, widened
+from eps_hil.identification.identifiable import beside_sliding, choose, widened
 from eps_hil.identification.least_squares import Fit
 from eps_hil.identification.motion_check import check_place
 from eps_hil.identification.motor_lag import motor_lag
@@ -40,6 +40,8 @@ METHOD_SAMPLES = 0.03
 """Own error of the method (relative; of a 1 ms step): docs/theory-identification.md, section 5."""
 LOOSEST_BRISTLE = 0.5
 DAMPING, DAMPING_SPEED = "friction.sigma1_nm_s_per_rad", "friction.sigma1_speed_rad_s"
+_SLOW = 0.25
+"""Share of the turns that have to show the bristle's damping."""
 LEAST_OFFSET_NM = {"torque_sensor_nm": 0.005, "motor_torque_nm": 0.001}
 
 Progress = Callable[[float], None]
@@ -81,7 +83,7 @@ def identify(
     found = estimate(rows, chosen.fit.state, chosen.fitted, lambda p: say(0.3 + 0.4 * p),
                      prior=start)  # fmt: skip
     found = corrected(found, ready, late_s, start, chosen.fitted)
-    shown = _shown_of(found.bristle)
+    shown = _shown_of(found.bristle, rows, start)
     if found.bristle is not None and len(shown) < len(found.bristle.parameters):
         state = _as_in(start, found.sliding.state, found.bristle.parameters, shown)
         found = estimate(rows, state, chosen.fitted, passes=1, prior=start, bristle_of=shown)
@@ -89,9 +91,19 @@ def identify(
     say(0.9)
     sliding = widened(found.sliding, rows, chosen.kept, found.weights)
     found = replace(found, sliding=sliding)
+    if found.bristle is not None:
+        own = _method(sliding)
+        found = replace(found, bristle=beside_sliding(rows, found.bristle, sliding, own))
     result = _result(model, start, ready, rows, found, angle, offsets, placed)
     say(1.0)
     return result
+
+
+def _method(fit: Fit) -> dict[str, float]:
+    """Deviations by the method itself, of what the sliding stage finds."""
+    late = METHOD_SAMPLES * filters.STEP_S
+    own = {p.name: late for p in fit.parameters if p.name.startswith("delays_s.")}
+    return own | {"inertia_kg_m2": METHOD_INERTIA * get(fit.state, "inertia_kg_m2")}
 
 
 def _without_offsets(one: Prepared, offsets: Mapping[str, Offset | None]) -> Prepared:
@@ -195,11 +207,26 @@ def _shown(fit: Fit, name: str) -> bool:
     return fit.sigma(name) < LOOSEST_BRISTLE * get(fit.state, name)
 
 
-def _shown_of(fit: Fit | None) -> list[Parameter]:
+def _shown_of(fit: Fit | None, rows: Sequence[Case], start: State) -> list[Parameter]:
     """The bristle's parameters that are known; the speed of a damping only with the damping."""
     known = [p for p in fit.parameters if _shown(fit, p.name)] if fit else []
-    damped = any(p.name == DAMPING for p in known)
-    return [p for p in known if damped or p.name != DAMPING_SPEED]
+    damped = any(p.name == DAMPING for p in known) and _slow_turns(rows, start)
+    return [p for p in known if damped or p.name not in (DAMPING, DAMPING_SPEED)]
+
+
+def _slow_turns(rows: Sequence[Case], start: State) -> bool:
+    """Whether the rotor turns round slowly enough to be seen within the damping's speed.
+
+    Where it passes all of it between two samples, a damping is fitted to what sampling does; a
+    few slow turns do not outweigh that.
+    """
+    found = []
+    for case in rows:
+        speed, moving = case.motion.speed, ~case.motion.resting[1:]
+        turned = (speed[1:] * speed[:-1] < 0.0) & moving
+        found.append(np.abs(np.diff(speed))[turned])
+    steps = np.concatenate(found)
+    return not len(steps) or float(np.quantile(steps, _SLOW)) < 2.0 * get(start, DAMPING_SPEED)
 
 
 def _as_in(
