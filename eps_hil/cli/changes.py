@@ -61,9 +61,9 @@ def changes(
         try:
             found = run(rig, first, second, say)
         except RecordingError as error:
-            raise InputError(error.recording, "", str(error)) from None
+            raise InputError(error.recording, "", str(error)) from error
         except ValueError as error:
-            raise InputError(", ".join([*first, *second]), "", str(error)) from None
+            raise InputError(", ".join([*first, *second]), "", str(error)) from error
     _say(found.after.content)
     if write_model:
         with replacing(write_model) as temporary:

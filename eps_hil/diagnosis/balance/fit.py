@@ -128,8 +128,7 @@ def fit(
         found = [known[term_of(work[k]), n] for k, n in names]
         jacobian = np.column_stack([knobs.columns_beside(work, names, residual, noise), *found])
         fresh_now, fresh = len(wanted) == len(names), False
-        normal, slope = _normal(jacobian, residual, at)
-        normal[knobs.diagonal] += 1.0
+        normal, slope = knobs.with_prior(*_normal(jacobian, residual, at))
         normal = less_noise(normal, _by_column(noise, knobs.names, names))
         size = np.sqrt(np.maximum(np.diag(normal), 1e-30))
         before = cost
@@ -180,7 +179,6 @@ class _Knobs:
         self.values = dict(values or {})
         self.names = list(self.values)
         self.vector = np.array(list(self.values.values()))
-        self.diagonal = np.diag_indices(len(self.names))
         self.price = float(self.vector @ self.vector)
 
     @property
@@ -212,6 +210,13 @@ class _Knobs:
         noise[_OWN, HOLD] = _noise(late, residual, early, weight) / step**2
         columns[:, self.names.index(HOLD)] = (late - early) / (2.0 * step)
         return columns
+
+    def with_prior(self, normal: Floats, slope: Floats) -> tuple[Floats, Floats]:
+        """Normal equations with what the own numbers, which come first, pay for being moved."""
+        count = len(self.names)
+        normal[:count, :count] += np.eye(count)
+        slope[:count] += self.vector
+        return normal, slope
 
     def moved(self, step: Floats) -> "_Knobs":
         turned = np.clip(self.vector + step, -FARTHEST_OWN, FARTHEST_OWN)

@@ -44,6 +44,16 @@ def test_a_fit_that_cannot_begin_where_it_should_begins_nearer(
     assert asked[0] > asked[1] > asked[2]
 
 
+@pytest.mark.slow
+def test_a_number_that_recordings_say_nothing_of_comes_back(problem: Problem) -> None:
+    """The model's own numbers pay for being moved: there the prior is all that pulls."""
+    rest = problem.over([one.changed() for one in problem.recordings])
+    rest.scale = np.full_like(problem.scale, 1e6)  # noise that drowns everything
+    found = fit(rest, [], own={"inertia": 2.0, "sigma1_nm_s_per_rad": -1.0})
+    assert found.own == pytest.approx({"inertia": 0.0, "sigma1_nm_s_per_rad": 0.0}, abs=0.02)
+    assert found.cost < 0.01 + rest.cost(rest.residual(rest.model))
+
+
 def test_a_fit_without_a_name_is_made_once(problem: Problem) -> None:
     """As long as outliers are the same ones; of another fit it is made anew."""
     entry = {"effect": "coulomb_level", "scale": 1.1}
