@@ -254,7 +254,7 @@ def modelled(
     weighed, told = found.weighed, found.told
     if whole is not None:
         shown, findings, extra = whole.selection, whole.findings, whole.law
-        weighed, told = problem, shown
+        weighed, told = whole.weighed, whole.told
     extra = simulated_too(problem, shown, findings, extra, judged)
     left = force or left_of(problem, shown, judged) or now.left
     return Names(weighed, told, shown, findings, left, extra)

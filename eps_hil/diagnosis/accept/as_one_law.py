@@ -16,20 +16,25 @@ from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.accept.standing import number_count, price, price_of_one
 from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.baseline import SIDES, TIMING, is_free, law_knobs
-from eps_hil.diagnosis.balance.fit import fit
-from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.balance.fit import ablated, fit
+from eps_hil.diagnosis.balance.problem import Problem, term_of
 from eps_hil.diagnosis.remainder.find import Remainder, find, share_removed
 from eps_hil.diagnosis.remainder.sight import Sight
 
 
 @dataclass(frozen=True)
 class OneLaw:
-    """A law, the names that stand beside it (places in the fit of ``selection``), its price."""
+    """A law, the names that stand beside it (places in the fit of ``selection``), its price.
+
+    ``told``: the same names as they are fitted in ``weighed``, which has the law in its model.
+    """
 
     selection: Selection
     findings: Sequence[int]
     law: Remainder
     price: float
+    weighed: Problem
+    told: Selection
 
 
 def as_one_law(
@@ -84,7 +89,8 @@ def _beside(
     named = model.effects[first + 1 :]
     model = names_first(problem, replace(model, effects=(*problem.model.effects, entry, *named)))
     alone = without_laws(problem, found)
-    fewer = replace(fewer, found=alone)
+    spared = {term_of(one): ablated(again, found, k) for k, one in enumerate(found.entries)}
+    told, fewer = replace(fewer, found=found, without=spared), replace(fewer, found=alone)
     places = list(range(len(entries)))
     start = augmented_by(problem, alone, places)
     share, ends = share_removed(Sight(kept, start), kept.residual(model))
@@ -97,4 +103,5 @@ def _beside(
         before=problem.residual(start),
         after=problem.residual(model),
     )
-    return OneLaw(fewer, places, law, price(problem, fewer, places, judged, model, law))
+    costs = price(problem, fewer, places, judged, model, law)
+    return OneLaw(fewer, places, law, costs, again, told)

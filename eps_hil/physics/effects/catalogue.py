@@ -61,9 +61,12 @@ def values_of(
 
 
 def can_be(entry: Mapping[str, Any], model: Model) -> bool:
-    """Whether a model file may hold the entry: a channel in another unit fits what no drive is."""
+    """Whether a rig can have the entry: a channel in another unit fits what no drive is."""
+    effect = catalogue()[str(entry["effect"])]
+    if not effect.simulated and not effect.on_bus:
+        return True
     try:
-        values_of(entry, model)
+        values_of(entry, model, rig=True)
     except ValueError:
         return False
     return True
