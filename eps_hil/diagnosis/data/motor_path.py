@@ -1,5 +1,6 @@
 """From the reported motor torque to that on the shaft: which parts of a model have a say in it."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
@@ -38,3 +39,12 @@ def follows_motor_torque(entry: Mapping[str, Any]) -> bool:
     return any(
         "motor_torque" in str(one) or "motor_power" in str(one) for one in entry.get("inputs", ())
     )
+
+
+def behind_lag(model: Model, cutoff_hz: float) -> float:
+    """Share of the motor torque's noise variance, below a cutoff, that a lag before the shaft lets
+    through.
+    """
+    lags = [e["delay_s"] for e in model.effects if e["effect"] == "motor_torque_delay"]
+    bend = 2.0 * math.pi * cutoff_hz * sum(lags)
+    return math.atan(bend) / bend if bend > 0.0 else 1.0

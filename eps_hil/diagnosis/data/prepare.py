@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.diagnosis.data.motor_path import (
+    behind_lag,
     bends_motor_torque,
     follows_motor_torque,
     what_it_follows,
@@ -296,7 +297,7 @@ class Prepared:
         motor = self.acting_share(worked_in)
         sensor = worked_in.sensor_to_rotor / gains.get("torque_sensor_gain", 1.0)
         load = 1.0 / worked_in.rack_to_rotor_ratio_rad_per_m
-        behind = _behind_lag(worked_in)
+        behind = behind_lag(worked_in, CUTOFF_HZ)
         squared = (
             motor**2 * self._noise_left("motor_torque_nm") * behind
             + sensor**2 * self._noise_left("torque_sensor_nm")
@@ -499,13 +500,6 @@ class Prepared:
         mean = np.convolve(np.pad(speed, n // 2, mode="edge"), window, mode="valid")
         sigma = self.noise["motor_speed_rad_s"] / np.sqrt(n)
         return np.asarray(np.abs(mean) < max(4.0 * sigma, REST_RAD_S * self.size.angle))
-
-
-def _behind_lag(model: Model) -> float:
-    """Share of the motor torque's noise variance that a lag before the shaft lets through."""
-    lags = [e["delay_s"] for e in model.effects if e["effect"] == "motor_torque_delay"]
-    bend = 2.0 * np.pi * CUTOFF_HZ * sum(lags)
-    return float(np.arctan(bend) / bend) if bend > 0.0 else 1.0
 
 
 def _moved(speed: Floats) -> Floats:
