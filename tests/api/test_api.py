@@ -82,8 +82,8 @@ def test_where_a_computation_failed_is_shown_with_debug_alone(
         eps_hil.diagnose(drive, MODEL)
     assert isinstance(caught.value.__cause__, np.linalg.LinAlgError)
     path = tmp_path / "drive.csv"
-    columns = {name: one.value for name, one in drive.series.items()}
-    columns = {"time_s": next(iter(drive.series.values())).t_ns * 1e-9, **columns}
+    columns: dict[str, Any] = {"time_s": next(iter(drive.series.values())).t_ns * 1e-9}
+    columns |= {name: one.value for name, one in drive.series.items()}
     table = np.column_stack(list(columns.values()))
     np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
     words = ["diagnose", "--recording", str(path), "--model", str(MODEL)]

@@ -5,6 +5,7 @@ The rig is one mass with LuGre friction (eq. 1 to 3) in code of its own, swung b
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +17,14 @@ from eps_hil.series import Series
 
 pytestmark = pytest.mark.slow
 
-TRUE = {"inertia": 2e-4, "pos": (0.056, 4.195e-4, 4.993e-5), "neg": (0.1258, 6.658e-5, 4.345e-5),
-        "sigma0": 4.5, "sigma1": 0.075, "speed": 0.75}  # fmt: skip
+TRUE: dict[str, Any] = {
+    "inertia": 2e-4,
+    "pos": (0.056, 4.195e-4, 4.993e-5),
+    "neg": (0.1258, 6.658e-5, 4.345e-5),
+    "sigma0": 4.5,
+    "sigma1": 0.075,
+    "speed": 0.75,
+}
 RATIO, STIFFNESS, DAMPING, STEPS = 2513.0, 0.6, 0.01, 10
 SENSORS = {"motor_torque_nm": 4e-3, "motor_speed_rad_s": 0.25, "motor_angle_rad": 2e-3,
            "rack_force_n": 3.0}  # fmt: skip
