@@ -36,6 +36,7 @@ _SIZED = ("stronger", "weaker", "higher", "lower")
 _AS_MUCH = (
     "what has no name is left in both states, and no more of it in the second: that is no change"
 )
+_OF_FIRST = "In the first state, against the second: "
 _ONE_WAY_ONLY = (
     "{}: found in one state beside what the other has, not the other way round: whether it has "
     "changed is not decided"
@@ -231,8 +232,10 @@ def _content(
             (True, True): "partly_explained",
             (False, True): "unknown_effect",
         }[named, UNKNOWN in names]
-    known = "the first state" if way.word == "before" else "the second state"
-    content["findings"] = said_against(told, known)
+    if way.word == "before":
+        content["findings"] = said_against(told, "the first state", verb="was")
+    else:
+        content["findings"] = said_against(told, "the second state", _OF_FIRST)
     content["seen_in"] = "after" if way.word == "before" else "before"
     content["undecided"] = one_way
     content["limits"] = [

@@ -14,13 +14,15 @@ from typing import Any
 
 from eps_hil.identification.state import FRICTION_UNITS
 from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
-from eps_hil.physics.effects.effect import Effect, Slot
+from eps_hil.physics.effects.effect import Slot
 from eps_hil.physics.model import Model
 
 Entry = Mapping[str, Any]
 
 _ALIKE = 0.02
 """Of a ratio: numbers that move together by it have one in common."""
+_DRAG = "viscous_friction"
+"""The model file has a drag for each direction, the effect adds one to both."""
 _AS_STRONG = 0.15
 """Of an amplitude: a ripple whose own differs by less has only moved."""
 
@@ -39,31 +41,44 @@ class Moved:
         return {"name": self.name, "before": self.first, "after": self.second, "unit": self.unit}
 
 
-def moved(model: Model, name: str, first: Sequence[Entry], second: Sequence[Entry]) -> list[Moved]:
-    """Numbers of the rig that effect ``name`` has other in the second state; empty where it has
-    none that the model has as well. ``model``: with neither's entries of it.
+def moved(name: str, first: Model, second: Model, more: Sequence[Entry]) -> list[Moved]:
+    """Numbers of the rig that a change of effect ``name`` moves, as both states' models have them.
+
+    Empty where it moves none that a model has without it. ``more``: what is added to ``first``.
     """
     effect = catalogue().get(name)
-    if effect is None:
+    if effect is None or not more:
         return []
-    if effect.slot is Slot.MODEL and effect.change is not None:
-        return _in_the_model(model, effect, first, second)
+    there, here = _flat(first), _flat(second)
+    if (effect.slot is Slot.MODEL and effect.change is not None) or name == _DRAG:
+        touched = _flat(replace(first, effects=(*first.effects, *map(dict, more))))
+        return [
+            Moved(key, there[key], here[key], _unit(key))
+            for key in there
+            if touched[key] != there[key]
+        ]
     probe = effect.probe
-    if probe is None:
-        return []
-    if probe.neutral == 1.0:  # a gain: one after the other
-        was, now = (math.prod(_sizes(probe.amplitude, one)) for one in (first, second))
-    elif probe.lowest is not None:  # beside a number that the model has: there, nothing is left
-        own = -probe.lowest(model)
-        was, now = (own + sum(_sizes(probe.amplitude, one)) for one in (first, second))
-    else:
+    if probe is None or probe.neutral != 1.0:
         return []
     unit = next(one.unit for one in effect.parameters if one.name == probe.amplitude)
+    was, now = (  # one gain after the other
+        math.prod(float(e[probe.amplitude]) for e in one.effects if e["effect"] == name)
+        for one in (first, second)
+    )
     return [Moved(probe.amplitude, was, now, "" if unit == "1" else unit)]
 
 
-def _sizes(amplitude: str, entries: Sequence[Entry]) -> list[float]:
-    return [float(one[amplitude]) for one in entries]
+def anew(name: str, first: Sequence[Entry], second: Sequence[Entry]) -> list[Moved]:
+    """Numbers of an effect that each state has once, where they differ."""
+    effect = catalogue().get(name)
+    if effect is None or len(first) != 1 or len(second) != 1:
+        return []
+    return [
+        Moved(one.name, float(first[0][one.name]), float(second[0][one.name]), one.unit)
+        for one in effect.parameters
+        if all(isinstance(entry.get(one.name), int | float) for entry in (first[0], second[0]))
+        and first[0][one.name] != second[0][one.name]
+    ]
 
 
 def shifted(name: str, first: Sequence[Entry], second: Sequence[Entry]) -> list[Moved]:
@@ -113,26 +128,16 @@ def in_words(numbers: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _in_the_model(
-    model: Model, effect: Effect, first: Sequence[Entry], second: Sequence[Entry]
-) -> list[Moved]:
-    """The model's own numbers, as the effect's entries leave them."""
-    there, here = (
-        _flat(with_model_effects(replace(model, effects=(*model.effects, *map(dict, entries)))))
-        for entries in (first, second)
-    )
-    return [
-        Moved(name, there[name], here[name], _unit(name))
-        for name in there
-        if there[name] != here[name]
-    ]
-
-
 def _flat(model: Model) -> dict[str, float]:
-    """Every number of the model by the name that its file gives it."""
-    told = asdict(replace(model, effects=()))
+    """Every number of the model, its effects worked in, by the name that its file gives it."""
+    drag = sum(
+        float(one["coefficient_nm_s_per_rad"]) for one in model.effects if one["effect"] == _DRAG
+    )
+    told = asdict(replace(with_model_effects(model), effects=()))
     nested = {"friction": told.pop("friction"), "delays_s": told.pop("delays_s")}
     numbers = {**told, **nested["friction"]}
+    for side in ("viscous_pos_nm_s_per_rad", "viscous_neg_nm_s_per_rad"):
+        numbers[side] += drag
     numbers |= {f"delays_s.{name}": value for name, value in nested["delays_s"].items()}
     return {k: float(v) for k, v in numbers.items() if isinstance(v, int | float)}
 

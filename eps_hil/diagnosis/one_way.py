@@ -20,7 +20,7 @@ from eps_hil.diagnosis.balance.problem import Problem, huber, knee, plain, term_
 from eps_hil.diagnosis.balance.spread import half_widths
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.given_load import Diagnosis
-from eps_hil.diagnosis.in_numbers import Moved, moved, ratio, shifted
+from eps_hil.diagnosis.in_numbers import Moved, anew, moved, ratio, shifted
 from eps_hil.diagnosis.remainder.find import with_remainder
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
@@ -237,14 +237,14 @@ class OneWay:
         effects = tuple(one for one in self.baseline.effects if one["effect"] != name)
         bare = replace(self.baseline, effects=effects)
         after = entries if self.anew else [*told["before"], *entries]
-        numbers = moved(bare, name, told["before"], after) if entries else []
-        if numbers:
+        if numbers := moved(name, self.baseline, self.other.model, entries):
             return told | _in_numbers(numbers, new=not told["before"])
         if not told["before"]:
             return told
         told["is"] = "different"
         if not entries:
-            return told
+            now = [one for one in self.other.model.effects if one["effect"] == name]
+            return told | {"numbers": [one.content() for one in anew(name, told["before"], now)]}
         if numbers := shifted(name, told["before"], after):
             return told | {"is": "shifted", "numbers": [one.content() for one in numbers]}
         problem = replace(self.other.problem, remainder=None)
@@ -256,17 +256,15 @@ class OneWay:
 
 
 def _in_numbers(numbers: Sequence[Moved], *, new: bool) -> dict[str, Any]:
-    """A change of numbers that the model has as well; without a ratio: through zero, or several
-    that go ways of their own.
-    """
+    """A change of numbers that the model has as well: the way they all go, and their factor."""
     told = {"numbers": [one.content() for one in numbers]}
     factor = ratio(numbers)
-    if factor is not None:
-        is_ = "gone" if factor == 0.0 else "higher" if factor > 1.0 else "lower"
-        return {**told, "is": is_, "size_after": factor}
-    if new or len(numbers) > 1:
+    if factor == 0.0:
+        return {**told, "is": "gone", "size_after": factor}
+    up = {one.second > one.first for one in numbers}
+    if len(up) > 1 or (new and any(one.first == 0.0 for one in numbers)):
         return {**told, "is": "new" if new else "different"}
-    return {**told, "is": "higher" if numbers[0].second > numbers[0].first else "lower"}
+    return {**told, "is": "higher" if True in up else "lower", "size_after": factor}
 
 
 def _times(had: Floats, now: Floats) -> float | None:

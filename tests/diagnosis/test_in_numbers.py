@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from eps_hil.diagnosis.in_numbers import Moved, in_words, moved, ratio, shifted
+from eps_hil.diagnosis.in_numbers import Moved, anew, in_words, moved, ratio, shifted
 from eps_hil.physics.model import Model
 
 Entries = Sequence[Mapping[str, Any]]
@@ -18,7 +18,8 @@ def entry(effect: str, **values: float) -> dict[str, Any]:
 
 
 def told(model: Model, first: Entries, second: Entries) -> list[Moved]:
-    return moved(model, str(second[0]["effect"]), first, second)
+    there, here = (replace(model, effects=tuple(one)) for one in (first, second))
+    return moved(str(second[0]["effect"]), there, here, second[len(first) :] or second)
 
 
 def test_a_level_below_the_files_that_rises_is_higher(reference_model: Model) -> None:
@@ -34,15 +35,27 @@ def test_a_level_below_the_files_that_rises_is_higher(reference_model: Model) ->
 
 @pytest.mark.parametrize("part", [-0.4, 0.4])
 def test_drag_is_counted_with_the_models_own(part: float, reference_model: Model) -> None:
+    """A drag for each direction: what is added to both is no factor of both."""
     name, friction = "coefficient_nm_s_per_rad", reference_model.friction
-    own = min(friction.viscous_pos_nm_s_per_rad, friction.viscous_neg_nm_s_per_rad)
-    first = part * own
+    own = friction.viscous_pos_nm_s_per_rad, friction.viscous_neg_nm_s_per_rad
+    first = part * min(own)
     had = [entry("viscous_friction", **{name: first})]
-    (found,) = told(reference_model, had, [*had, entry("viscous_friction", **{name: 1e-4})])
-    assert found.first == pytest.approx(own + first)
-    assert found.second == pytest.approx(own + first + 1e-4)
-    assert found.unit == "Nm s/rad"
-    assert ratio([found]) == pytest.approx((own + first + 1e-4) / (own + first))
+    found = told(reference_model, had, [*had, entry("viscous_friction", **{name: 1e-4})])
+    assert [one.name for one in found] == ["viscous_pos_nm_s_per_rad", "viscous_neg_nm_s_per_rad"]
+    assert [one.first for one in found] == pytest.approx([one + first for one in own])
+    assert [one.second for one in found] == pytest.approx([one + first + 1e-4 for one in own])
+    assert {one.unit for one in found} == {"Nm s/rad"}
+    assert ratio(found) is None
+
+
+def test_an_effect_that_both_have_once_is_told_by_its_own_numbers() -> None:
+    first, second = (
+        [entry("belt_compliance", stiffness_nm_per_rad=value)] for value in (40.0, 15.0)
+    )
+    (found,) = anew("belt_compliance", first, second)
+    assert (found.name, found.first, found.second) == ("stiffness_nm_per_rad", 40.0, 15.0)
+    assert anew("belt_compliance", first, [*second, *second]) == []
+    assert anew("unknown", first, second) == []
 
 
 def test_gains_act_one_after_the_other(reference_model: Model) -> None:
@@ -73,9 +86,9 @@ def test_an_asymmetry_moves_two_levels_apart(reference_model: Model) -> None:
 def test_what_the_model_has_no_number_for_has_none(reference_model: Model) -> None:
     stribeck = entry("stribeck", level_nm=0.03, speed_rad_s=5.0)
     assert told(reference_model, [], [stribeck]) == []
-    curve = entry("position_torque") | {"curve_nm": [[-0.05, 0.01], [0.05, 0.0]]}
+    curve = entry("position_torque") | {"curve": [[-0.05, 0.01], [0.05, 0.0]]}
     assert told(reference_model, [curve], [curve]) == []
-    assert moved(reference_model, "unknown", [], [{"effect": "empirical"}]) == []
+    assert moved("unknown", reference_model, reference_model, [{"effect": "empirical"}]) == []
     assert ratio([]) is None
 
 

@@ -4,6 +4,7 @@ A term counts only where it improves hold-outs, by a share of their excess whose
 of zero, and, unless that share is most of it, by more than any of the null searches reached.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,6 +21,9 @@ from eps_hil.diagnosis.remainder.refine import refine
 from eps_hil.diagnosis.remainder.screen import Screened, Screening, screen
 from eps_hil.diagnosis.remainder.sight import Sight
 from eps_hil.diagnosis.remainder.table import tables
+from eps_hil.physics.effects.added import MOST_TERMS as MOST_IN_A_SLOT
+from eps_hil.physics.effects.empirical import EFFECT
+from eps_hil.physics.empirical_entry import slot_of
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -151,7 +155,7 @@ def find(
         left = _excess(first, judged.residual)
         if left < max(_LEFT * np.sum(first.weight**2), _MORE * whole * bool(terms)):
             break
-        if np.sum(fitted.use) < 500 or np.sum(judged.use) < 100:
+        if np.sum(fitted.use) < 500 or np.sum(judged.use) < 100 or is_full(model):
             break
         own = Own(fitted, free)
         best = _best(fitted, judged, jacobian, ranges, own, maps=maps, drawn=not one_law)
@@ -171,6 +175,12 @@ def find(
         before.residual,
         fitted.residual,
     )
+
+
+def is_full(model: Model) -> bool:
+    """Whether a model holds as many learnt terms in one place of the drive as can act there."""
+    places = Counter(slot_of(one) for one in model.effects if one["effect"] == EFFECT.id)
+    return any(count >= MOST_IN_A_SLOT for count in places.values())
 
 
 def _best(

@@ -14,14 +14,23 @@ _IT = re.compile(r"\bthe model\b(?! file)")
 _UNKNOWN = "unknown"
 
 
-def against(findings: Iterable[Mapping[str, Any]], whom: str) -> list[dict[str, Any]]:
-    """The findings with ``whom`` (``the simulator``, ``the first state``) in the model's place."""
+def against(
+    findings: Iterable[Mapping[str, Any]], whom: str, of: str = "", verb: str = "is"
+) -> list[dict[str, Any]]:
+    """The findings with ``whom`` (``the simulator``, ``the first state``) in the model's place.
+
+    ``of``: said before each, where it is not plain which state has it.
+    """
     return [
-        dict(one) if one["effect"] == _UNKNOWN else {**one, "summary": _said(one["summary"], whom)}
+        {
+            **one,
+            "summary": of
+            + (one["summary"] if one["effect"] == _UNKNOWN else _said(one["summary"], whom, verb)),
+        }
         for one in findings
     ]
 
 
-def _said(summary: str, whom: str) -> str:
-    summary = _IS.sub(f"what it is in {whom}", summary)
+def _said(summary: str, whom: str, verb: str) -> str:
+    summary = _IS.sub(f"what it {verb} in {whom}", summary)
     return _IT.sub(whom, _THAN.sub(f"than in {whom}", summary))

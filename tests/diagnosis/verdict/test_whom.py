@@ -20,6 +20,9 @@ from eps_hil.physics.effects.catalogue import catalogue
 def test_the_model_gives_its_place(before: str, after: str) -> None:
     (said,) = against([{"effect": "inertia", "summary": before}], "the simulator")
     assert said["summary"] == after
+    (was,) = against([{"effect": "inertia", "summary": before}], "day one", "First: ", verb="was")
+    assert was["summary"].startswith("First: ")
+    assert ("it was in day one" in was["summary"]) is ("what the model says" in before)
     (unknown,) = against([{"effect": "unknown", "summary": before}], "the simulator")
     assert unknown["summary"] == before
 
