@@ -78,7 +78,7 @@ def changes(
 
 
 def _say(content: Mapping[str, Any]) -> None:
-    from eps_hil.diagnosis.changes import in_words
+    from eps_hil.diagnosis.changes import in_words, what_would_show
     from eps_hil.physics.effects.catalogue import catalogue
 
     known = [_named(one["effect"], catalogue()) for one in content["before"]["findings"]]
@@ -89,7 +89,7 @@ def _say(content: Mapping[str, Any]) -> None:
     elif content["undecided"]:
         typer.echo("Not decided whether anything has changed; what stands against it is below.")
     else:
-        typer.echo("Nothing has changed that these recordings could show.")
+        typer.echo(f"Nothing has changed that {what_would_show(content)}.")
     for one in content["findings"]:
         typer.echo(f"  {_named(one['effect'], catalogue())} ({100 * one['confidence']:.0f} %), "
                    f"{in_words(one['change'])}: {one['summary']}")  # fmt: skip

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from eps_hil.diagnosis.accept.improvement import only_if_clear
-from eps_hil.diagnosis.accept.proof_of_fit import measures
+from eps_hil.diagnosis.accept.proof_of_fit import CLEARLY, measures
 from eps_hil.diagnosis.attribute.select import Say
 from eps_hil.diagnosis.beside_shared import alike, beside_shared, gain
 from eps_hil.diagnosis.diagnose import diagnose
@@ -265,3 +265,12 @@ def in_words(change: Mapping[str, Any]) -> str:
     else:
         said = f"{change['is']}: {size:.3g} times what it was"
     return f"{said} ({numbers})" if numbers else said
+
+
+def what_would_show(content: Mapping[str, Any]) -> str:
+    """What a change would have to be to be seen, by what the second state's hold-outs leave."""
+    holdout = content["fit"]["holdout"]
+    left, noise = (holdout.get(one, {}).get("torque_nrmse") for one in ("augmented", "noise_floor"))
+    if not left or not noise or left < CLEARLY * noise:
+        return "these recordings could show"
+    return f"stands out of the residual, which is {left / noise:.2g} times the sensors' noise"

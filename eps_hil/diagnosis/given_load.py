@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.diagnosis.accept.as_friction import as_friction
 from eps_hil.diagnosis.accept.as_written import (
     as_the_file_does,
     in_no_file,
@@ -301,6 +302,8 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         unfounded |= set(as_lucky(placebo, now.weighed, now.told, findings, judged))
     if unfounded:
         return case.again({*without, *unfounded})
+    if extra is not None:
+        extra = as_friction(problem, problem.over([one.prepared for one in judged]), extra)
     written = with_remainder(augmented_by(problem, selection.found, findings, others), extra)
     beside_load = augmented_by(problem, selection.found, findings) if extra is None else written
     if worse(problem, beside_load, judged):

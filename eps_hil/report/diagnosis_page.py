@@ -12,7 +12,7 @@ from typing import Any
 
 from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, score, threshold
 from eps_hil.diagnosis.balance.problem import term_of
-from eps_hil.diagnosis.changes import in_words
+from eps_hil.diagnosis.changes import in_words, what_would_show
 from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.remainder.ceiling import left_by_trees
 from eps_hil.diagnosis.verdict.spoken import shares_in_words
@@ -209,7 +209,7 @@ def _what_changed(content: Mapping[str, Any]) -> str:
     if not told and content["undecided"]:
         return f"Not decided whether anything has changed; why is below.{both if known else ''}"
     if not told:
-        return f"Nothing has changed that these recordings could show.{both if known else ''}"
+        return f"Nothing has changed that {what_would_show(content)}.{both if known else ''}"
     return f"What has changed: {'; '.join(told)}.{both if known else ''}"
 
 

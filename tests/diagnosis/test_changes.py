@@ -12,7 +12,7 @@ import pytest
 
 from eps_hil.cli.main import main
 from eps_hil.diagnosis import changes as module
-from eps_hil.diagnosis.changes import Changes, changes, in_words
+from eps_hil.diagnosis.changes import Changes, changes, in_words, what_would_show
 from eps_hil.diagnosis.one_way import OneWay, Share
 from eps_hil.physics.model import Model, load_model
 
@@ -50,6 +50,19 @@ def test_a_change_is_beyond_the_intervals_of_both_states(
 )
 def test_a_change_in_words(kind: str, size: float | None, words: str) -> None:
     assert in_words({"is": kind, "size_after": size, "numbers": []}) == words
+
+
+@pytest.mark.parametrize(
+    ("left", "said"),
+    [
+        (0.0012, "these recordings could show"),
+        (0.0113, "stands out of the residual, which is 9.4 times the sensors' noise"),
+        (None, "these recordings could show"),
+    ],
+)
+def test_no_change_is_said_of_what_would_have_been_seen(left: float | None, said: str) -> None:
+    holdout = {"augmented": {"torque_nrmse": left}, "noise_floor": {"torque_nrmse": 0.0012}}
+    assert what_would_show({"fit": {"holdout": holdout}}) == said
 
 
 def test_the_same_recording_in_both_states_is_refused(

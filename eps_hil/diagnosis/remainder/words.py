@@ -23,13 +23,13 @@ SYMBOLS: Mapping[str, str] = {
     "abs_motor_power_w": "|T_em·ω|",
 }
 _PLACES: Mapping[tuple[str, str], str] = {
-    ("rotor", "sum"): "T_f + ({})",
-    ("friction", "sum"): "T_fs + ({})",
-    ("friction", "factor"): "T_fs · (1 + {})",
-    ("motor", "sum"): "T_em + ({})",
-    ("motor", "factor"): "T_em · (1 + {})",
-    ("load", "factor"): "F/i_APA · (1 + {})",
-    ("torsion_bar", "factor"): "T_sen · (1 + {})",
+    ("rotor", "sum"): "T_f {}",
+    ("friction", "sum"): "T_fs {}",
+    ("friction", "factor"): "T_fs · (1 {})",
+    ("motor", "sum"): "T_em {}",
+    ("motor", "factor"): "T_em · (1 {})",
+    ("load", "factor"): "F/i_APA · (1 {})",
+    ("torsion_bar", "factor"): "T_sen · (1 {})",
 }
 PLAIN: Mapping[str, str] = {
     "rotor": "a torque against the rotor",
@@ -64,7 +64,7 @@ def formula(entry: Entry) -> str | None:
             factors.append(_POWERS[name][shape == "below"])
         else:
             factors.append(_shape(shape, seen, entry, i))
-    size = f"{entry['size']:.4g}"
+    size = _added(float(entry["size"]), 4)
     whole = _PLACES[entry["where"], entry["how"]].format(" · ".join([size, *filter(None, factors)]))
     return ", ".join([whole, *memories])
 
@@ -83,20 +83,26 @@ def _memory(memory: str, kept: str, seen: str, number: float) -> str:
 def _shape(shape: str, seen: str, entry: Entry, i: int) -> str:
     centre, width = (float(entry.get(f"{one}_{i}", 0.0)) for one in ("centre", "width"))
     order, phase = (float(entry.get(f"{one}_{i}", 0.0)) for one in ("order", "phase"))
-    off = seen if centre == 0.0 else f"({seen} − {centre:.3g})"
+    away = f"{seen} {_added(-centre)}"
+    off = seen if centre == 0.0 else f"({away})"
     return {
         "one": "",
         "linear": seen,
         "square": f"{seen}²",
         "saturating": f"tanh({seen}/{width:.3g})",
-        "above": f"max({seen} − {centre:.3g}, 0)",
+        "above": f"max({away}, 0)",
         "below": f"max({centre:.3g} − {seen}, 0)",
         "gaussian": f"exp(−({off}/{width:.3g})²)",
-        "sine": f"sin({order:.4g}·{seen} + {phase:.3g})",
+        "sine": f"sin({order:.4g}·{seen} {_added(phase)})",
         "exponential": f"exp(−{off}/{width:.3g})",
         "step": f"1/(1 + exp(−{off}/{width:.3g}))",
         "rational": f"1/(1 + ({seen}/{width:.3g})²)",
     }[shape]
+
+
+def _added(value: float, digits: int = 3) -> str:
+    """``+ 0.5`` or ``− 0.5``."""
+    return f"{'−' if value < 0.0 else '+'} {abs(value):.{digits}g}"
 
 
 def sentence(entry: Entry) -> str:

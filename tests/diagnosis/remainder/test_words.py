@@ -28,11 +28,20 @@ LOST_WHERE_LOAD_DRIVES = law(
 
 
 def test_a_law_is_written_out() -> None:
-    assert formula(FOLD_BACK) == "T_em · (1 + -0.31 · h), 21 s · dh/dt = T_em² − h"
-    assert formula(DEAD_TIME) == "T_em + (-0.02 · tanh(T_em/0.05))"
-    assert formula(LOST_WHERE_LOAD_DRIVES) == "T_f + (-5.3e-05 · F · [F·ω < 0])"
+    assert formula(FOLD_BACK) == "T_em · (1 − 0.31 · h), 21 s · dh/dt = T_em² − h"
+    assert formula(DEAD_TIME) == "T_em − 0.02 · tanh(T_em/0.05)"
+    assert formula(LOST_WHERE_LOAD_DRIVES) == "T_f − 5.3e-05 · F · [F·ω < 0]"
     braking = {**LOST_WHERE_LOAD_DRIVES, "shapes": ["linear", "below"]}
-    assert formula(braking) == "T_f + (-5.3e-05 · F · [F·ω > 0])"
+    assert formula(braking) == "T_f − 5.3e-05 · F · [F·ω > 0]"
+
+
+def test_what_is_less_than_nothing_is_taken_off() -> None:
+    tanh = law(where="friction", how="factor", inputs=["abs_motor_speed_rad_s"],
+               shapes=["gaussian"], size=-5.3, centre_1=-40.6, width_1=31.3)  # fmt: skip
+    assert formula(tanh) == "T_fs · (1 − 5.3 · exp(−((|ω| + 40.6)/31.3)²))"
+    wave = law(where="motor", inputs=["motor_angle_rad"], shapes=["sine"], size=0.0144,
+               order_1=24.0, phase_1=-0.713)  # fmt: skip
+    assert formula(wave) == "T_em + 0.0144 · sin(24·φ − 0.713)"
 
 
 def test_a_map_has_no_law() -> None:
