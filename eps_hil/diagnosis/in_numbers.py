@@ -16,6 +16,7 @@ from eps_hil.identification.state import FRICTION_UNITS
 from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
 from eps_hil.physics.effects.effect import Slot
 from eps_hil.physics.model import Model
+from eps_hil.unit_words import spaced
 
 Entry = Mapping[str, Any]
 
@@ -65,7 +66,7 @@ def moved(name: str, first: Model, second: Model, more: Sequence[Entry]) -> list
         math.prod(float(e[probe.amplitude]) for e in one.effects if e["effect"] == name)
         for one in (first, second)
     )
-    return [Moved(probe.amplitude, was, now, "" if unit == "1" else unit)]
+    return [Moved(probe.amplitude, was, now, unit)]
 
 
 def anew(name: str, first: Sequence[Entry], second: Sequence[Entry]) -> list[Moved]:
@@ -123,7 +124,7 @@ def ratio(numbers: Sequence[Moved]) -> float | None:
 def in_words(numbers: Sequence[Mapping[str, Any]]) -> str:
     """``offset_pos_nm 0.0512 → 0.0553 Nm`` of a finding's ``change.numbers``."""
     return ", ".join(
-        f"{one['name']} {one['before']:.4g} → {one['after']:.4g} {one['unit']}".strip()
+        f"{one['name']} {one['before']:.4g} → {one['after']:.4g}{spaced(one['unit'])}"
         for one in numbers
     )
 
@@ -143,7 +144,7 @@ def _flat(model: Model) -> dict[str, float]:
 
 
 def _unit(name: str) -> str:
-    return "s" if name.startswith("delays_s.") else _UNITS.get(name, "")
+    return "s" if name.startswith("delays_s.") else _UNITS.get(name, "1")
 
 
 _UNITS = {

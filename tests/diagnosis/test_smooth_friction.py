@@ -51,7 +51,7 @@ def test_presliding_that_only_the_model_has_is_found(
 def test_presliding_that_nothing_explains_is_said(
     record: Callable[..., Any], reference_model: Model, other_rig: ModuleType
 ) -> None:
-    """Slow motion alone: other numbers bend to it, and no hold-out bears them out."""
+    """Slow motion alone: other numbers bend to it, and none is confirmed on the hold-outs."""
     for speed_rad_s, said in ((0.35, True), (0.0, False)):
         plant = {other_rig.SMOOTH: speed_rad_s}
         programme = ("slow", "steps")

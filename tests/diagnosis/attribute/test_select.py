@@ -5,7 +5,6 @@ from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 
 from eps_hil.diagnosis.attribute.numbers import SPANNED, levels_first
@@ -18,7 +17,7 @@ from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.prepare import prepare
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.physics.effects.catalogue import catalogue, with_model_effects
-from eps_hil.physics.model import Delays, Model
+from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
 pytestmark = pytest.mark.slow
@@ -199,27 +198,11 @@ def test_a_late_torque_makes_no_refit_unbelievable(problem: Problem) -> None:
 
 
 def test_under_a_push_numbers_that_are_off_are_no_saturation(
-    closed_loop_rig: ModuleType, reference_model: Model
+    pushed: tuple[Any, Model, dict[str, dict[str, Series]]],
 ) -> None:
     """The motor's torque has a level for each direction there, and so does what saturates."""
-    rig = closed_loop_rig.Rig(
-        inertia=7.1e-5, level_pos=0.199, level_neg=0.235, drag=1.3e-4, grows=2.7e-4,
-        stiffness=18.0, ratio=400.0, push=170.0, swing_rad=10.5, speed_loop=True,
-    )  # fmt: skip
-    friction = replace(
-        reference_model.friction,
-        offset_pos_nm=0.224, offset_neg_nm=0.264, load_pos_nm_per_n=1.7e-4,
-        load_neg_nm_per_n=1.7e-4, viscous_pos_nm_s_per_rad=1.4e-4,
-        viscous_neg_nm_s_per_rad=1.4e-4, sigma0_nm_per_rad=15.0, sigma1_nm_s_per_rad=0.0,
-    )  # fmt: skip
-    model = replace(reference_model, inertia_kg_m2=8.3e-5, rack_to_rotor_ratio_rad_per_m=400.0,
-                    friction=friction, delays_s=Delays(), effects=())  # fmt: skip
-    made = []
-    for seed in (1, 2):
-        columns = closed_loop_rig.record(rig, seed, 20.0, (1e-3, 0.03, 3e-4, 0.5))
-        t_ns = np.round(columns.pop("time_s") * 1e9).astype(np.int64)
-        columns.pop("motor_angle_rad")
-        made.append(prepare(str(seed), {name: Series(t_ns, one) for name, one in columns.items()}))
+    rig, model, recordings = pushed
+    made = [prepare(name, recordings[name]) for name in ("1", "2")]
     problem = Problem(made, model)
     told = select(problem)
     assert not any(one.effect.id == "motor_torque_saturation" for one in told.pool)
