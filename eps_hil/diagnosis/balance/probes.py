@@ -1,16 +1,16 @@
 """Every effect's regressor: the sensitivity of the simulated torque balance to it."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
+from itertools import count, pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.compiled import njit
 from eps_hil.diagnosis.balance.baseline import STIFFNESS
 from eps_hil.diagnosis.balance.problem import TERM, Problem
+from eps_hil.diagnosis.data.prepare import CUTOFF_HZ
 from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.physics.effects.added import MOST_TERMS
 from eps_hil.physics.effects.catalogue import catalogue
@@ -18,17 +18,26 @@ from eps_hil.physics.effects.effect import Effect, Parameter, Probe
 from eps_hil.physics.model import Model
 
 Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
 
-_ORDERS = np.arange(0.5, 50.01, 0.05)
-_FINE = np.linspace(-0.05, 0.05, 21)
+_FIRST, _LAST, _BETWEEN = 0.5, 100.0, 0.05
+"""Orders per turn, and how far those that are tried are apart at most; a motor of 12 slots and 10
+poles cogs 60 times."""
+_OVER = 2.0
+"""Times what was turned: two orders that are a whole period apart over it are told apart."""
+_PART = 1.1
+_PARTS = int(np.ceil(np.log(_LAST / _FIRST) / np.log(_PART)))
+"""Of the periodogram: from one to the next the filter passes about as much."""
+_BINS = 8
+"""In a period of the highest order."""
+_FINE = np.linspace(-1.0, 1.0, 21)
 _MOST_ORDERS = 6
-_PARTS = 8
-"""Of the periodogram, to be worked out side by side; not by cores, so that all machines agree."""
-_FEWEST = 200
-"""Samples that an order has to be seen in."""
+_FEWEST = 60.0
+"""Samples that an order has to be seen in, by what the filter passes of it."""
 _APART = 0.3
 """Orders that are nearer are one."""
-_FILTER_HZ = 30.0
+_HEARD_HZ = 50.0
+"""A ripple that is quicker is all but lost in the balance's low-pass: 2 % of its energy."""
 _KNOTS = 24
 _SLOWEST = 4.0
 """Times the longest recording: what fades more slowly is another level."""
@@ -344,7 +353,7 @@ def _places(scan: str, problem: Problem) -> Sequence[Mapping[str, float]]:
 def _orders(problem: Problem, residual: Floats) -> list[float]:
     """Orders per rotor turn at which the residual repeats: peaks of an angle-domain periodogram.
 
-    Only samples count at which the order's frequency passes the filter.
+    A sample counts by what the filter passes of the order's frequency there.
     """
     angle, speed = [], []
     for recording in problem.recordings:
@@ -364,20 +373,30 @@ def _clear_orders(left: Floats, phi: Floats, omega: Floats) -> list[float]:
 
     Each is taken out before the next is looked for, or the skirts of a strong one hide the others.
     """
-    left = left - np.mean(left)
+    if len(left) == 0:
+        return []
+    left, phi = left - np.mean(left), phi - np.min(phi)
+    round_rad = max(_OVER * float(np.max(phi)), 2 * np.pi / _BETWEEN)
+    between = 2 * np.pi / round_rad
+    orders = np.arange(0.0, _LAST + between, between)
+    parts = [*_parts(phi, omega, orders, round_rad)]
     found: list[float] = []
     while len(found) < _MOST_ORDERS:
-        power = _periodogram(left, phi, omega)
+        power = np.zeros(len(orders))
+        for part in parts:
+            power[part.low : part.high] = part.power(left)
         for known in found:
-            power[np.abs(_ORDERS - known) <= _APART] = 0.0
+            power[np.abs(orders - known) <= _APART] = 0.0
         if not np.any(power):
             break
-        order = float(_ORDERS[np.argmax(power)])
-        inside = omega * order / (2 * np.pi) < _FILTER_HZ
-        near = np.clip(order + _FINE, _ORDERS[0], _ORDERS[-1])
-        order = float(near[np.argmax([_power(left[inside], one * phi[inside]) for one in near])])
+        order = float(np.clip(orders[np.argmax(power)], _FIRST, _LAST))
+        heard = _heard(omega, order)
+        inside = heard > 0.0
+        weighed, turned = heard[inside] * left[inside], phi[inside]
+        near = np.clip(order + _FINE * between, _FIRST, _LAST)
+        order = float(near[np.argmax([_power(weighed, one * turned) for one in near])])
         found.append(order)
-        waves = np.column_stack([np.cos(order * phi), np.sin(order * phi)]) * inside[:, None]
+        waves = np.column_stack([np.cos(order * phi), np.sin(order * phi)]) * heard[:, None]
         left = left - waves @ np.linalg.lstsq(waves, left, rcond=None)[0]
     return found
 
@@ -386,37 +405,55 @@ def _power(left: Floats, turned: Floats) -> float:
     return float(np.abs(np.dot(np.exp(-1j * turned), left)))
 
 
-def _periodogram(left: Floats, phi: Floats, omega: Floats) -> Floats:
-    """Power at each of _ORDERS of what is ``left`` over the angle (rad), at speeds (rad/s)."""
-    power = np.zeros(len(_ORDERS))
-    parts = np.array_split(np.arange(len(_ORDERS)), _PARTS)
-    each(lambda one: _powers(left, phi, omega, _ORDERS, one[0], one[-1] + 1, power), parts)
-    return power
+def _heard(omega: Floats, order: float) -> Floats:
+    """What the balance's low-pass leaves of a ripple of this order at speeds (rad/s), (n,)."""
+    hz = omega * (order / (2 * np.pi))
+    return np.where(hz < _HEARD_HZ, 1.0 / (1.0 + (hz / CUTOFF_HZ) ** 8), 0.0)
 
 
-@njit
-def _powers(
-    left: Floats,
-    phi: Floats,
-    omega: Floats,
-    orders: Floats,
-    first: int,
-    last: int,
-    power: Floats,
-) -> None:
-    """Orders ``first`` to ``last`` of :func:`_periodogram`; each wave is the one before, turned."""
-    wave = np.exp(-1j * orders[first] * phi)
-    turn = np.exp(-1j * (orders[1] - orders[0]) * phi)
-    for k in range(first, last):
-        n, total = 0, 0.0
-        waves, found = 0j, 0j
-        for i in range(len(left)):
-            if omega[i] * orders[k] / (2 * np.pi) < _FILTER_HZ:
-                n += 1
-                total += left[i]
-                waves += wave[i]
-                found += wave[i] * left[i]
-            wave[i] *= turn[i]
-        if n >= _FEWEST:
-            found -= waves * (total / n)
-            power[k] = (found.real**2 + found.imag**2) / n
+@dataclass(frozen=True)
+class _Part:
+    """A part of a periodogram over the angle: the orders ``low`` to ``high`` of all that are tried.
+
+    ``inside``: the samples that the filter passes something of there; ``heard`` how much,
+    ``place`` their bins over the angle, ``of_one`` the spectrum of a constant.
+    """
+
+    low: int
+    high: int
+    inside: Indices
+    heard: Floats
+    place: Indices
+    bins: int
+    of_one: npt.NDArray[np.complex128]
+
+    def power(self, left: Floats) -> Floats:
+        """Energy that each order takes of ``left`` beside a constant, (high - low,)."""
+        seen = left[self.inside]
+        found = self._spectrum(self.heard * seen) - self.of_one * np.mean(seen)
+        return np.asarray(np.abs(found) ** 2 / np.sum(self.heard**2))
+
+    def _spectrum(self, values: Floats) -> npt.NDArray[np.complex128]:
+        binned = np.bincount(self.place, values, self.bins)
+        return np.asarray(np.fft.rfft(binned)[self.low : self.high])
+
+
+def _parts(phi: Floats, omega: Floats, orders: Floats, round_rad: float) -> Iterator[_Part]:
+    """Of a periodogram over the angle (rad), at speeds (rad/s), where enough is heard.
+
+    ``orders`` are the multiples of 2π/``round_rad``, which is more than was turned.
+    """
+    edges = np.append(_FIRST * _PART ** np.arange(_PARTS), np.inf)
+    edges[0] -= 0.5 * orders[1]  # the nearest to the first is one of them
+    for low, high in pairwise(np.searchsorted(orders, edges).tolist()):
+        if high <= low:
+            continue
+        heard = _heard(omega, float(orders[(low + high) // 2]))
+        inside = np.flatnonzero(heard)
+        heard = heard[inside]
+        if np.sum(heard**2) < _FEWEST:
+            return
+        bins = 1 << int(np.ceil(np.log2(_BINS * high)))
+        place = (phi[inside] * (bins / round_rad)).astype(int)
+        of_one = np.fft.rfft(np.bincount(place, heard, bins))[low:high]
+        yield _Part(low, high, inside, heard, place, bins, np.asarray(of_one))
