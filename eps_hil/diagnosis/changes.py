@@ -19,6 +19,7 @@ from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.direct.already import MEASURED_WHOLE
 from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.in_numbers import in_words as numbers_in_words
+from eps_hil.diagnosis.in_numbers import shift_in_words
 from eps_hil.diagnosis.one_way import UNKNOWN, Finding, OneWay, Recordings, against, part
 from eps_hil.diagnosis.verdict.content import without_nan
 from eps_hil.diagnosis.verdict.whom import against as said_against
@@ -236,6 +237,7 @@ def _content(
         content["findings"] = said_against(told, "the first state", verb="was")
     else:
         content["findings"] = said_against(told, "the second state", _OF_FIRST)
+    content["findings"] = [_shift_said(one) for one in content["findings"]]
     content["seen_in"] = "after" if way.word == "before" else "before"
     content["undecided"] = one_way
     content["limits"] = [
@@ -255,16 +257,27 @@ def _content(
     return only_if_clear(content, way.other.elsewhere)
 
 
+def _shift_said(one: Finding) -> Finding:
+    """Of a ripple that begins elsewhere the sentence of the difference would tell another size."""
+    if one["change"]["is"] != "shifted":
+        return one
+    order = one["parameters"].get("order", {}).get("value")
+    said = shift_in_words(str(one["effect"]), one["change"]["numbers"], order)
+    return {**one, "summary": said}
+
+
 def in_words(change: Mapping[str, Any]) -> str:
-    """``gone``, ``new``, ``stronger: 1.4 times what it was`` of a finding's ``change``."""
-    size, numbers = change["size_after"], numbers_in_words(change["numbers"])
-    if size is None or change["is"] in ("gone", "new"):
-        said = str(change["is"])
-    elif size < 0.0:
-        said = "other sign than before"
-    else:
-        said = f"{change['is']}: {size:.3g} times what it was"
+    """As :func:`in_short`, and the numbers of both states."""
+    said, numbers = in_short(change), numbers_in_words(change["numbers"])
     return f"{said} ({numbers})" if numbers else said
+
+
+def in_short(change: Mapping[str, Any]) -> str:
+    """``gone``, ``new``, ``stronger: 1.4 times as much`` of a finding's ``change``."""
+    size = change["size_after"]
+    if size is None or change["is"] in ("gone", "new"):
+        return str(change["is"])
+    return "other sign than before" if size < 0.0 else f"{change['is']}: {size:.3g} times as much"
 
 
 def what_would_show(content: Mapping[str, Any]) -> str:

@@ -113,6 +113,21 @@ def shifted(name: str, first: Sequence[Entry], second: Sequence[Entry]) -> list[
     ]
 
 
+def shift_in_words(name: str, numbers: Sequence[Mapping[str, Any]], order: float | None) -> str:
+    """What a ripple that is ``shifted`` did, by a finding's ``change.numbers``.
+
+    ``order``: its periods per turn of the rotor, where it has such.
+    """
+    size, phase = numbers
+    by = math.remainder(phase["after"] - phase["before"], math.tau)
+    place = "" if not order else f", which is {math.degrees(abs(by) / order):.3g}° of the rotor"
+    return (
+        f"{catalogue()[name].name} as strong as in the first state "
+        f"({size['after']:.3g}{spaced(size['unit'])}) begins {'earlier' if by > 0.0 else 'later'}: "
+        f"its phase has moved by {abs(by):.3g} rad{place}. Has the angle another zero?"
+    )
+
+
 def ratio(numbers: Sequence[Moved]) -> float | None:
     """The factor that all of them share, second state by first; None where they have none."""
     if not numbers or any(one.first <= 0.0 or one.second < 0.0 for one in numbers):

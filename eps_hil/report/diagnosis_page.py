@@ -12,7 +12,7 @@ from typing import Any
 
 from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, score, threshold
 from eps_hil.diagnosis.balance.problem import term_of
-from eps_hil.diagnosis.changes import in_words, what_would_show
+from eps_hil.diagnosis.changes import in_short, in_words, what_would_show
 from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.remainder.ceiling import left_by_trees
 from eps_hil.diagnosis.verdict.spoken import shares_in_words
@@ -203,7 +203,7 @@ def _what_changed(content: Mapping[str, Any]) -> str:
     both = f" Beyond the model file, the first state has {_and([*dict.fromkeys(known)])}."
     told = [
         f"{named(one['effect']) if one['effect'] != 'unknown' else 'something without a name'} "
-        f"({in_words(one['change'])})"
+        f"({in_short(one['change'])})"
         for one in content["findings"]
     ]
     if not told and content["undecided"]:

@@ -43,8 +43,8 @@ def test_a_change_is_beyond_the_intervals_of_both_states(
         ("new", None, "new"),
         ("gone", 0.05, "gone"),
         ("different", None, "different"),
-        ("stronger", 1.42, "stronger: 1.42 times what it was"),
-        ("weaker", 0.5, "weaker: 0.5 times what it was"),
+        ("stronger", 1.42, "stronger: 1.42 times as much"),
+        ("weaker", 0.5, "weaker: 0.5 times as much"),
         ("weaker", -0.8, "other sign than before"),
     ],
 )
@@ -271,6 +271,8 @@ def test_a_new_zero_of_the_angle_shifts_the_cogging(
     )
     found = run(record, reference_model, first, second)
     assert told(found) == [("cogging_torque", "shifted")]
+    (one,) = found.after.content["findings"]
+    assert "its phase has moved by" in one["summary"]
     numbers = {one["name"]: one for one in found.after.content["findings"][0]["change"]["numbers"]}
     amplitude, phase = numbers["amplitude_nm"], numbers["phase_rad"]
     assert amplitude["after"] == pytest.approx(amplitude["before"], rel=0.05)

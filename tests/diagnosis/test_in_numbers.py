@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from eps_hil.diagnosis.in_numbers import Moved, anew, in_words, moved, ratio, shifted
+from eps_hil.diagnosis.in_numbers import Moved, anew, in_words, moved, ratio, shift_in_words, shifted
 from eps_hil.physics.model import Model
 
 Entries = Sequence[Mapping[str, Any]]
@@ -121,3 +121,17 @@ def test_only_a_ripple_of_one_order_and_strength_is(
     name: str, first: Entries, second: Entries
 ) -> None:
     assert shifted(name, first, second) == []
+
+
+def test_a_shift_is_said_as_an_angle_of_the_rotor() -> None:
+    """From 3.1 to -3.0 rad is on by 0.18, and sin(order·φ + phase) begins earlier."""
+    numbers = [
+        {"name": "amplitude_nm", "before": 0.05, "after": 0.0493, "unit": "Nm"},
+        {"name": "phase_rad", "before": 3.1, "after": -3.0, "unit": "rad"},
+    ]
+    said = shift_in_words("cogging_torque", numbers, 12.0)
+    assert "as strong as in the first state (0.0493 Nm) begins earlier" in said
+    assert "moved by 0.183 rad, which is 0.875° of the rotor" in said
+    numbers[1]["after"] = 3.0
+    said = shift_in_words("screw_ripple", numbers, None)
+    assert "begins later: its phase has moved by 0.1 rad." in said
