@@ -137,11 +137,19 @@ def _with_undecided(found: Changes, first: Diagnosis, second: Diagnosis) -> Chan
 def _beside_shared(
     first: Diagnosis, second: Diagnosis, model: Model, before: Recordings, say: Say | None
 ) -> Changes:
-    """In the way that gains more; of what has come and what has gone both are tried."""
+    """Of what has come and what has gone both are tried; told is the way whose names one state's
+    own diagnosis has too, and the other's has not. Where both or neither are so, what gains more.
+
+    By the gain alone, what takes back a name that only the known state has would always win.
+    """
     came = beside_shared(first, "before", second, part(say, 0.4, 0.3, "before"))
     went = beside_shared(second, "after", first, part(say, 0.7, 0.3, "after"))
-    there = [bool(_names(one)) for one in (came, went)]
-    if there[1] and (not there[0] or gain(went) > gain(came)):
+    new, gone = _apart(first, second)
+    ranks = [
+        (bool(names & own), bool(names), gain(one))
+        for one, names, own in ((came, _names(came), new), (went, _names(went), gone))
+    ]
+    if ranks[1] > ranks[0] and ranks[1][1]:
         return _backward(went, _names(went), first, model, before)
     return _forward(came, _names(came), model, before)
 

@@ -65,6 +65,30 @@ def test_no_change_is_said_of_what_would_have_been_seen(left: float | None, said
     assert what_would_show({"fit": {"holdout": holdout}}) == said
 
 
+@pytest.mark.parametrize(
+    ("own", "came", "went", "way"),
+    [  # (names of each state's own diagnosis, what is told and its gain each way, the way taken)
+        (({"end_stop"}, set()), ({"position_torque"}, 50e3), ({"end_stop"}, 5e3), "gone"),
+        ((set(), {"end_stop"}), ({"end_stop"}, 5e3), ({"position_torque"}, 50e3), "came"),
+        ((set(), set()), ({"stribeck"}, 5e3), ({"inertia"}, 6e3), "gone"),
+        ((set(), set()), ({"stribeck"}, 5e3), (set(), 0.0), "came"),
+        ((set(), set()), (set(), 0.0), (set(), 0.0), "came"),
+    ],
+)
+def test_beside_what_both_share_a_states_own_diagnosis_says_which_way(
+    own: Any, came: Any, went: Any, way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against a model with an end stop too many the place of it gains most, as another name."""
+    told = {"before": came, "after": went}
+    monkeypatch.setattr(module, "beside_shared", lambda _known, word, _other, _say: told[word])
+    monkeypatch.setattr(module, "_own", lambda state: own[state])
+    monkeypatch.setattr(module, "_names", lambda one: one[0])
+    monkeypatch.setattr(module, "gain", lambda one: one[1])
+    monkeypatch.setattr(module, "_forward", lambda *_: "came")
+    monkeypatch.setattr(module, "_backward", lambda *_: "gone")
+    assert module._beside_shared(cast(Any, 0), cast(Any, 1), cast(Any, None), [], None) == way
+
+
 def test_the_same_recording_in_both_states_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,7 +7,15 @@ from typing import Any
 
 import pytest
 
-from eps_hil.diagnosis.in_numbers import Moved, anew, in_words, moved, ratio, shift_in_words, shifted
+from eps_hil.diagnosis.in_numbers import (
+    Moved,
+    anew,
+    in_words,
+    moved,
+    ratio,
+    shift_in_words,
+    shifted,
+)
 from eps_hil.physics.model import Model
 
 Entries = Sequence[Mapping[str, Any]]
