@@ -70,7 +70,7 @@ def concealed(
     most, kinds = cases or sum(MIX.values()), tuple(dict.fromkeys(kind or ()))
     setting = Setting(seed, quick, not (quick or development), most, kinds)
     folder = out or Path(f"concealed{'_quick' if quick else ''}_{seed}")
-    say_if_others_compile("probes")
+    say_if_others_compile("problem")
     with progress("proving") as bar:
         desk = Desk(
             closed_loop,
@@ -111,7 +111,7 @@ def changes(
 
     from eps_hil.proof.changed import Desk, prove_changes
 
-    say_if_others_compile("probes")
+    say_if_others_compile("problem")
     with progress("proving") as bar:
         desk = Desk(jobs or os.cpu_count() or 1, typer.echo, bar or (lambda _part: None))
         folder = out or Path(f"changes_{seed}")

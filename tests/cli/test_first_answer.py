@@ -20,7 +20,6 @@ from eps_hil import compiled
 from eps_hil.cli import _first_answer
 from eps_hil.cli.main import main
 from eps_hil.compiled import COMPILING
-from eps_hil.diagnosis.balance.probes import _powers
 from eps_hil.diagnosis.balance.problem import _since_reversal
 from eps_hil.fleet import workers
 from eps_hil.recordings.write import write_table
@@ -293,8 +292,8 @@ def test_each_worker_of_a_batch_listens(tmp_path: Path, monkeypatch: pytest.Monk
     [
         (("stream", "--config", LIVE), _since_reversal, WARM_UP),
         (("dashboard", "--config", LIVE, "--port", "0"), _since_reversal, WARM_UP),
-        (("prove", "concealed", "--out", "out"), _powers, "eps_hil.proof.run.run"),
-        (("prove", "changes", "--out", "out"), _powers, "eps_hil.proof.changed.prove_changes"),
+        (("prove", "concealed", "--out", "out"), _since_reversal, "eps_hil.proof.run.run"),
+        (("prove", "changes", "--out", "out"), _since_reversal, "eps_hil.proof.changed.prove_changes"),
     ],
 )
 def test_verbs_say_that_other_processes_compile(

@@ -86,7 +86,8 @@ def test_beside_what_both_share_a_states_own_diagnosis_says_which_way(
     monkeypatch.setattr(module, "gain", lambda one: one[1])
     monkeypatch.setattr(module, "_forward", lambda *_: "came")
     monkeypatch.setattr(module, "_backward", lambda *_: "gone")
-    assert module._beside_shared(cast(Any, 0), cast(Any, 1), cast(Any, None), [], None) == way
+    first, second, model = (cast(Any, one) for one in (0, 1, None))
+    assert cast(Any, module._beside_shared(first, second, model, {}, None)) == way
 
 
 def test_the_same_recording_in_both_states_is_refused(
