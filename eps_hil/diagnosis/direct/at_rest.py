@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.accept.proof_of_fit import CLEARLY, NOISES, Holdout
-from eps_hil.diagnosis.balance.problem import NOTHING_NM, SLIDING_RAD_S, Problem
-from eps_hil.diagnosis.data.prepare import Prepared
+from eps_hil.diagnosis.balance.problem import NOTHING_NM, Problem
+from eps_hil.diagnosis.data.prepare import CLEAR_SIGMA, Prepared
 from eps_hil.diagnosis.direct.reversals import LONGEST_INTERVAL_S, times_noise
 from eps_hil.identification.filters import shifted
 from eps_hil.physics.effects.catalogue import with_model_effects
@@ -31,8 +31,9 @@ _WHERE = (
     "At rest and while the rotor turns round",
     "While the rotor breaks away and turns round",
 )
-_MUCH_MORE = 3.0
-"""Times what a right model leaves: its motion is a smoothed one, a rig's turns more sharply."""
+_MUCH_MORE = (3.0, 2.0)
+"""Times what a right model leaves at each: its motion is a smoothed one, a rig's turns more
+sharply, and how a rig creeps at rest is in no signal."""
 _SEED, _ROUNDS, _LEAST_SHARE = 20, 2, 0.1
 _NOISY = (
     "motor_torque_nm",
@@ -62,7 +63,7 @@ def turns_otherwise(
         return [] if named else _coarsely(*both, model)
     residuals = [[one.left_over(model) for one in each.recordings] for each in both]
     left = [_usual(*one) for one in zip(both, residuals, strict=True)]
-    if max(map(max, left)) < _MUCH_MORE * problem.floor:
+    if max(map(max, left)) < min(_MUCH_MORE) * problem.floor:
         return []  # no draw leaves less than the noise of sliding
     tried = [
         _usual(each, [right(one, model).left_over(model) for one in each.recordings])
@@ -75,8 +76,8 @@ def turns_otherwise(
         )
         for k in range(len(_WHERE))
     ]
-    k = int(np.argmax(times))
-    if times[k] < _MUCH_MORE:
+    k = int(np.argmax(np.divide(times, _MUCH_MORE)))
+    if times[k] < _MUCH_MORE[k]:
         return []
     return [_said(_WHERE[k], left[0][k], f"{times[k]:.2g} {NOISES}", model, _form(problem, model))]
 
@@ -86,7 +87,7 @@ def _said(where: str, torque_nm: float, times: str, model: Model, form: str) -> 
     return (
         f"{where}, {torque_nm:.2g} Nm (rms, at the rotor; {force_n:.3g} N at the rack) stay "
         f"unexplained on hold-outs, {times} in a right model: how the rig sticks, breaks away and "
-        f"turns round is not the model's way, and no finding says what it is.{form} Full "
+        f"turns round is not the model's way, and nothing that was found explains it.{form} Full "
         "reversals and slow travel at several speeds would show its form."
     )
 
@@ -119,13 +120,18 @@ def _unsettled(problem: Problem) -> Flags:
 def _usual(problem: Problem, residuals: Sequence[Floats]) -> list[float]:
     """Of ``residuals`` of each recording, what stays at each of ``_WHERE``, Nm."""
     use = _unsettled(problem)
-    speed = [one.thin(one.motion(problem.model).speed_rad_s) for one in problem.recordings]
-    moves = np.abs(np.concatenate(speed)) > SLIDING_RAD_S * problem.size.angle
+    moves = np.concatenate([_moves(one, problem.model) for one in problem.recordings])
     values = np.concatenate(residuals)
     return [
         _usual_of(problem, values, use),
         _usual_of(problem, values, use & moves, _FEWEST_MOVING),
     ]
+
+
+def _moves(one: Prepared, model: Model) -> Flags:
+    """Thinned samples (m,) at which the rotor moves, clear of the speed's noise."""
+    speed = one.thin(one.motion(model).speed_rad_s)
+    return np.asarray(np.abs(speed) > CLEAR_SIGMA * one.speed_noise_rad_s)
 
 
 def _usual_of(problem: Problem, values: Floats, use: Flags, fewest: int = _FEWEST) -> float:

@@ -29,7 +29,7 @@ def said(
     return turns_otherwise(problem, [Holdout(*one) for one in kept], model)
 
 
-@pytest.mark.parametrize("noise", [0.3, 1.0, 2.0])
+@pytest.mark.parametrize("noise", [0.1, 1.0, 3.0])
 def test_a_right_model_turns_as_the_rig(
     record: Callable[..., Any], reference_model: Model, noise: float
 ) -> None:
@@ -41,7 +41,7 @@ def test_slip_elements_are_more_than_sensor_noise(
 ) -> None:
     """A generalised Maxwell-slip rig leaves no more than noise of what slides, and much of this."""
     (one,) = said(record, reference_model, {other_rig.SLIP: 1.0})
-    assert "and no finding says what it is" in one
+    assert "and nothing that was found explains it" in one
     assert more_than_noise([one])
     assert "sensor noise" not in all_clear([one]).replace("more than sensor noise", "")
     assert "what differs is sensor noise" in all_clear([])
