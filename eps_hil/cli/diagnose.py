@@ -264,6 +264,7 @@ def _traces(paths: list[Path], mapping: Path | None) -> "dict[str, Mapping[str, 
 def _say(content: Mapping[str, Any]) -> None:
     from eps_hil.diagnosis.verdict.spoken import (
         all_clear,
+        but,
         most_in_words,
         shares_in_words,
         when_in_words,
@@ -273,8 +274,8 @@ def _say(content: Mapping[str, Any]) -> None:
     limits = content.get("limits", [])
     words = {
         "no_mismatch": f"{all_clear(limits)}{':' if limits else '.'}",
-        "explained": "The mismatch is explained:",
-        "partly_explained": "The mismatch is explained in part:",
+        "explained": f"The mismatch is explained{but(limits)}:",
+        "partly_explained": f"The mismatch is explained in part{but(limits)}:",
         "unknown_effect": "Something is missing that the catalogue does not hold:",
     }
     typer.echo(words[content["verdict"]])

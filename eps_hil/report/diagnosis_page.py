@@ -15,7 +15,7 @@ from eps_hil.diagnosis.balance.problem import term_of
 from eps_hil.diagnosis.changes import in_words, what_would_show
 from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.remainder.ceiling import left_by_trees
-from eps_hil.diagnosis.verdict.spoken import all_clear, shares_in_words
+from eps_hil.diagnosis.verdict.spoken import all_clear, but, shares_in_words
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.report import (
     diagnosis_evidence,
@@ -171,7 +171,7 @@ def _verdict(content: Mapping[str, Any]) -> str:
     limits = content.get("limits", [])
     sentences = {
         "no_mismatch": f"{all_clear(limits)}{'; see the limits below.' if limits else '.'}",
-        "explained": f"The mismatch is explained by {_and(named)}.",
+        "explained": f"The mismatch is explained by {_and(named)}{but(limits)}.",
         "partly_explained": f"The mismatch is explained in part, by {_and(named)}; "
         + (
             "something that no known effect explains is left."

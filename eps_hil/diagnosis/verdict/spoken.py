@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from eps_hil.diagnosis.accept.free_run import DISAGREE
 from eps_hil.diagnosis.accept.proof_of_fit import more_than_noise
 
 _WORDS: Mapping[str, tuple[str, float, str]] = {
@@ -36,6 +37,15 @@ def all_clear(limits: Sequence[str]) -> str:
     if limits:
         return "Nothing is missing that these recordings could show"
     return "Nothing is missing: what differs is sensor noise, or too small to be told from it"
+
+
+def but(limits: Sequence[str]) -> str:
+    """How the words of an explanation go on where ``limits`` take some of it back; else empty."""
+    if any(one.startswith(f"{DISAGREE}:") for one in limits):
+        return ", but a free simulation is worse with it"
+    if more_than_noise(limits):
+        return ", but not all of it: more than sensor noise is left"
+    return ""
 
 
 def place_in_words(place: Mapping[str, Any]) -> str:

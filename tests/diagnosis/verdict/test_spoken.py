@@ -1,8 +1,10 @@
 """Places and times as a rig engineer says them."""
 
+from eps_hil.diagnosis.accept.free_run import DISAGREE, worse_free_run
 from eps_hil.diagnosis.accept.proof_of_fit import NOISES, still_left
 from eps_hil.diagnosis.verdict.spoken import (
     all_clear,
+    but,
     most_in_words,
     place_in_words,
     shares_in_words,
@@ -98,3 +100,14 @@ def test_an_investigation_says_so_too() -> None:
     assert showed(told) == "nothing is missing"
     more = {**told, "limits": [f"At rest 12 {NOISES} in a right model"]}
     assert showed(more) == "no effect of the catalogue explains what differs"
+
+
+def test_an_explanation_that_makes_a_free_run_worse_says_so_in_its_words() -> None:
+    told = {"torque_nrmse": 0.3, "speed_fit_percent": 60.0}
+    worse = worse_free_run(
+        {"baseline": told, "augmented": {"torque_nrmse": 0.1, "speed_fit_percent": 53.0}}
+    )
+    assert "free simulation is worse" in but(worse)
+    assert "sensor noise is left" in but([f"At rest 12 {NOISES} in a right model"])
+    assert but([f"{DISAGREE}, by no more than the sensors' noise makes"]) == ""
+    assert but([]) == ""
