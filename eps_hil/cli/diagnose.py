@@ -262,19 +262,23 @@ def _traces(paths: list[Path], mapping: Path | None) -> "dict[str, Mapping[str, 
 
 
 def _say(content: Mapping[str, Any]) -> None:
-    from eps_hil.diagnosis.verdict.spoken import most_in_words, shares_in_words, when_in_words
+    from eps_hil.diagnosis.verdict.spoken import (
+        all_clear,
+        but,
+        most_in_words,
+        shares_in_words,
+        when_in_words,
+    )
     from eps_hil.physics.effects.catalogue import catalogue
 
+    limits = content.get("limits", [])
     words = {
-        "no_mismatch": "Nothing is missing: what differs is sensor noise.",
-        "explained": "The mismatch is explained:",
-        "partly_explained": "The mismatch is explained in part:",
+        "no_mismatch": f"{all_clear(limits)}{':' if limits else '.'}",
+        "explained": f"The mismatch is explained{but(limits)}:",
+        "partly_explained": f"The mismatch is explained in part{but(limits)}:",
         "unknown_effect": "Something is missing that the catalogue does not hold:",
     }
-    if content["verdict"] == "no_mismatch" and content.get("limits"):
-        typer.echo("Nothing is missing that these recordings could show:")
-    else:
-        typer.echo(words[content["verdict"]])
+    typer.echo(words[content["verdict"]])
     for finding in content["findings"]:
         known = catalogue().get(finding["effect"])
         title = f"{known.name} [{finding['effect']}]" if known else finding["effect"]
@@ -291,7 +295,7 @@ def _say(content: Mapping[str, Any]) -> None:
     when = when_in_words(content.get("time_segments", []), location.get("recordings", []))
     if when:
         typer.echo(f"  when: {when}")
-    for limit in content.get("limits", []):
+    for limit in limits:
         typer.echo(f"  note: {limit}")
     _say_simulation(content.get("simulation"))
     holdout = content["fit"]["holdout"]

@@ -12,7 +12,6 @@ from eps_hil.diagnosis.accept.as_written import (
     as_the_file_does,
     in_no_file,
 )
-from eps_hil.diagnosis.accept.at_rest import turns_otherwise
 from eps_hil.diagnosis.accept.free_run import disagreement
 from eps_hil.diagnosis.accept.holdout_support import (
     augmented_by,
@@ -63,6 +62,7 @@ from eps_hil.diagnosis.data.intake import (
     unseen,
 )
 from eps_hil.diagnosis.data.prepare import CLEAR_SIGMA, THIN, Prepared
+from eps_hil.diagnosis.direct.at_rest import turns_otherwise
 from eps_hil.diagnosis.direct.kinematics import small_ratio, where_friction_acts
 from eps_hil.diagnosis.first_look import first_look
 from eps_hil.diagnosis.mismatch.between import between_recordings
@@ -85,6 +85,8 @@ from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
 EMPIRICAL, UNKNOWN = "empirical", "unknown"
+_TURNING = {BRISTLE, UNKNOWN}
+"""Findings that may tell of rest and presliding."""
 
 LEAST_SLIDING_S = 4.0
 _AS_WELL = "Hold-outs cannot tell what is found from another explanation"
@@ -356,7 +358,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
             [] if left is not None or hidden else how_held(problem, selection.found),
         ),
         *between_recordings([*look.fitted, *(one.prepared for one in judged)], written),
-        *([] if hidden or said & {BRISTLE, UNKNOWN} else turns_otherwise(problem, judged, written)),
+        *([] if hidden else turns_otherwise(problem, judged, written, named=bool(said & _TURNING))),
         *beside_a_gap(judged, problem.model),
         *in_no_file(content["fit"]["holdout"]),
         *unjudged(now.told.found, findings, judged, now.weighed),

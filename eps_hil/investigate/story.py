@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from eps_hil.diagnosis.accept.proof_of_fit import more_than_noise
+from eps_hil.diagnosis.verdict.spoken import all_clear
 from eps_hil.investigate.journal import SCHEMA
 from eps_hil.investigate.run import Outcome
 from eps_hil.report import page
@@ -36,6 +38,8 @@ def showed(content: Mapping[str, Any]) -> str:
     """What the recordings up to this round show."""
     if content["problem"]:
         return f"{VERDICTS[None]}: {content['problem']}"
+    if content["verdict"] == "no_mismatch" and more_than_noise(content.get("limits", [])):
+        return "no effect of the catalogue explains what differs"
     names = named(content["findings"])
     return VERDICTS[content["verdict"]] + (f": {names}" if names else "")
 
@@ -110,6 +114,7 @@ def write_page(outcome: Outcome, path: Path, model_file: str) -> None:
         verdict=showed(last),
         rows=rows,
         last=last,
+        nothing_found=all_clear(last.get("limits", [])),
         model_file=model_file,
     )
     page.write(path, html)

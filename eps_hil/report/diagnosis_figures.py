@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.accept.proof_of_fit import Holdout, free_runs
+from eps_hil.diagnosis.accept.free_run import free_runs
+from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.data.prepare import STEP_S
 from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.estimation import batch

@@ -15,7 +15,7 @@ from eps_hil.diagnosis.balance.problem import term_of
 from eps_hil.diagnosis.changes import in_short, in_words, what_would_show
 from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.remainder.ceiling import left_by_trees
-from eps_hil.diagnosis.verdict.spoken import shares_in_words
+from eps_hil.diagnosis.verdict.spoken import all_clear, but, shares_in_words
 from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.report import (
     diagnosis_evidence,
@@ -168,10 +168,10 @@ def _verdict(content: Mapping[str, Any]) -> str:
         return _what_changed(content)
     findings = [one["effect"] for one in content["findings"] if one["effect"] != "unknown"]
     named = list(dict.fromkeys(findings))  # two orders are one cogging
+    limits = content.get("limits", [])
     sentences = {
-        "no_mismatch": "Nothing is missing: what differs between model and recordings is sensor "
-        "noise, or too small to be told from it.",
-        "explained": f"The mismatch is explained by {_and(named)}.",
+        "no_mismatch": f"{all_clear(limits)}{'; see the limits below.' if limits else '.'}",
+        "explained": f"The mismatch is explained by {_and(named)}{but(limits)}.",
         "partly_explained": f"The mismatch is explained in part, by {_and(named)}; "
         + (
             "something that no known effect explains is left."
@@ -181,8 +181,6 @@ def _verdict(content: Mapping[str, Any]) -> str:
         "unknown_effect": "Something is missing that no known effect explains; where it acts and "
         "its shape are below.",
     }
-    if content["verdict"] == "no_mismatch" and content.get("limits"):
-        return "Nothing is missing that these recordings could show; what they could not is below."
     if content["verdict"] == "unknown_effect" and any(
         one.get("model") for one in content["findings"]
     ):

@@ -22,20 +22,32 @@ REST = 0.05
     K0P, K0N, KWP, KWN, KRP, KRN, S0, S1, WS, INERTIA, RATIO, STRIB, STRIB_W, VISC, QUAD,
     POSF, POSC, POSW, DWELL, DWELL_T, DWELL_R, WARM, WARM_T, SCREW, SCREW_P, COG, COG_N, COG_P,
     RIP, RIP_P, CARD, CARD_P, SAT, SPRING, STOP_X, STOP_K, EM_GAIN, EM_OFF,
-    HAND, EDDY, EDDY_W, COG2, COG2_N, COG2_P, SMOOTH,
-) = range(45)  # fmt: skip
+    HAND, EDDY, EDDY_W, COG2, COG2_N, COG2_P, SMOOTH, SLIP,
+) = range(46)  # fmt: skip
 _BASE = [
     5.6e-2, 1.258e-1, 4.195e-4, 6.658e-5, 4.993e-5, 4.345e-5, 4.5, 0.075, 0.75, 2.0e-4, 2513.0,
     0, 1, 0, 0, 0, 0, 1, 0, 1, 1, 0, 1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1e9, 0, 1, 0,
-    1, 0, 1, 0, 1, 0, 0,
+    1, 0, 1, 0, 1, 0, 0, 0,
 ]  # fmt: skip
 PINION, BELT, POLES = 125.7, 2.8, 4
 
 
 @njit(cache=True)
+def _slip(p, held, level, way):  # type: ignore[no-untyped-def]
+    """Generalised Maxwell slip: springs that stick, each up to its share of the level."""
+    total = 0.0
+    for i in range(len(held)):
+        most = level * (1 + (i > 1)) / 8
+        held[i] += p[SLIP] * p[S0] * way / 2 ** (0.8 * i) / 2.1
+        held[i] = min(max(held[i], -most), most)
+        total += held[i]
+    return total
+
+
+@njit(cache=True)
 def _integrate(p, force, hand, stiffness, damping, out):  # type: ignore[no-untyped-def]
     dt = 1e-3 / SUBSTEPS
-    w, phi, z, aged, t = 0.0, 0.0, 0.0, 0.0, 0.0
+    w, phi, z, aged, t, held = 0.0, 0.0, 0.0, 0.0, 0.0, np.zeros(5)
     for k in range(len(force) - 1):
         command = -stiffness * phi - damping * w
         for j in range(SUBSTEPS):
@@ -55,6 +67,8 @@ def _integrate(p, force, hand, stiffness, damping, out):  # type: ignore[no-unty
             tf = p[S0] * z + p[S1] * math.exp(-((w / p[WS]) ** 2)) * rate
             if p[SMOOTH] > 0:  # no presliding: a function of speed alone
                 tf = level * math.tanh(w / p[SMOOTH])
+            if p[SLIP] > 0:  # slip elements that share stiffness and level, see _slip
+                tf = _slip(p, held, level, dt * w)
             tem = p[EM_GAIN] * command + p[EM_OFF]
             tem = tem / (1 + p[SAT] * tem * tem)
             tem = tem * (1 + p[RIP] * math.sin(6 * POLES * phi + p[RIP_P]))

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from eps_hil.diagnosis.accept.proof_of_fit import more_than_noise
 from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.physics.model import Model
 
@@ -73,3 +74,13 @@ def test_a_bristle_far_softer_than_the_model_s_is_found(
     assert finding["effect"] == "presliding_hysteresis"
     value = finding["parameters"]["sigma0_nm_per_rad"]["value"]
     assert value == pytest.approx(true.sigma0_nm_per_rad, rel=0.15)
+
+
+def test_what_slip_elements_leave_is_not_called_noise(
+    record: Callable[..., Any], reference_model: Model, other_rig: ModuleType
+) -> None:
+    """Sliding leaves hardly more than noise, and reversals several times as much."""
+    plant = {other_rig.SLIP: 1.0}
+    content = asked(record, reference_model, plant, ("sweep", "weave", "slow"), ("weave", "slow"))
+    assert content["verdict"] in ("no_mismatch", "explained")
+    assert more_than_noise(content["limits"])

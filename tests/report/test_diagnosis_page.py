@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from eps_hil.diagnosis.accept.proof_of_fit import free_runs
+from eps_hil.diagnosis.accept.free_run import free_runs
 from eps_hil.diagnosis.attribute.channel_fault import ChannelFault
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.quality import Channel, Quality

@@ -7,34 +7,29 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.diagnosis.accept.free_run import free_run, memories_at
+from eps_hil.diagnosis.accept.free_run import free_run, speed_fit_percent
 from eps_hil.diagnosis.balance.problem import Problem, sliding
-from eps_hil.diagnosis.data.prepare import STEP_S, Prepared
+from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.quality import Quality
-from eps_hil.diagnosis.data.side_by_side import each
 from eps_hil.diagnosis.mismatch import locate
 from eps_hil.estimation import batch
 from eps_hil.estimation.score import score
 from eps_hil.estimation.stream import Trace
-from eps_hil.physics.effects.catalogue import with_model_effects
-from eps_hil.physics.friction import friction_law, static_level_nm
 from eps_hil.physics.model import Model
-from eps_hil.physics.simulate import simulate
 from eps_hil.series import Series
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-WINDOW_S = 0.5
-"""Length of the stretches that are simulated freely from a measured state."""
 MUCH_MORE = 2.0
 """Times the energy of what was fitted: such a hold-out shows something that nothing else did."""
-MOST_RUNS = 24
-"""Of each hold-out; a longer one is sampled evenly."""
 WORSE = 1.02
 """Times the error that it was, from which a worse estimate is said."""
 CLEARLY = 1.3
 """Times the sensors' noise that is left of a hold-out's torque, from which that is said."""
+
+NOISES = "times what the sensors' noise makes"
+"""Of how much is left, in the words of every sentence that says so: ``more_than_noise``."""
 
 
 @dataclass(frozen=True)
@@ -80,14 +75,9 @@ def measures(
         balance = torque_nrmse(holdouts, common, model)
         unknown = dict.fromkeys(("speed_fit_percent", "rack_force_rmse_n"))
         return {"torque_nrmse": balance, **unknown, "free_run": nothing}
-    error, speed = [], []
-    for one in holdouts:
-        _, run, measured = free_runs(one.prepared, model, one.quality)
-        error.append(run - measured)
-        speed.append(measured - np.mean(measured) if len(measured) else measured)
     return {
         "torque_nrmse": torque_nrmse(holdouts, common, model),
-        "speed_fit_percent": 100.0 * (1.0 - _rms(error) / max(_rms(speed), 1e-12)),
+        "speed_fit_percent": speed_fit_percent(holdouts, model),
         "rack_force_rmse_n": rack_force_error_n(holdouts, common, model),
         "free_run": free_run(holdouts, model),
     }
@@ -128,8 +118,8 @@ def only_kept(holdouts: Sequence[Holdout], before: Model, after: Model, fitted: 
             for region in locate.where(kept, energy)
         ]
         told.append(
-            f"{one.prepared.name} leaves {np.sqrt(left):.2g} times the sensors' noise, which what "
-            f"was fitted does not{': most of it at ' + ' and '.join(places) if places else ''}. "
+            f"{one.prepared.name} leaves {np.sqrt(left):.2g} {NOISES}, which what was fitted "
+            f"does not{': most of it at ' + ' and '.join(places) if places else ''}. "
             "What acts there only cannot be named from the others; fit a recording like it too."
         )
     return told
@@ -142,9 +132,14 @@ def still_left(told: Mapping[str, Mapping[str, float]]) -> list[str]:
     if times < CLEARLY:
         return []
     return [
-        f"The hold-outs keep {times:.2g} times what the sensors' noise makes: for a short while, "
+        f"The hold-outs keep {times:.2g} {NOISES}: for a short while, "
         "or in a way that no finding explains. There the model is no better than that."
     ]
+
+
+def more_than_noise(limits: Sequence[str]) -> bool:
+    """Whether a sentence of the JSON's ``limits`` tells of more than noise that is left."""
+    return any(NOISES in one for one in limits)
 
 
 def beside_a_gap(holdouts: Sequence[Holdout], model: Model) -> list[str]:
@@ -182,49 +177,6 @@ def noise_floor(holdouts: Sequence[Holdout], model: Model) -> dict[str, float]:
     torque = [one.prepared.residual(model)[1][one.judging(model)] for one in holdouts]
     floors = [one.prepared.floor_nm(model) for one in holdouts]
     return {"torque_nrmse": float(np.sqrt(np.mean(np.square(floors)))) / max(_rms(torque), 1e-12)}
-
-
-def free_runs(
-    prepared: Prepared, model: Model, quality: Quality | None = None
-) -> tuple[Floats, Floats, Floats]:
-    """(time, simulated, measured speed) of half seconds that start while sliding; s, rad/s.
-
-    Each is simulated freely from the measured state at its start; the rest is left out, and so
-    are those in which ``quality`` finds bad data.
-    """
-    model = with_model_effects(model)
-    motion = prepared.motion(model)
-    law = friction_law(model.friction)
-    n = round(WINDOW_S / STEP_S)
-    bad = np.zeros(len(motion.time_s), bool) if quality is None else quality.bad_at(motion.time_s)
-    starts = [
-        first
-        for first in range(0, len(motion.time_s) - n, n)
-        if abs(motion.speed_rad_s[first]) >= 5.0 and not bad[first : first + n].any()
-    ]
-
-    def run(first: int) -> Floats:
-        speed = motion.speed_rad_s[first]
-        part = slice(first, first + n)
-        level = static_level_nm(speed, motion.rack_force_n[first], law)
-        return simulate(
-            model,
-            motion.time_s[part],
-            motion.motor_torque_nm[part],
-            motion.torque_sensor_nm[part],
-            motion.rack_force_n[part],
-            speed_rad_s=float(speed),
-            angle_rad=float(motion.angle_rad[first]),
-            bristle_rad=float(np.sign(speed) * level / law.sigma0_nm_per_rad),
-            memory=memory[first],
-        ).speed_rad_s
-
-    starts = starts[:: 1 + len(starts) // MOST_RUNS]
-    if not starts:
-        return np.zeros(0), np.zeros(0), np.zeros(0)
-    memory = dict(zip(starts, memories_at(motion, model, starts), strict=True))
-    kept = np.concatenate([np.arange(first, first + n) for first in starts])
-    return motion.time_s[kept], np.concatenate(each(run, starts)), motion.speed_rad_s[kept]
 
 
 def _rms(parts: Sequence[Floats]) -> float:

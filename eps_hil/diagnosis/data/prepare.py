@@ -153,6 +153,22 @@ class Prepared:
         copy.__dict__["_kinematics"] = {**self._kinematics, "speed": smooth, "travel": travel}
         return copy
 
+    def smoothly_moved(self) -> "Prepared":
+        """The same with its smoothed motion as that which the signals show without any noise."""
+        smooth = low_pass(self.raw["motor_speed_rad_s"], SMOOTH_HZ)
+        moved, raw = self._kinematics["travel"], {**self.raw, "motor_speed_rad_s": smooth}
+        angle = self._kinematics["angle"][0] + np.cumsum(moved)
+        if "motor_angle_rad" in raw:
+            raw["motor_angle_rad"] = angle
+        slack = 0.0 if self.slack_rad_s2 is None else self.slack_rad_s2
+        copy = replace(self, raw=raw, _shifted={})
+        copy.__dict__["_kinematics"] = {
+            **self._kinematics,
+            "angle": angle,
+            "acceleration": np.gradient(smooth, STEP_S) + slack,
+        }
+        return copy
+
     def as_measured(self) -> "Prepared":
         """The same without a load that was only assumed: what a simulation is driven by."""
         if not self.load_is_assumed:

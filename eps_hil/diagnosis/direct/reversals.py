@@ -122,6 +122,20 @@ def bristle(problem: Problem, found: Fit) -> Bristle | None:
     return best if best is not None and best.times_noise < _AS_NOISE else None
 
 
+def times_noise(
+    recordings: Sequence[Prepared], model: Model, masing: bool, fewest: int = FEWEST
+) -> float | None:
+    """What the usual full reversal leaves in a form, its stiffness fitted, over the sensors' noise.
+
+    None where there are too few.
+    """
+    worked_in = with_model_effects(model)
+    if worked_in.friction.sigma0_nm_per_rad <= 0.0:
+        return None
+    seen = _asked(recordings, worked_in, masing, fewest)
+    return None if seen is None else seen.times_noise
+
+
 def reversals_agree(one: Bristle, problem: Problem, found: Fit, judged: Sequence[Holdout]) -> bool:
     """Whether reversals of the hold-outs say the same, and are nearer to the model with it."""
     model = _without_it(problem, found)

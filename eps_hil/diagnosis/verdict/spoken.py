@@ -1,7 +1,10 @@
-"""Where and when a mismatch sits, in plain words: what the terminal says of the JSON's places."""
+"""Where and when a mismatch sits, in plain words: what people are told of the JSON's places."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
+
+from eps_hil.diagnosis.accept.free_run import DISAGREE
+from eps_hil.diagnosis.accept.proof_of_fit import more_than_noise
 
 _WORDS: Mapping[str, tuple[str, float, str]] = {
     "motor_speed_rad_s": ("rotor speed", 1.0, "rad/s"),
@@ -25,6 +28,24 @@ _HALF = 0.5
 """Share of the excess in one stretch of time from which that is named."""
 _BEYOND = 0.1
 """Share of the excess beyond that of the time, from which a place is one."""
+
+
+def all_clear(limits: Sequence[str]) -> str:
+    """What ``no_mismatch`` says with these ``limits`` beside it; no full stop."""
+    if more_than_noise(limits):
+        return "No effect of the catalogue explains what differs, and it is more than sensor noise"
+    if limits:
+        return "Nothing is missing that these recordings could show"
+    return "Nothing is missing: what differs is sensor noise, or too small to be told from it"
+
+
+def but(limits: Sequence[str]) -> str:
+    """How the words of an explanation go on where ``limits`` take some of it back; else empty."""
+    if any(one.startswith(f"{DISAGREE}:") for one in limits):
+        return ", but a free simulation is worse with it"
+    if more_than_noise(limits):
+        return ", but not all of it: more than sensor noise is left"
+    return ""
 
 
 def place_in_words(place: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ from eps_hil.diagnosis.accept.free_run import (
     disagreement,
     free_run,
     free_run_noise,
+    speed_fit_percent,
     worse_free_run,
 )
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
@@ -91,3 +92,42 @@ def test_a_worse_free_run_within_the_noise_is_told_as_that(
     (said,) = disagreement(figures, [holdout], reference_model, reference_model)
     assert "by no more than the sensors' noise makes" in said
     assert f"{noise['speed_rmse_rad_s']:.2g} rad/s, {near:.2g} rad." in said
+
+
+def fits(balance: float, percent: float | None) -> dict[str, Any]:
+    return {**told(balance, 1.0), "speed_fit_percent": percent}
+
+
+def test_half_seconds_that_fit_worse_are_said() -> None:
+    (said,) = worse_free_run({"baseline": fits(0.3, 60.0), "augmented": fits(0.1, 53.0)})
+    assert "speed fit 53 %, 60 % without" in said
+    assert "break away" in said
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "balance"),
+    [(60.0, 58.5, 0.1), (99.7, 99.0, 0.1), (60.0, 53.0, 0.4), (None, 53.0, 0.1), (60.0, None, 0.1)],
+)
+def test_half_seconds_that_fit_as_well_are_not(
+    before: float | None, after: float | None, balance: float
+) -> None:
+    figures = {"baseline": fits(0.3, before), "augmented": fits(balance, after)}
+    assert worse_free_run(figures) == []
+
+
+def test_where_half_seconds_became_worse_and_by_what_is_said(
+    holdout: Holdout, reference_model: Model
+) -> None:
+    """A level that holds a rotor which the rig lets go, beside a ripple that does nothing."""
+    ripple = {"effect": "cogging_torque", "order": 6.0, "amplitude_nm": 1e-4, "phase_rad": 0.0}
+    stuck = {"effect": "stribeck", "level_nm": 0.3, "speed_rad_s": 4.0}
+    written = replace(reference_model, effects=(ripple, stuck))
+    before, after = (
+        {**told(balance, 1.0), "speed_fit_percent": speed_fit_percent([holdout], one)}
+        for balance, one in ((1.0, reference_model), (0.5, written))
+    )
+    figures = {"baseline": before, "augmented": after}
+    (said,) = disagreement(figures, [holdout], reference_model, written)
+    assert "comes to rest or turns round" in said
+    assert "comes with stribeck" in said
+    assert disagreement({**figures, "augmented": before}, [holdout], reference_model, written) == []

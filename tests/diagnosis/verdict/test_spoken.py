@@ -1,11 +1,16 @@
 """Places and times as a rig engineer says them."""
 
+from eps_hil.diagnosis.accept.free_run import DISAGREE, worse_free_run
+from eps_hil.diagnosis.accept.proof_of_fit import NOISES, still_left
 from eps_hil.diagnosis.verdict.spoken import (
+    all_clear,
+    but,
     most_in_words,
     place_in_words,
     shares_in_words,
     when_in_words,
 )
+from eps_hil.investigate.story import showed
 
 
 def test_a_place_has_a_plain_name_and_unit() -> None:
@@ -79,3 +84,30 @@ def test_one_recording_that_holds_it_all_is_named() -> None:
     assert when_in_words([part("b", 0.6)], shares(0.02, 0.5)) == (
         "only in b; 60 % of it from 3.0 to 9.5 s of b"
     )
+
+
+def test_what_is_clearly_more_than_noise_is_never_called_sensor_noise() -> None:
+    (kept,) = still_left(
+        {"augmented": {"torque_nrmse": 0.03}, "noise_floor": {"torque_nrmse": 0.01}}
+    )
+    assert all_clear([]).startswith("Nothing is missing: what differs is sensor noise")
+    assert "could show" in all_clear(["no steering-wheel angle was recorded"])
+    assert all_clear([kept]).endswith("and it is more than sensor noise")
+
+
+def test_an_investigation_says_so_too() -> None:
+    told = {"problem": "", "verdict": "no_mismatch", "findings": [], "limits": []}
+    assert showed(told) == "nothing is missing"
+    more = {**told, "limits": [f"At rest 12 {NOISES} in a right model"]}
+    assert showed(more) == "no effect of the catalogue explains what differs"
+
+
+def test_an_explanation_that_makes_a_free_run_worse_says_so_in_its_words() -> None:
+    told = {"torque_nrmse": 0.3, "speed_fit_percent": 60.0}
+    worse = worse_free_run(
+        {"baseline": told, "augmented": {"torque_nrmse": 0.1, "speed_fit_percent": 53.0}}
+    )
+    assert "free simulation is worse" in but(worse)
+    assert "sensor noise is left" in but([f"At rest 12 {NOISES} in a right model"])
+    assert but([f"{DISAGREE}, by no more than the sensors' noise makes"]) == ""
+    assert but([]) == ""
