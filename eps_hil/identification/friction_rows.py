@@ -1,7 +1,7 @@
 """Friction of a measured motion together with its sensitivities, in one compiled pass.
 
-The bristle (eq. 2a over a step, as in ``physics.balance``) and its derivatives obey the same recursion, so they are
-simulated side by side: nine parameters for about the price of two runs of the balance.
+The bristle (eq. 2a over a step, as in ``physics.balance``) and its derivatives obey the same
+recursion, so they are simulated side by side: nine parameters for about the price of two runs of the balance.
 """
 
 import math

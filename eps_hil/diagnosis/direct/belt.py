@@ -114,8 +114,9 @@ def slack_rad_s2(one: Prepared, model: Model, belt: Belt) -> Floats:
 
 
 def _oscillator(belt: Belt, behind: float) -> tuple[float, float, float]:
-    """1, c/J₂ and k/J₂ for the bilinear transform, which makes a resonance lower: by 0.6 % at 44 Hz,
-    a quarter of what a lightly damped one is wide. It is put where it is.
+    """1, c/J₂ and k/J₂ for the bilinear transform, the resonance put where it is.
+
+    The transform makes it lower: by 0.6 % at 44 Hz, a quarter of a lightly damped one's width.
     """
     turn = np.sqrt(belt.stiffness_nm_per_rad / behind)
     warped = 2.0 * np.tan(0.5 * turn * STEP_S) / STEP_S
