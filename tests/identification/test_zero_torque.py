@@ -157,7 +157,7 @@ def test_a_slow_turn_is_one_window_and_reads_the_offset(hertz: float, friction_n
 
 
 def test_hands_that_held_a_torque_elsewhere_do_not_hide_the_hands_off_stretches() -> None:
-    """Twenty-four seconds hands off, and eighteen in which a hand holds one torque after another."""
+    """24 s hands off, and 18 s in which a hand holds one torque after another."""
     t = np.arange(42_000) * 1e-3
     speed = 15.0 * np.sin(2 * np.pi * 0.5 * t)
     held = np.repeat([0.4, -0.5, 0.7], 6000)
