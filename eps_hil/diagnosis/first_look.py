@@ -224,7 +224,9 @@ def first_look(
             stiffness = effect.entry["stiffness_nm_per_rad"]
             ready, belt = _with_belt(ready, n, model, stiffness, known=name not in hidden)
             if held is None:
-                entries[-1]["damping_nm_s_per_rad"] = float(f"{belt.damping_nm_s_per_rad:.3g}")
+                damping = float(f"{belt.damping_nm_s_per_rad:.3g}")
+                entries[-1]["damping_nm_s_per_rad"] = damping
+                findings[-1] = belt.told(findings[-1])
     unseen = belt_in(model)  # by a model that holds one, where nothing measured it
     if unseen is not None:
         ready = [with_belt(one, model, unseen) for one in ready]

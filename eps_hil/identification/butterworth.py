@@ -35,10 +35,17 @@ def low_pass(values: Floats, corner_hz: float, order: int = 4) -> Floats:
 @cache
 def passed(corner_hz: float, power: int, order: int = 4) -> float:
     """What :func:`low_pass` leaves of white noise's variance, times (2πf) to this power."""
-    share = np.arange(_GRID) / _GRID  # of half the sampling rate
+    frequency_hz, gain = power_gain(corner_hz, order)
+    return float(np.mean(gain * (2.0 * np.pi * frequency_hz) ** power))
+
+
+@cache
+def power_gain(corner_hz: float, order: int = 4) -> tuple[Floats, Floats]:
+    """Frequencies up to half the sampling rate (Hz), and the gain of :func:`low_pass` for power."""
+    share = np.arange(_GRID) / _GRID
     warped = np.tan(0.5 * np.pi * share) / _warped(corner_hz)
     gain = (1.0 / (1.0 + warped ** (2 * order))) ** 2  # forward and backward
-    return float(np.mean(gain * (np.pi * RATE_HZ * share) ** power))
+    return 0.5 * RATE_HZ * share, gain
 
 
 def _warped(corner_hz: float) -> float:

@@ -37,6 +37,8 @@ class Found:
 
     value: float
     sigma: float
+    moves: Floats | None = None
+    """What one of it moves each of the fit's parameters by, (p,)."""
 
 
 NOTHING = Found(0.0, float("inf"))
@@ -89,4 +91,4 @@ def _solved(
     value = float(alone.sum()) / own
     left = alone - value * (products @ direction) @ direction
     held = float(others @ prior[:-1, :-1] @ others)
-    return Found(value, float(np.sqrt(np.sum(left**2) + held)) / own)
+    return Found(value, float(np.sqrt(np.sum(left**2) + held)) / own, -others)

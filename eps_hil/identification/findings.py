@@ -27,10 +27,10 @@ _WHY = {
     "friction.sigma1": "shows only while the rotor creeps, and not clearly here (or presliding has "
     "another form); record creeping and slow reversals",
     "friction.sigma": "too few reversals and small motions; record slow reversals",
-    "torque_sensor": "less than 6 s with hands off and the rotor turning to and fro; an offset "
-    "would look like an asymmetry of the friction",
-    "motor_torque": "less than 6 s with the motor off and the rotor turning to and fro; an offset "
-    "would look like an asymmetry of the friction",
+    "torque_sensor": "no three stretches of 2 to 8 s that agree, with hands off and the rotor "
+    "turning both ways; an offset would look like an asymmetry of the friction",
+    "motor_torque": "no three stretches of 2 to 8 s that agree, with the motor off and the rotor "
+    "turning both ways; an offset would look like an asymmetry of the friction",
 }
 
 

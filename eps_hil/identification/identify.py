@@ -128,7 +128,8 @@ def _result(
     offsets: Mapping[str, Offset | None],
     placed: Sequence[Finding],
 ) -> Identification:
-    fit = found.sliding
+    lag = motor_lag(rows, found.sliding.state, found.sliding)
+    fit = lag.beside(found.sliding)
     quantile = _quantile(fit.blocks)
     timing = delays.timing(
         fit,
@@ -153,7 +154,6 @@ def _result(
     told += [*placed, *kinematics.ratio_findings(ready, angle)]
     told += findings.of_fit(rows, state, found, residual, floor, timing.moved_s)
     quiet = _offset_estimates(offsets)
-    lag = motor_lag(rows, fit.state, fit)
     unknown = cannot_tell(parameters, quiet, rows, timing.reference, lag)
     names, seconds = tuple(one.name for one in ready), sum(len(one.time_s) for one in ready)
     return Identification(

@@ -6,11 +6,16 @@ A torque that reaches the shaft through a dead time T and a first-order lag τ i
 
 so the delay holds the sum, and only the second derivative tells τ from T: 0.05 % of the torque at
 5 Hz for a millisecond. A belt that gives, or a scale, does nearly the same. So τ is claimed only
-where the term is clear of its own error and of what a millisecond of doubt would look like.
+where the term is clear of its own error and of what a millisecond of doubt would look like: a
+command that is held over a step h acts as τ² = h²/12, straight lines between commands as h²/6, a
+stamp that is read off between two samples as up to h²/4.
+
+A lag leaves less of a fast torque, which passes for inertia: where it is claimed, the other
+parameters are told beside it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +26,15 @@ from eps_hil.identification.extra_regressor import Column, extra_regressor
 from eps_hil.identification.kinematics import FREQUENCY
 from eps_hil.identification.least_squares import Fit
 from eps_hil.identification.result import Estimate
-from eps_hil.identification.state import State, get
+from eps_hil.identification.state import State, get, put
 
 Floats = npt.NDArray[np.float64]
 
 _SURE = 3.0
+_SAMPLED = 0.25
+"""Deviation of τ² by what happens between two values of torque or speed, of their step squared."""
 _NOTE = "first-order part of the motor torque's delay; the rest of it is dead time"
+_STEPS = ("motor_torque_nm", "motor_speed_rad_s")
 _SIGNAL, _DELAY = "motor_torque_nm", "delays_s.motor_torque"
 
 
@@ -36,6 +44,19 @@ class MotorLag:
 
     square_s2: float
     sigma_s2: float
+    moves: Floats | None = None
+    """What one s² of it moves each parameter of the fit by."""
+
+    def beside(self, fit: Fit) -> Fit:
+        """The fit beside the lag, where there is one; itself where none is claimed."""
+        if not self.separable or self.moves is None:
+            return fit
+        state = fit.state
+        for parameter, move in zip(fit.parameters, self.moves.tolist(), strict=True):
+            value = get(state, parameter.name) + move * self.square_s2
+            state = put(state, parameter.name, value)
+        unsure = self.sigma_s2**2 * np.outer(self.moves, self.moves)
+        return replace(fit, state=state, covariance=fit.covariance + unsure)
 
     @property
     def separable(self) -> bool:
@@ -68,7 +89,9 @@ def motor_lag(cases: Sequence[Case], state: State, fit: Fit) -> MotorLag:
     found = extra_regressor(
         cases, state, fit, lambda case: Column(_bent(case, state), *_noise(case))
     )
-    return MotorLag(found.value, found.sigma)
+    steps = [case.recording.step_s.get(name, 0.0) for case in cases for name in _STEPS]
+    sampled = _SAMPLED * max(steps, default=0.0) ** 2
+    return MotorLag(found.value, float(np.hypot(found.sigma, sampled)), found.moves)
 
 
 def _bent(case: Case, state: State) -> Floats:

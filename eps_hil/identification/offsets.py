@@ -4,15 +4,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from eps_hil.identification import filters
 from eps_hil.identification.balance import Case
-from eps_hil.identification.zero_torque import WINDOW_S, readings
+from eps_hil.identification.zero_torque import Reading, windows
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 MOST_NM = {"torque_sensor_nm": 0.5, "motor_torque_nm": 0.05}
 """A reading beyond this is a torque, not an offset."""
 FEWEST = 3
 """Windows; the interval of so few is wide, by Student's t."""
+_MAJORITY, _TOGETHER, _WIDER = 5, 0.2, 1.5
+"""Windows that make one, the range within which they agree over the deviation of all (a hand that
+holds a torque reads as a sensor does, but not the same each time), and what their own deviation
+counts, as they were picked for being close."""
 
 
 @dataclass(frozen=True)
@@ -34,20 +42,33 @@ def offset(cases: Sequence[Case], signal: str, rotor_per_wheel: float) -> Offset
         return None
     from scipy.stats import t
 
-    values = np.array(found)
+    values, seconds = np.array([[reading.value, reading.seconds] for reading in found]).T
+    wider = 1.0
+    close = _closest(values)
+    if len(close) >= _MAJORITY and np.ptp(values[close]) < _TOGETHER * np.std(values):
+        values, seconds, wider = values[close], seconds[close], _WIDER
     middle = float(np.median(values))
-    spread = float(np.std(values, ddof=1))
+    spread = wider * float(np.std(values, ddof=1))
     if abs(middle) > MOST_NM[signal] or spread > 0.2 * MOST_NM[signal]:
         return None
     half = float(t.ppf(0.975, len(values) - 1)) * spread / np.sqrt(len(values))
     mean = float(values.mean())
-    return Offset(mean, (mean - half, mean + half), len(values) * WINDOW_S)
+    return Offset(mean, (mean - half, mean + half), float(seconds.sum()))
 
 
-def _windows(case: Case, signal: str, rotor_per_wheel: float) -> list[float]:
+def _closest(values: Floats) -> Integers:
+    """Where the more than half of the values are that lie closest together (the shorth)."""
+    order = np.argsort(values)
+    count = len(values) // 2 + 1
+    widths = values[order[count - 1 :]] - values[order[: len(values) - count + 1]]
+    first = int(np.argmin(widths))
+    return np.asarray(order[first : first + count])
+
+
+def _windows(case: Case, signal: str, rotor_per_wheel: float) -> list[Reading]:
     if not case.recording.has(signal):
         return []
     noise = float(np.sqrt(case.recording.density[signal] / (2 * filters.STEP_S)))
     wheel = rotor_per_wheel if signal == "torque_sensor_nm" else None
     values, good = case.recording.raw[signal], case.recording.good
-    return readings(values, case.motion.speed, good, noise, wheel)
+    return windows(values, case.motion.speed, good, noise, wheel)

@@ -4,7 +4,7 @@ Nothing is shifted in time here: delays are what is to be found.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,8 @@ class Prepared:
     density: Mapping[str, float]
     good: Masks
     findings: tuple[Finding, ...]
+    step_s: Mapping[str, float] = field(default_factory=dict)
+    """Usual time between two values of a signal that differ: one that is held is no faster."""
 
     def has(self, signal: str) -> bool:
         """Whether the signal was recorded."""
@@ -66,6 +68,7 @@ def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
         raise InputError(name, "", problem, "record the rotor's motion")
     check_rate(name, used)
     clean = {key: _finite(name, key, one) for key, one in used.items()}
+    changes_s = {key: _change_s(t_ns, values) for key, (t_ns, values) in clean.items()}
     origin = max(int(t[0]) for t, _ in clean.values())
     end = min(int(t[-1]) for t, _ in clean.values())
     n = (end - origin) // 1_000_000 + 1
@@ -90,7 +93,7 @@ def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
             good &= ~((grid >= before - origin) & (grid <= after - origin))
     findings += gaps.findings(name, clean)
     time_s = np.asarray((grid + (origin - start)) * 1e-9, dtype=np.float64)
-    return Prepared(name, time_s, raw, density, good, tuple(findings))
+    return Prepared(name, time_s, raw, density, good, tuple(findings), changes_s)
 
 
 def check_rate(name: str, series: Mapping[str, Series]) -> None:
@@ -150,6 +153,12 @@ def _finite(name: str, key: str, one: Series) -> tuple[npt.NDArray[np.int64], Fl
     if good.sum() < 8:
         raise InputError(name, key, "has fewer than 8 values", "leave the column out")
     return one.t_ns[good], one.value[good]
+
+
+def _change_s(t_ns: npt.NDArray[np.int64], values: Floats) -> float:
+    """Usual time between two values that differ, s; 0 of a constant."""
+    changed = t_ns[1:][np.diff(values) != 0.0]
+    return float(np.median(np.diff(changed))) * 1e-9 if len(changed) > 1 else 0.0
 
 
 def _shape(name: str, key: str, values: Floats, sigma: float) -> list[Finding]:

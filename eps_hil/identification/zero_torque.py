@@ -6,6 +6,7 @@ than the free wheel's inertia, damping and friction, T_sen = −J_w ψ̈ − d �
 motor off its torque is none at all. Neither has a mean of its own, whichever way the rotor moves.
 """
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -15,6 +16,8 @@ Floats = npt.NDArray[np.float64]
 Masks = npt.NDArray[np.bool_]
 
 WINDOW_S = 2.0
+_LONGER = (1, 2, 3, 4)
+"""Windows taken as one until the rotor has moved both ways in it: a slow turn takes seconds."""
 _STEP_S, _THIN = 1e-3, 8
 _HALF = 150
 """Samples, half the length of the smoothing: −6 dB at 3.3 Hz, slower than a wheel swings."""
@@ -23,11 +26,16 @@ _NOISES, _LEAST_NM = 1.5, 1e-4
 _SHARE = 0.05
 """Of what a free wheel makes the sensor read, what inertia and damping need not explain: a bar that
 swings, a gain that turns with a joint. A hand leaves as much as it explains."""
+_MORE = 0.2
+"""Of it, what a bar that swings may add to inertia, damping and friction."""
 _INERTIA_KG_M2 = (-0.01, 0.15)
 """Well beyond a steering wheel's: a hand that turns slowly against a spring looks heavier…"""
 _LEAST_DAMPING_NM_S_PER_RAD = -0.05
 """…and one that drives feeds what a free wheel takes."""
 
+_PLAIN = [0, 1, 2, 5]
+"""Columns of a window's fit: constant, speed, acceleration, friction; two more derivatives are what
+a bar that swings adds."""
 _MOST_FRICTION_NM = 0.3
 """Of a wheel's bearings; a hand that pushes holds more, or helps."""
 
@@ -38,6 +46,14 @@ def _kernel() -> Floats:
     return np.asarray(weight / weight.sum())
 
 
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Nm that a sensor reads with nothing on it, in a window of so many seconds."""
+
+    value: float
+    seconds: float
+
+
 def readings(
     values: Floats,
     speed: Floats,
@@ -45,7 +61,21 @@ def readings(
     noise: float,
     rotor_per_wheel: float | None = None,
 ) -> list[float]:
-    """Nm that a sensor reads in each window in which the rotor moves and nothing drives the sensor.
+    """The values of :func:`windows`, Nm."""
+    found = windows(values, speed, good, noise, rotor_per_wheel)
+    return [one.value for one in found]
+
+
+def windows(
+    values: Floats,
+    speed: Floats,
+    good: Masks,
+    noise: float,
+    rotor_per_wheel: float | None = None,
+) -> list[Reading]:
+    """What a sensor reads in each window in which the rotor moves both ways and nothing drives it.
+
+    A window is 2 s long, or up to 8 s where the rotor turns more slowly.
 
     ``values`` (n,) Nm and rotor ``speed`` (n,) rad/s at 1 kHz; ``good`` (n,): what may be used;
     ``noise``: rms of the values' white noise. ``rotor_per_wheel`` (rad/rad) where a free wheel
@@ -63,15 +93,21 @@ def readings(
     motion.append(_smooth(np.tanh(speed / _TURNS_RAD_S)))  # the friction of a wheel's bearings
     calm = noise * float(np.sqrt(np.sum(_kernel() ** 2)))
     n = round(WINDOW_S / (_STEP_S * _THIN))
-    found = []
-    for first in range(0, len(slow) - n + 1, n):
-        rows = slice(first, first + n)
-        way = motion[0][rows]
-        if not usable[rows].all() or min(way.max(), -way.min()) < _MOVING_RAD_S:
-            continue
-        level = _level(slow[rows], [one[rows] for one in motion], calm, rotor_per_wheel)
+    found, first = [], 0
+    while first + n <= len(slow):
+        count, level = 1, None
+        for longer in _LONGER:
+            rows = slice(first, first + longer * n)
+            way = motion[0][rows]
+            if len(way) < longer * n or not usable[rows].all():
+                break
+            if min(way.max(), -way.min()) >= _MOVING_RAD_S:
+                level = _level(slow[rows], [one[rows] for one in motion], calm, rotor_per_wheel)
+                count = longer if level is not None else 1
+                break
         if level is not None:
-            found.append(level)
+            found.append(Reading(level, count * WINDOW_S))
+        first += count * n
     return found
 
 
@@ -90,17 +126,25 @@ def _level(
     if rotor_per_wheel is None:
         return float(np.mean(values)) if float(np.std(values)) < most else None
     columns = np.column_stack([np.ones(len(values)), *motion])
-    size = np.sqrt(np.sum(columns**2, axis=0)) + 1e-300
-    coefficient = np.linalg.lstsq(columns / size, values, rcond=None)[0] / size
+    coefficient = _solved(columns, values)
     driven = columns[:, 1:] @ coefficient[1:]
     moved = float(np.std(driven))
     if float(np.std(values - columns @ coefficient)) > most + _SHARE * moved:
         return None
     if moved > 3.0 * most:
-        damping, inertia = -coefficient[1:3] * rotor_per_wheel
+        # of a motion like a sine's, higher derivatives are its speed and acceleration over again
+        plain = _solved(columns[:, _PLAIN], values)
+        if float(np.std(values - columns[:, _PLAIN] @ plain)) > most + _MORE * moved:
+            return None
+        damping, inertia = -plain[1:3] * rotor_per_wheel
         low, high = _INERTIA_KG_M2
         if not low < inertia < high or damping < _LEAST_DAMPING_NM_S_PER_RAD:
             return None
-        if not -6.0 * most < -coefficient[-1] < _MOST_FRICTION_NM:
+        if not -6.0 * most < -plain[-1] < _MOST_FRICTION_NM:
             return None
     return float(coefficient[0])
+
+
+def _solved(columns: Floats, values: Floats) -> Floats:
+    size = np.sqrt(np.sum(columns**2, axis=0)) + 1e-300
+    return np.asarray(np.linalg.lstsq(columns / size, values, rcond=1e-6)[0] / size)

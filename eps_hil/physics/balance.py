@@ -17,8 +17,10 @@ from eps_hil.physics.effects.effect import Ratios
 from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
     FrictionLaw,
+    bristle_change,
     bristle_step,
     friction_torque_nm,
+    level_change,
     static_level_nm,
 )
 from eps_hil.physics.model import Model
@@ -148,7 +150,7 @@ def _rub(drive: Drive, m: Motion, levels: Floats, friction: Floats) -> None:
         ratios = Ratios(drive.sensor_to_rotor, drive.ratio)
         _levels(m, law, levels)
         added.levels_along(drive.effects, m, ratios, levels[0], levels[1])
-    bristle = 0.0
+    bristle, before, way_before = 0.0, 1.0, 0.0
     for k in range(len(friction)):
         speed, force = m.speed_rad_s[k], m.rack_force_n[k]
         direction = speed if speed != 0.0 else m.travel_rad[k]
@@ -160,9 +162,13 @@ def _rub(drive: Drive, m: Motion, levels: Floats, friction: Floats) -> None:
             level = max(levels[way, k], SMALLEST_LEVEL_NM)
         else:
             level = static_level_nm(direction, force, law)
-        bristle = bristle_step(
-            bristle, m.travel_rad[k], m.slip_rad[k], level, law.sigma0_nm_per_rad
-        )
+        travel, slip, sigma0 = m.travel_rad[k], m.slip_rad[k], law.sigma0_nm_per_rad
+        bent = 0.0
+        if speed * way_before > 0.0:  # at a reversal T_fs jumps
+            change = level_change(before, level)
+            bent = bristle_change(bristle, travel, slip * sigma0 / level, change)
+        bristle = bristle_step(bristle, travel, slip, level, sigma0) + bent
+        before, way_before = level, speed
         friction[k] = friction_torque_nm(bristle, speed, level, law)
 
 

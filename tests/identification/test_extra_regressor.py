@@ -76,9 +76,12 @@ def test_a_wrong_scale_of_the_motor_is_named(
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.003])
 def test_a_lag_is_told_from_a_dead_time_where_it_shows(
-    record: Callable[..., Recordings], reference_model: Model, lag_s: float
+    record: Callable[..., Recordings], reference_model: Model, true: Any, lag_s: float
 ) -> None:
-    """The shaft's torque follows the reported one, T + τ dT/dt, through a lag of τ."""
+    """The shaft's torque follows the reported one, T + τ dT/dt, through a lag of τ.
+
+    What the lag takes off a fast torque is no inertia: 1 % of it here.
+    """
     recordings = record({"multisine": 30.0, "constant_speed": 20.0})
     for series in recordings.values():
         torque = series["motor_torque_nm"]
@@ -87,6 +90,10 @@ def test_a_lag_is_told_from_a_dead_time_where_it_shows(
         series["motor_torque_nm"] = Series(torque.t_ns, earlier)
     found = identify(recordings, reference_model)
     alike = [unknown.what for unknown in found.cannot_tell]
+    inertia = found.parameters["inertia_kg_m2"]
+    assert inertia.ci95 is not None
+    assert inertia.ci95[0] < true.inertia_kg_m2 < inertia.ci95[1]
+    assert inertia.value == pytest.approx(true.inertia_kg_m2, rel=2e-3)
     skew = found.skews_s["motor_speed_minus_motor_torque"].value
     assert skew == pytest.approx(0.0045 + lag_s, abs=0.2e-3)
     if lag_s == 0.0:
@@ -98,3 +105,21 @@ def test_a_lag_is_told_from_a_dead_time_where_it_shows(
         assert found.motor_lag.ci95[0] <= 1.05 * lag_s
         assert found.motor_lag.value == pytest.approx(lag_s, rel=0.1)
         assert not any("dead time and lag" in what for what in alike)
+
+
+@pytest.mark.parametrize("held", [1, 4])
+def test_what_happens_between_two_commands_is_not_called_a_lag(
+    record: Callable[..., Recordings], reference_model: Model, held: int
+) -> None:
+    """A dead time, and commands held for some ms: a lag of h/√12, as far as any torque shows."""
+    recordings = record({"multisine": 60.0, "constant_speed": 20.0})
+    for series in recordings.values():
+        torque = series["motor_torque_nm"]
+        smooth = manoeuvres.smoothed(torque.value, 0.011)
+        bend = np.gradient(np.gradient(smooth, 1e-3), 1e-3)
+        squared = max((held * 1e-3) ** 2, 4e-6) / 12.0
+        value = (torque.value - 0.5 * squared * bend)[::held].repeat(held)[: len(torque.value)]
+        series["motor_torque_nm"] = Series(torque.t_ns, value)
+    found = identify(recordings, reference_model)
+    assert found.motor_lag is None
+    assert any("dead time and lag" in unknown.what for unknown in found.cannot_tell)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eps_hil.identification.offsets import Offset, offset
-from eps_hil.identification.zero_torque import WINDOW_S, _kernel, readings
+from eps_hil.identification.zero_torque import WINDOW_S, _kernel, readings, windows
 from eps_hil.proof import sensors
 from eps_hil.proof.programmes import programme
 from eps_hil.proof.truth import Drive, Floats
@@ -140,3 +140,38 @@ def test_six_seconds_with_the_motor_off_are_enough() -> None:
     assert sum(one.ci95[0] < 0.004 < one.ci95[1] for one in seen) > 0.88 * len(seen)
     assert max(abs(one.value - 0.004) for one in seen) < 2e-3
     assert all(with_motor_off(5.0, seed) is None for seed in range(10))
+
+
+@pytest.mark.parametrize("hertz", [0.1, 0.125])
+@pytest.mark.parametrize("friction_nm", [0.0, 0.08])
+def test_a_slow_turn_is_one_window_and_reads_the_offset(hertz: float, friction_nm: float) -> None:
+    """In 2 s of it the wheel's inertia, its bearings and an offset look alike."""
+    t = np.arange(24_000) * 1e-3
+    speed = 15.0 * np.sin(2 * np.pi * hertz * t + 0.3)
+    torque = 0.1 - 0.04 * np.gradient(speed, 1e-3) / RATIO - friction_nm * np.tanh(speed / 0.5)
+    torque += NOISE_NM * np.random.default_rng(0).standard_normal(len(t))
+    found = windows(torque, speed, np.ones(len(t), dtype=bool), NOISE_NM, RATIO)
+    assert len(found) >= 4
+    assert np.max(np.abs(np.array([one.value for one in found]) - 0.1)) < 5e-3
+    assert max(one.seconds for one in found) > WINDOW_S
+
+
+def test_hands_that_held_a_torque_elsewhere_do_not_hide_the_hands_off_stretches() -> None:
+    """24 s hands off, and 18 s in which a hand holds one torque after another."""
+    t = np.arange(42_000) * 1e-3
+    speed = 15.0 * np.sin(2 * np.pi * 0.5 * t)
+    held = np.repeat([0.4, -0.5, 0.7], 6000)
+    torque = np.concatenate([np.full(24_000, 0.05), held])
+    torque += NOISE_NM * np.random.default_rng(0).standard_normal(len(t))
+    recording = SimpleNamespace(
+        has=lambda _signal: True,
+        density={"torque_sensor_nm": 2e-3 * NOISE_NM**2},
+        raw={"torque_sensor_nm": torque},
+        good=np.ones(len(t), dtype=bool),
+    )
+    case: Any = SimpleNamespace(recording=recording, motion=SimpleNamespace(speed=speed))
+    found = offset([case], "torque_sensor_nm", RATIO)
+    assert found is not None
+    assert found.value == pytest.approx(0.05, abs=2e-3)
+    assert found.ci95[0] < 0.05 < found.ci95[1]
+    assert 16.0 <= found.seconds <= 24.0

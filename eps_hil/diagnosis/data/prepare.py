@@ -308,19 +308,23 @@ class Prepared:
 
         Under ``model``: what it multiplies a signal with, it multiplies the signal's noise with.
         """
+        return max(float(np.sqrt(sum(self.noise_parts_nm2(model)))), self.sampled_nm)
+
+    def noise_parts_nm2(self, model: Model) -> tuple[float, float, float]:
+        """That floor's variances (Nm²): of motor torque, of what acts behind it, of J · ω̇."""
         worked_in = with_model_effects(model)
         gains = {str(e["effect"]): float(e["gain"]) for e in worked_in.effects if "gain" in e}
         motor = self.acting_share(worked_in)
         sensor = worked_in.sensor_to_rotor / gains.get("torque_sensor_gain", 1.0)
         load = 1.0 / worked_in.rack_to_rotor_ratio_rad_per_m
-        behind = behind_lag(worked_in, CUTOFF_HZ)
-        squared = (
-            motor**2 * self._noise_left("motor_torque_nm") * behind
-            + sensor**2 * self._noise_left("torque_sensor_nm")
-            + load**2 * self._noise_left("rack_force_n")
-            + worked_in.inertia_kg_m2**2 * self._acceleration_variance()
+        lag = behind_lag(worked_in, CUTOFF_HZ)
+        behind = sensor**2 * self._noise_left("torque_sensor_nm")
+        behind += load**2 * self._noise_left("rack_force_n")
+        return (
+            motor**2 * self._noise_left("motor_torque_nm") * lag,
+            behind,
+            worked_in.inertia_kg_m2**2 * self._acceleration_variance(),
         )
-        return max(float(np.sqrt(squared)), self.sampled_nm)
 
     def acting_share(self, model: Model) -> float:
         """What acts of a small change of the reported motor torque while the rotor moves, rms.
