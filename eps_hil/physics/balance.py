@@ -17,10 +17,8 @@ from eps_hil.physics.effects.effect import Ratios
 from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
     FrictionLaw,
-    bristle_change,
-    bristle_step,
+    bristle_along,
     friction_torque_nm,
-    level_change,
     static_level_nm,
 )
 from eps_hil.physics.model import Model
@@ -162,12 +160,10 @@ def _rub(drive: Drive, m: Motion, levels: Floats, friction: Floats) -> None:
             level = max(levels[way, k], SMALLEST_LEVEL_NM)
         else:
             level = static_level_nm(direction, force, law)
-        travel, slip, sigma0 = m.travel_rad[k], m.slip_rad[k], law.sigma0_nm_per_rad
-        bent = 0.0
-        if speed * way_before > 0.0:  # at a reversal T_fs jumps
-            change = level_change(before, level)
-            bent = bristle_change(bristle, travel, slip * sigma0 / level, change)
-        bristle = bristle_step(bristle, travel, slip, level, sigma0) + bent
+        if speed * way_before <= 0.0:  # T_fs jumped
+            before = level
+        wear = m.slip_rad[k] * law.sigma0_nm_per_rad
+        bristle = bristle_along(bristle, m.travel_rad[k], wear, 1.0 / level, before)
         before, way_before = level, speed
         friction[k] = friction_torque_nm(bristle, speed, level, law)
 

@@ -68,6 +68,30 @@ def bristle_step(
 
 
 @kernel(inline="always")
+def bristle_along(
+    bristle_rad: float, travel_rad: float, wear: float, per_level: float, before_nm: float
+) -> float:
+    """:func:`bristle_step` and :func:`bristle_change` together, by one exponential.
+
+    ``wear``: slip · σ0 (Nm); ``per_level``: 1/T_fs at the end; ``before_nm``: T_fs before it,
+    T_fs itself where it jumped.
+    """
+    decay = wear * per_level
+    lost = -math.expm1(-decay)
+    kept = 1.0 - lost
+    if decay < 1e-3:
+        share = 1.0 - decay * (0.5 - decay * (1.0 / 6.0 - decay / 24.0))
+        late = decay * (0.125 * decay - 1.0 / 6.0)
+    else:
+        per_decay = 1.0 / decay
+        share = lost * per_decay
+        late = (kept - share) * per_decay + 0.5 * kept
+    change = min(max(1.0 - before_nm * per_level, -MOST_CHANGE), MOST_CHANGE)
+    travel_part = travel_rad * (share + change * late)
+    return bristle_rad * kept * (1.0 - 0.5 * change * decay) + travel_part
+
+
+@kernel(inline="always")
 def bristle_change(bristle_rad: float, travel_rad: float, decay: float, change: float) -> float:
     """What :func:`bristle_step` lacks where T_fs goes straight to its end value during the step.
 

@@ -293,7 +293,11 @@ def test_each_worker_of_a_batch_listens(tmp_path: Path, monkeypatch: pytest.Monk
         (("stream", "--config", LIVE), _since_reversal, WARM_UP),
         (("dashboard", "--config", LIVE, "--port", "0"), _since_reversal, WARM_UP),
         (("prove", "concealed", "--out", "out"), _since_reversal, "eps_hil.proof.run.run"),
-        (("prove", "changes", "--out", "out"), _since_reversal, "eps_hil.proof.changed.prove_changes"),
+        (
+            ("prove", "changes", "--out", "out"),
+            _since_reversal,
+            "eps_hil.proof.changed.prove_changes",
+        ),
     ],
 )
 def test_verbs_say_that_other_processes_compile(
