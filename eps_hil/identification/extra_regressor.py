@@ -91,4 +91,6 @@ def _solved(
     value = float(alone.sum()) / own
     left = alone - value * (products @ direction) @ direction
     held = float(others @ prior[:-1, :-1] @ others)
-    return Found(value, float(np.sqrt(np.sum(left**2) + held)) / own, np.asarray(-others))
+    return Found(
+        value, float(np.sqrt(np.sum(left**2) + held)) / own, np.asarray(-others, dtype=np.float64)
+    )
