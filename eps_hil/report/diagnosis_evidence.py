@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.balance.problem import Problem
-from eps_hil.diagnosis.given_load import Diagnosis
+from eps_hil.diagnosis.given_load import EMPIRICAL, Diagnosis
 from eps_hil.diagnosis.mismatch.regions import operating_region
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
@@ -126,6 +126,8 @@ def acts_over(
 ) -> tuple[str, Floats]:
     """(axis label, coordinate (n,)) over which a finding's torque is best looked at."""
     signals, effect = evidence.signals, entry["effect"]
+    if effect == EMPIRICAL:
+        return _of_law(entry, signals)
     orders = {
         "cogging_torque": entry.get("order"),
         "torque_ripple": 6.0 * evidence.problem.model.pole_pairs,
@@ -134,13 +136,42 @@ def acts_over(
     }
     order = float(orders.get(effect) or 0.0)
     if order:
-        turn = np.mod(order * signals["motor_angle_rad"], 2 * np.pi) * 180 / np.pi
-        return f"angle of order {order:.4g} per rotor turn in °", turn
+        return _turn(order, signals["motor_angle_rad"])
     chosen = _COORDINATE.get(effect, "")
     for region in where:
         chosen = chosen or (region["signal"] if region["signal"] != "time_s" else "")
     chosen = chosen or "motor_speed_rad_s"
     return label(chosen), signals[chosen]
+
+
+def shows(entry: Mapping[str, Any], evidence: Evidence) -> bool:
+    """Whether a law's torque can be looked at over what it depends on, as it is at each instant."""
+    return (
+        entry.get("form") == "law"
+        and all(one == "none" for one in entry["memory"])
+        and all(one in evidence.signals for one in entry["inputs"])
+    )
+
+
+def _of_law(entry: Mapping[str, Any], signals: Mapping[str, Floats]) -> tuple[str, Floats]:
+    """Over the phase of its ripple, if it has one, else over its last input: the first one of two
+    is what the rest is a share of.
+    """
+    inputs, shapes = entry["inputs"], entry["shapes"]
+    if "sine" not in shapes:
+        return label(inputs[-1]), signals[inputs[-1]]
+    at = shapes.index("sine")
+    angle = signals[inputs[at]]
+    name, turn = _turn(float(entry[f"order_{at + 1}"]), angle)
+    odd = [signals[one] for one, shape in zip(inputs, shapes, strict=True) if shape == "linear"]
+    for one in odd:  # of the other sign it is the same ripple half a period on
+        turn = np.mod(turn + np.where(one < 0.0, 180.0, 0.0), 360.0)
+    return name, turn
+
+
+def _turn(order: float, angle_rad: Floats) -> tuple[str, Floats]:
+    turn = np.mod(order * angle_rad, 2 * np.pi) * 180 / np.pi
+    return f"angle of order {order:.4g} per rotor turn in °", turn
 
 
 _COORDINATE: Mapping[str, str] = {

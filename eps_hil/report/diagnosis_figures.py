@@ -130,12 +130,18 @@ def finding(
         Line("recordings, residual without this term", "dots", 1e3 * mean),
         Line("this term, as fitted", "after", 1e3 * model),
     ]
+    plot = Plot(f"finding{k}", x_label, "torque, mNm", centre, lines, height=260)
+    return plot, sizes(evidence, [k])
+
+
+def sizes(evidence: Evidence, which: Sequence[int]) -> dict[str, float]:
+    """Of the torque of these entries together, newtons at the rack while sliding."""
     ratio = evidence.problem.model.rack_to_rotor_ratio_rad_per_m
-    sizes = {
+    own = np.sum([evidence.without_nm[k] - evidence.after_nm for k in which], axis=0)
+    return {
         "rms_n": ratio * evidence.rms_nm(own),
-        "peak_n": ratio * float(np.max(np.abs(own[use]))),
+        "peak_n": ratio * float(np.max(np.abs(own[evidence.sliding]))),
     }
-    return Plot(f"finding{k}", x_label, "torque, mNm", centre, lines, height=260), sizes
 
 
 def _shown(x: Floats, own: Floats) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from typing import Any
 from eps_hil.diagnosis.attribute.scoring import FORWARD_SHARE, score, threshold
 from eps_hil.diagnosis.balance.problem import term_of
 from eps_hil.diagnosis.changes import in_short, in_words, what_would_show
-from eps_hil.diagnosis.given_load import Diagnosis
+from eps_hil.diagnosis.given_load import EMPIRICAL, Diagnosis
 from eps_hil.diagnosis.remainder.ceiling import left_by_trees
 from eps_hil.diagnosis.verdict.spoken import all_clear, but, shares_in_words
 from eps_hil.physics.effects.catalogue import catalogue
@@ -306,11 +306,24 @@ def _span(region: Mapping[str, Any]) -> str:
 def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[dict[str, Any]]:
     cards = []
     for one in diagnosis.content["findings"]:
-        card: dict[str, Any] = {**one, "plot": None, "sizes": None, "size": "", "rivals": []}
+        card: dict[str, Any] = {
+            **one,
+            "plot": None,
+            "sizes": None,
+            "size": "",
+            "rivals": [],
+            "laws": 0,
+        }
         known = catalogue()[one["effect"]].parameters if one["effect"] in catalogue() else ()
         card["meanings"] = {parameter.name: parameter.meaning for parameter in known}
         if one["effect"] == "unknown":
-            card["plot"] = diagnosis_figures.unknown(one)
+            laws = _laws(fitted) if one.get("model") and "seen_in" not in one else []
+            card["laws"] = len(laws)
+            card["plot"] = (
+                diagnosis_figures.finding(fitted, laws[0], ())[0]
+                if laws
+                else diagnosis_figures.unknown(one)
+            )
             card["maps"] = diagnosis_map.maps(one)
             peak = max((abs(point[1]) for point in one["curve"]), default=0.0)
             ratio = diagnosis.problem.model.rack_to_rotor_ratio_rad_per_m
@@ -318,6 +331,9 @@ def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[di
                 card["size"] = f"up to {1e3 * peak / ratio:.3g} mm"
             else:
                 card["sizes"] = {"peak_n": ratio * peak} if peak else None
+            if laws:
+                learnt = [k for k, e in enumerate(fitted.entries) if e["effect"] == EMPIRICAL]
+                card["sizes"] = diagnosis_figures.sizes(fitted, learnt)
         elif (k := _place(fitted.entries, one)) is not None:
             card["plot"], card["sizes"] = diagnosis_figures.finding(fitted, k, one["where"])
             entries = diagnosis.selection.found.entries
@@ -335,6 +351,12 @@ def _cards(diagnosis: Diagnosis, fitted: Evidence, plots: list[Plot]) -> list[di
             plots.append(card["plot"])
         cards.append(card)
     return cards
+
+
+def _laws(fitted: Evidence) -> list[int]:
+    """Entries that are laws and can be drawn beside the residual, what explains most first."""
+    there = [k for k, one in enumerate(fitted.entries) if diagnosis_evidence.shows(one, fitted)]
+    return sorted(there, key=lambda k: -fitted.rms_nm(fitted.without_nm[k] - fitted.after_nm))
 
 
 def _place(entries: Sequence[Mapping[str, Any]], finding: Mapping[str, Any]) -> int | None:

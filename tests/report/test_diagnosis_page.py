@@ -19,7 +19,7 @@ from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.physics.model import Model, load_model
 from eps_hil.report import diagnosis_page
-from eps_hil.report.diagnosis_evidence import LABELS, held_out
+from eps_hil.report.diagnosis_evidence import LABELS, acts_over, held_out, shows
 from eps_hil.report.diagnosis_figures import _shown, holdouts
 from eps_hil.report.diagnosis_maps import colour
 from eps_hil.report.page import number
@@ -320,6 +320,49 @@ def test_page_of_an_unknown(explained: Diagnosis, verdict: str, curve: list[Any]
         assert plots["unknown"]["data"][-1] == [2.0, 20.0]
         assert plots["unknown"]["data"][1] == [1.0, 19.0]
         assert "50.3 N" in checked.text  # 20 mNm at 2513 rad/m
+
+
+def test_page_of_a_law_shows_it_beside_the_residual(explained: Diagnosis) -> None:
+    """The spring, as if the catalogue had no name for it."""
+    angle = "motor_angle_rad"
+    law = {
+        "effect": "empirical", "form": "law", "where": "rotor", "how": "sum", "inputs": [angle],
+        "memory": ["none"], "shapes": ["linear"], "size": 0.004, "range": {angle: [-99.0, 99.0]},
+    }  # fmt: skip
+    told = {**law, "holdout_share_removed": 1.0, "ci95": [0.9, 1.0]}
+    (spring,) = explained.content["findings"]
+    unknown = {**spring, "effect": "unknown", "curve": _CURVE, "model": told, "resembles": []}
+    content = {**explained.content, "verdict": "unknown_effect", "findings": [unknown]}
+    model = replace(explained.problem.model, effects=(law,))
+    result = Diagnosis(content, model, explained.problem, explained.selection, explained.judged, [])
+    checked = _Checked(diagnosis_page.render(result, "m.yaml"))
+    assert checked.open == []
+    plot = next(one for one in _plots(checked) if one["name"] == "finding0")
+    assert plot["x_label"] == "rotor angle in rad"
+    seen, drawn = (np.array(plot["data"][k]) for k in (3, 4))
+    assert np.ptp(drawn) > 10.0
+    assert float(np.max(np.abs(seen - drawn))) < 0.1 * np.ptp(drawn)
+    assert "the residual when this law alone is taken out" in checked.text
+
+
+def test_a_ripple_of_the_load_is_drawn_over_its_own_phase() -> None:
+    """Of a load of the other sign it is half a period on; else both would cancel."""
+    law = {
+        "effect": "empirical", "form": "law", "inputs": ["rack_force_n", "motor_angle_rad"],
+        "memory": ["none", "none"], "shapes": ["linear", "sine"], "order_2": 2.0,
+    }  # fmt: skip
+    angle, force = np.linspace(0.0, 20.0, 500), np.where(np.arange(500) % 3 > 0, 800.0, -300.0)
+    signals = {"motor_angle_rad": angle, "rack_force_n": force}
+    evidence = cast(Any, SimpleNamespace(signals=signals))
+    assert shows(law, evidence)
+    name, turn = acts_over(law, [], evidence)
+    assert name == "angle of order 2 per rotor turn in °"
+    torque = force * np.sin(2.0 * angle)
+    np.testing.assert_allclose(np.abs(force) * np.sin(np.radians(turn)), torque, atol=1e-9)
+    assert not shows({**law, "memory": ["lag", "none"]}, evidence)
+    assert not shows({**law, "form": "curve"}, evidence)
+    name, over = acts_over({**law, "shapes": ["linear", "gaussian"]}, [], evidence)
+    assert (name, over is angle) == ("rotor angle in rad", True)
 
 
 def test_page_of_a_signal_that_is_late(explained: Diagnosis) -> None:
