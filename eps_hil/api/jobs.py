@@ -215,7 +215,10 @@ def diagnose(
 
             mapping, values = _columns(simulation_signals), simulation_values
             traces, _ = traces_of(Path(traces), together, rig, mapping, values)
-        return Diagnosis(diagnose_against(traces, rig, first, rest, on_progress, without_effects))
+        trusted = {"trust_channels": trust_channels}
+        return Diagnosis(
+            diagnose_against(traces, rig, first, rest, on_progress, without_effects, **trusted)
+        )
     except RecordingError as error:
         raise InputError(error.recording, "", str(error)) from error
     except ValueError as error:

@@ -171,7 +171,7 @@ class FrameDecoder:
         if rules.counter is None:
             return
         counter = self._signal(message, rules.counter, f"{place}.counter")
-        modulo = rules.counter_modulo or 2**counter.length
+        modulo = rules.counter_values(counter)
         if counter.is_signed or counter.is_float or modulo > 2**counter.length:
             raise InputError(
                 self._files[0], f"{place}.counter",
@@ -279,7 +279,7 @@ class FrameEncoder:
         self._crc: CrcRule | None = None
         for signal in message.signals:
             if signal.name == rules.counter:
-                self._modulo = rules.counter_modulo or 2**signal.length
+                self._modulo = rules.counter_values(signal)
             elif signal.name == rules.crc:
                 self._crc = crc_rule(message, signal, rules, dbc_file, message_name)
         own = {rules.counter, rules.crc}

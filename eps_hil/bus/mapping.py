@@ -110,7 +110,8 @@ class MessageRules:
 
     ``counter``, ``crc``: names of its signals; ``crc_profile``: see :data:`PROFILES`;
     ``crc_data_id``: default for profile 1 is the CAN id, for a plain CRC none;
-    ``counter_modulo``: where the counter does not use its full width (profile 1 proper: 15);
+    ``counter_modulo``: where the counter does not use its full width, unless it is one less by
+    the DBC's maximum (profile 1 proper: 0 to 14);
     ``clock``: ``counter`` takes sample instants from the counter, ``stamp`` from the receive
     stamp; ``extended``: 29-bit (true) or 11-bit id where a log disagrees with the DBC;
     ``cycle_time_s``: in place of the DBC's GenMsgCycleTime, which counts whole milliseconds.
@@ -124,6 +125,12 @@ class MessageRules:
     clock: Literal["counter", "stamp"] = "stamp"
     extended: bool | None = None
     cycle_time_s: Annotated[float, Field(ge=5e-5, le=60, allow_inf_nan=False)] | None = None
+
+    def counter_values(self, counter: Any) -> int:
+        """How many values the counter (a signal of cantools) takes before it begins again."""
+        full = int(2**counter.length)
+        by_profile = counter.maximum == full - 2  # the last value says that there is no counter
+        return self.counter_modulo or (full - 1 if by_profile and full > 2 else full)
 
     def __post_init__(self) -> None:
         if self.clock == "counter" and self.counter is None:

@@ -10,7 +10,7 @@ from eps_hil.diagnosis.accept.proof_of_fit import measures
 from eps_hil.diagnosis.attribute.select import Say
 from eps_hil.diagnosis.balance.baseline import STIFFNESS
 from eps_hil.diagnosis.balance.load import missing
-from eps_hil.diagnosis.data.channels import check_channels
+from eps_hil.diagnosis.data.channels import channels_in_doubt
 from eps_hil.diagnosis.data.intake import check_rates, measured, split
 from eps_hil.diagnosis.data.prepare import Prepared, prepare
 from eps_hil.diagnosis.diagnose import diagnose
@@ -40,6 +40,8 @@ def diagnose_against(
     holdouts: Mapping[str, Signals],
     say: Say | None = None,
     without_effects: Collection[str] = (),
+    *,
+    trust_channels: bool = False,
 ) -> Diagnosis:
     """The diagnosis with somebody's simulator in the place of our model.
 
@@ -50,7 +52,7 @@ def diagnose_against(
     """
     every = {**recordings, **holdouts}
     check_rates(every)
-    check_channels(every, model)
+    channels_in_doubt(every, model, trust_channels)  # which the diagnosis says
     simulated = explain(traces, every, model, _part(say, 0.0, 0.4))
     if say:
         say("looking for what the simulator has too many", 0.4)
@@ -70,6 +72,7 @@ def diagnose_against(
         _part(say, 0.5, 1.0),
         without_effects,
         simulated.unexplained_nm,
+        trust_channels=trust_channels,
     )
     content = _with_surplus(result, simulated.model, extra)
     content["findings"] = said_against(content["findings"], "the simulator")

@@ -116,7 +116,8 @@ class ServiceConfig(BusSetup):
         """Names of the messages that the service publishes."""
         if not self.publish.enabled:
             return ()
-        names = [self.publish.message, self.publish.health_message]
+        published = self.publish
+        names = [published.message, published.verdict_message, published.health_message]
         if self.adaptation is not None:
             names += [self.adaptation.message, self.adaptation.suggestion_message]
         return tuple(name for name in names if name is not None)

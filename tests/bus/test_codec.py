@@ -3,6 +3,7 @@
 import math
 import struct
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -371,6 +372,18 @@ def test_the_encoder_follows_rules_given_to_it(foreign: Any) -> None:
     encoder = FrameEncoder(foreign, "Torque", rules=rules)
     assert [encoder.encode({"Current": 0.0})[7] for _ in range(16)] == [*range(15), 0]
     assert encoder.clipped == 0
+
+
+@pytest.mark.parametrize(
+    ("most", "told", "values"),
+    [(14, None, 15), (15, None, 16), (0, None, 16), (9, None, 16), (15, 12, 12), (None, None, 16)],
+)
+def test_a_counter_that_the_dbc_ends_before_its_last_value_leaves_that_out(
+    most: int | None, told: int | None, values: int
+) -> None:
+    """AUTOSAR profile 1 counts to 14; [0|0] says nothing, and other ends are often not meant."""
+    signal = SimpleNamespace(length=4, maximum=most)
+    assert MessageRules(counter="Alive", counter_modulo=told).counter_values(signal) == values
 
 
 def test_the_encoder_names_a_message_that_is_missing() -> None:

@@ -43,17 +43,18 @@ def test_two_rigs_on_one_bus_need_ids_of_their_own_for_all_that_they_send(
 ) -> None:
     """By id, whatever the database calls it; friction levels and suggestions too."""
     text = (ROOT / "dbc" / "eps_rig.dbc").read_text()
-    for name in ("Estimate", "Health"):
+    for name in ("Estimate", "Health", "Verdict"):
         text = text.replace(f"EPSHIL_{name}", f"Second_{name}")
     same, other = tmp_path / "same.dbc", tmp_path / "other.dbc"
     same.write_text(text)
-    for can_id, moved in ((288, 289), (1024, 1025)):
+    for can_id, moved in ((288, 298), (289, 299), (1024, 1025)):
         text = re.sub(
             rf"^(BO_|CM_ (?:BO_|SG_)|VAL_) {can_id} ", rf"\g<1> {moved} ", text, flags=re.M
         )
         text = re.sub(rf"^(BA_ .*(?:BO_|SG_)) {can_id} ", rf"\g<1> {moved} ", text, flags=re.M)
     other.write_text(text)
-    publish = "publish: {message: Second_Estimate, health_message: Second_Health}\n"
+    publish = "publish: {message: Second_Estimate, health_message: Second_Health"
+    verdict, publish = f"{publish}}}\n", f"{publish}, verdict_message: Second_Verdict}}\n"
     one = written(tmp_path / "a.yaml", 43184)
 
     def second(dbc: Path, more: str = "") -> Path:
@@ -64,6 +65,9 @@ def test_two_rigs_on_one_bus_need_ids_of_their_own_for_all_that_they_send(
     assert main(["run", "--config", str(one), "--config", str(second(same))]) == 2
     assert "publishes Second_Estimate (0x120) on this bus too" in capsys.readouterr().err
     check([one, second(other)])
+    shared = written(tmp_path / "b.yaml", 43184, verdict)
+    assert main(["run", "--config", str(one), "--config", str(shared)]) == 2
+    assert "publishes EPSHIL_Verdict (0x121) on this bus too" in capsys.readouterr().err
     adaptation = "adaptation: {method: none}\n"
     one = written(tmp_path / "a.yaml", 43184, adaptation)
     assert main(["run", "--config", str(one), "--config", str(second(other, adaptation))]) == 2

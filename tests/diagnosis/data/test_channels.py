@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.diagnosis import against
 from eps_hil.diagnosis.against import diagnose_against
 from eps_hil.diagnosis.data import channels
 from eps_hil.diagnosis.data.channels import channels_in_doubt, check_channels
@@ -272,3 +273,19 @@ def test_a_value_that_was_read_wrong_is_no_new_turn(weave: Signals, reference_mo
     value = np.clip(angle.value, -5.0, 5.0)
     value[[2000, 5000]] = 200.0
     channels.check_turning_on("w", Series(angle.t_ns, value))
+
+
+@pytest.mark.parametrize("trusted", [False, True])
+def test_a_simulator_is_asked_of_channels_that_are_trusted_too(
+    trusted: bool, reference_model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[bool] = []
+
+    def doubts(_recordings: object, _model: object, trust: bool) -> list[str]:
+        asked.append(trust)
+        raise RecordingError("a.csv", "is in doubt")
+
+    monkeypatch.setattr(against, "channels_in_doubt", doubts)
+    with pytest.raises(RecordingError):
+        against.diagnose_against({}, reference_model, {}, {}, trust_channels=trusted)
+    assert asked == [trusted]
