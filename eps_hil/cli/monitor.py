@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from eps_hil.errors import InputError
+
 if TYPE_CHECKING:
     from eps_hil.bus.config import BusConfig
     from eps_hil.monitor.figures import Figures
@@ -56,6 +58,9 @@ def monitor(
     limits = limits_of(load_model(loaded.model), *given, after_s=alarm_after)
     known = bitrate or _bitrate_of(loaded.bus)
     view = Monitor(loaded, limits, window_s=window, bitrate=known)
+    if alarm_exit and not view.has_load_cell:
+        problem = "rack_force_n is not mapped, and without a load cell nothing raises an alarm"
+        raise InputError(loaded.signals, "signals", problem, "map it, or leave --alarm-exit out")
     _say("monitor: loading")
     say_if_it_compiles()
     view.warm_up()

@@ -182,6 +182,11 @@ class Monitor:
             self._service_says(name, now_ns),
         )  # fmt: skip
 
+    @property
+    def has_load_cell(self) -> bool:
+        """Whether there is anything to hold rig and model against."""
+        return "rack_force_n" in self._signals
+
     def _service_says(self, name: str, now_ns: int) -> str:
         """Of a signal that the estimator reads, in the words of the DBC's labels."""
         told = self._verdict

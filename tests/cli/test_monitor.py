@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 from eps_hil.bus.config import BusConfig
 from eps_hil.bus.port import open_port
@@ -136,6 +137,21 @@ def test_a_wrong_configuration_is_one_line(
     err = capsys.readouterr().err.removeprefix("monitor: loading\n")
     assert said in err
     assert err.count("\n") == 1
+
+
+def test_a_night_without_a_load_cell_is_refused(
+    config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing could end it."""
+    mapping = ROOT / "configs" / "eps_rig_signals.yaml"
+    without = yaml.safe_load(mapping.read_text())
+    del without["signals"]["rack_force_n"]
+    (tmp_path / "signals.yaml").write_text(yaml.safe_dump(without))
+    config.write_text(config.read_text().replace(str(mapping), str(tmp_path / "signals.yaml")))
+    assert main(["monitor", "--config", str(config), "--alarm-exit"]) == 2
+    said = capsys.readouterr().err
+    assert "signals.yaml: signals: rack_force_n is not mapped" in said
+    assert said.count("\n") == 1
 
 
 @pytest.mark.slow
