@@ -267,6 +267,10 @@ class FrameEncoder:
                 dbc_file, message_name, "no such message",
                 nearest(message_name, (each.name for each in database.messages)),
             )  # fmt: skip
+        for signal in message.signals:
+            if not signal.scale:
+                place = f"{message_name}.{signal.name}"
+                raise InputError(dbc_file, place, "has factor 0", "give it that of its unit")
         self._message = message
         self.can_id: int = message.frame_id
         self.extended: bool = message.is_extended_frame

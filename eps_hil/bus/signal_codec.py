@@ -136,6 +136,13 @@ class WriteSignal:
         lies between the last two."""
         return self._scale, self._offset, self._low, self._high
 
+    @property
+    def reach(self) -> tuple[float, float]:
+        """The least and the largest value that is written as it is."""
+        ends = (raw * self._scale + self._offset for raw in (self._low, self._high))
+        low, high = sorted(ends)
+        return low, high
+
     def write(self, value: float) -> tuple[int | float, int]:
         """Raw number, and its fate: 0 as it was, 1 clipped, -1 there was no value."""
         raw: float = (value - self._offset) / self._scale

@@ -12,6 +12,7 @@ from eps_hil.bus.codec import FrameDecoder, FrameEncoder
 from eps_hil.bus.commands import Commands, of_database, refuse_command
 from eps_hil.bus.database import find_message, load_database, nearest
 from eps_hil.bus.mapping import SignalMapping, load_mapping
+from eps_hil.bus.signal_codec import WriteSignal
 from eps_hil.errors import InputError
 from eps_hil.estimation.settings import EstimatorSettings, at_pace, problem
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator
@@ -26,7 +27,9 @@ from eps_hil.service.health import totals_modulo
 from eps_hil.service.online_methods import OnlineErrorInjection, OnlineMethod, OnlineReversals
 from eps_hil.service.verdict import NEEDED, signal_verdicts
 
-_PUBLISHED = ("RackForceEstimate", "EstimateStatus")
+_FORCE, _COARSEST_N = "RackForceEstimate", 20.0
+"""The estimate's signal, and the most that one step of it may be."""
+_PUBLISHED = (_FORCE, "EstimateStatus")
 """What a message must have at least to carry an estimate."""
 _LEVELS = ("LevelPositive", "LevelNegative")
 _SUGGESTED = ("SuggestedPositive", "SuggestedNegative", "SuggestionKnown")
@@ -205,7 +208,11 @@ def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: 
             )  # fmt: skip
         if message.is_fd and not config.bus.fd:
             raise InputError(file, place, f"{name} is a CAN FD message", "set bus.fd: true")
-        return FrameEncoder(database, name, dbc_file=dbc_file)
+        made = FrameEncoder(database, name, dbc_file=dbc_file)
+        if _FORCE in needed:
+            most_n = config.estimator.plausibility.estimate_n
+            _check_force(message.get_signal_by_name(_FORCE), most_n, dbc_file, name)
+        return made
 
     verdict = publish.verdict_message
     if verdict == VERDICT and find_message(database, verdict) is None:
@@ -220,6 +227,25 @@ def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: 
         *told,
         encoder(verdict, "publish.verdict_message", NEEDED),
     )
+
+
+def _check_force(signal: Any, most_n: float, dbc_file: str, message: str) -> None:
+    """What is valid has to arrive as it was estimated: in newtons, and not cut off."""
+    place = f"{message}.{signal.name}"
+    if (signal.unit or "N").strip() != "N":
+        raise InputError(
+            dbc_file, place, f"is in {signal.unit}, but newtons are published", "make its unit N"
+        )
+    low, high = WriteSignal(signal).reach
+    if low > -most_n or high < most_n:
+        raise InputError(
+            dbc_file, place,
+            f"carries {low:g} to {high:g} N, and up to {most_n:g} N are believed either way",
+            "widen it, or set estimator.plausibility.estimate_n",
+        )  # fmt: skip
+    if not signal.is_float and abs(float(signal.scale)) > _COARSEST_N:
+        problem = f"has steps of {abs(float(signal.scale)):g} N, expected {_COARSEST_N:g} at most"
+        raise InputError(dbc_file, place, problem, "give it a finer scale")
 
 
 def make_estimator(

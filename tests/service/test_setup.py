@@ -108,6 +108,42 @@ def test_a_message_without_a_cycle_time_is_refused(tmp_path: Path, config_text: 
     assert "a.dbc: RIG_State: has no cycle time, which rack_force_n needs" in said
 
 
+_FORCE = 'RackForceEstimate : 38|18@1- (0.2,0) [-26214.2|26214.2] "N"'
+
+
+@pytest.mark.parametrize(
+    ("signal", "said"),
+    [
+        ('38|18@1- (0.001,0) [-131|131] "kN"', "is in kN, but newtons are published; make its"),
+        ('38|18@1- (0.2,0) [-8000|26214] "N"', "carries -8000 to 26214 N, and up to 15000 N are"),
+        ('38|18@1+ (0.2,0) [0|0] "N"', "carries 0 to 52428.6 N, and up to 15000 N are believed"),
+        ('38|18@1- (200,0) [-26214200|26214200] "N"', "has steps of 200 N, expected 20 at most"),
+        ('38|18@1- (0,0) [-26214200|26214200] "N"', "has factor 0"),
+    ],
+)
+def test_a_force_that_would_arrive_as_another_is_refused(
+    tmp_path: Path, config_text: str, signal: str, said: str
+) -> None:
+    text = (ROOT / "dbc" / "eps_rig.dbc").read_text()
+    assert _FORCE in text
+    (tmp_path / "a.dbc").write_text(text.replace(_FORCE, f"RackForceEstimate : {signal}"))
+    told = refused(tmp_path, config_text.replace(f"{ROOT}/dbc/eps_rig.dbc", "a.dbc"))
+    assert "EPSHIL_Estimate.RackForceEstimate: " in told
+    assert said in told
+
+
+def test_a_narrower_force_is_published_where_no_more_is_believed(
+    tmp_path: Path, config_text: str
+) -> None:
+    text = (ROOT / "dbc" / "eps_rig.dbc").read_text()
+    narrow = 'RackForceEstimate : 38|18@1- (0.1,0) [-12000|12000] ""'
+    (tmp_path / "a.dbc").write_text(text.replace(_FORCE, narrow))
+    path = tmp_path / "c.yaml"
+    text = config_text.replace(f"{ROOT}/dbc/eps_rig.dbc", "a.dbc")
+    path.write_text(text + "estimator: {plausibility: {estimate_n: 12000}}\n")
+    assert prepare(load_config(path), path).send_ids[0] == 0x120
+
+
 def test_a_derived_speed_is_derived_over_the_window_of_the_mapping(
     tmp_path: Path, config_text: str
 ) -> None:
