@@ -81,11 +81,15 @@ class LevelUpdates:
 
     async def keep(self) -> None:
         """Say and write what happens until cancelled; the rest is written then."""
+        writing: asyncio.Future[None] | None = None
         try:
             while True:
                 await asyncio.sleep(_PERIOD_S)
-                await asyncio.to_thread(self._write, self._fresh())
+                writing = asyncio.ensure_future(asyncio.to_thread(self._write, self._fresh()))
+                await asyncio.shield(writing)
         finally:
+            if writing is not None:  # a thread goes on, and two would write one entry twice
+                await asyncio.gather(writing, return_exceptions=True)
             self._write(self._fresh())
             self._journal.close()
 

@@ -155,10 +155,10 @@ class Service:
         finally:
             self._publishing = False
             self._notifier.stopping()
+            self._send_silent(Status.OFF)  # a disk that hangs holds up the jobs, not this
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            self._send_silent(Status.OFF)
 
     # The path of every frame.
 

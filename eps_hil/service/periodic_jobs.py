@@ -56,6 +56,9 @@ class PeriodicJobs:
                 await job()
             except Exception as error:
                 self._failed(what, error)
+                task = asyncio.current_task()
+                if task is not None and task.cancelling():
+                    return  # it failed as it ended: begun again it would never end
                 await asyncio.sleep(_PAUSE_S)
             else:
                 return

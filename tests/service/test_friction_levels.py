@@ -4,8 +4,10 @@ The rig's friction is 40 % beside what the service believes. Frames are those of
 is the service's own, so what holds here holds live, in a replay and in lock-step.
 """
 
+import asyncio
 import json
 import math
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +33,7 @@ from eps_hil.service.friction_levels import LevelEvent
 from eps_hil.service.level_updates import LevelUpdates, levels_of
 from eps_hil.service.online_methods import with_levels
 from eps_hil.service.setup import Parts, describe, prepare
+from eps_hil.service.whole_lines import WholeLines
 
 from .conftest import DATABASE
 
@@ -334,6 +337,36 @@ def test_what_is_published_about_levels() -> None:
 def test_a_message_that_the_database_lacks_is_named() -> None:
     with pytest.raises(InputError, match=r"adaptation\.message: .*has no message EPSHIL_Levels"):
         service(AdaptationConfig(message="EPSHIL_Levels"))
+
+
+def test_each_entry_is_written_once_where_the_end_comes_during_a_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread goes on writing after its task was cancelled."""
+    path, parts = tmp_path / "levels.jsonl", service(BOTH)
+    begun, go_on = threading.Event(), threading.Event()
+    append = WholeLines.append
+
+    def slow(self: WholeLines, text: str) -> None:
+        begun.set()
+        go_on.wait(5.0)
+        append(self, text)
+
+    monkeypatch.setattr(WholeLines, "append", slow)
+    updates = LevelUpdates(parts, lambda _: None, path)
+    for factor in (1.1, 1.2, 1.3):
+        parts.levels.operator(scaled(factor))
+
+    async def ended() -> None:
+        task = asyncio.create_task(updates.keep())
+        assert await asyncio.to_thread(begun.wait, 5.0)
+        task.cancel()
+        asyncio.get_running_loop().call_later(0.05, go_on.set)
+        await asyncio.wait_for(asyncio.gather(task, return_exceptions=True), 5.0)
+
+    asyncio.run(ended())
+    found = [json.loads(line)["offset_pos_nm"] for line in path.read_text().splitlines()]
+    assert found == pytest.approx([factor * OWN.positive_nm for factor in (1.1, 1.2, 1.3)])
 
 
 def test_an_event_as_a_line_of_json() -> None:

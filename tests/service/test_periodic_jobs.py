@@ -46,3 +46,25 @@ def test_what_fails_after_an_answer_is_said_once_and_survived() -> None:
     assert jobs.failures["verdict"] >= 2
     assert len(said) == 1
     assert "verdict" in said[0]
+
+
+def test_a_job_that_fails_as_it_ends_is_not_begun_again() -> None:
+    """Nobody would end it a second time, and the service would wait for it for ever."""
+    begun, said = [0], list[str]()
+
+    async def job() -> None:
+        begun[0] += 1
+        try:
+            await asyncio.sleep(60.0)
+        finally:
+            raise OSError("no room")
+
+    async def ended() -> None:
+        task = asyncio.create_task(PeriodicJobs(said.append).keep("levels", job))
+        await asyncio.sleep(0.01)
+        task.cancel()
+        await asyncio.wait_for(asyncio.gather(task, return_exceptions=True), 0.5)
+
+    asyncio.run(ended())
+    assert begun == [1]
+    assert len(said) == 1
