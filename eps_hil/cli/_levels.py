@@ -25,22 +25,31 @@ def accept(
 ) -> None:
     """Refuse, warn, or write; ``shift``: what torque injection saw of a force at the rack."""
     from eps_hil.adaptation.unknown_force import NOT_SEEN
+    from eps_hil.physics.effects.effect import Slot
     from eps_hil.physics.model import load_model
-    from eps_hil.service.calibrated_model import CalibratedModel, widened
+    from eps_hil.service.calibrated_model import CalibratedModel, effects_in, widened
 
     model = CalibratedModel(setup.model)
-    ratio = load_model(setup.model).rack_to_rotor_ratio_rad_per_m
+    rig = load_model(setup.model)
+    ratio = rig.rack_to_rotor_ratio_rad_per_m
     force_n = model.unknown_force_n(levels, ratio, shift or NOT_SEEN)
     if force_n:
         levels = widened(levels, force_n / ratio)
         note["rack_force_that_would_explain_it_n"] = round(force_n, 1)
-    old = model.present
+    old = model.in_use
     for name, new, was, ci in (
         ("k0+", levels.offset_pos_nm, old.offset_pos_nm, levels.pos_ci95_nm),
         ("k0-", levels.offset_neg_nm, old.offset_neg_nm, levels.neg_ci95_nm),
     ):
         interval = f"  (95 %: {ci[0]:.4f} to {ci[1]:.4f})" if ci else ""
         typer.echo(f"{name}        {new:.4f} Nm{interval}, in the model {was:.4f} Nm")
+    beside = effects_in(rig, (Slot.LEVEL, Slot.LEVEL_FACTOR, Slot.MOTOR, Slot.SENSOR))
+    if beside:
+        note["measured_beside"] = list(beside)
+        typer.echo(
+            f"note       the levels were measured with {', '.join(beside)} in them, which the "
+            "model adds once more: look whether that counts twice"
+        )
     if force_n:
         _warn_of_force(force_n, known=bool(model.history) and not insist)
     within = model.check(levels, settings.sanity_band, insist=insist)

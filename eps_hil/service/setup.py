@@ -18,8 +18,10 @@ from eps_hil.estimation.settings import EstimatorSettings, at_pace, problem
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects.catalogue import with_model_effects
-from eps_hil.physics.model import load_model
+from eps_hil.physics.effects.effect import Slot
+from eps_hil.physics.model import Model, load_model
 from eps_hil.service.adaptation_config import AdaptationConfig
+from eps_hil.service.calibrated_model import effects_in
 from eps_hil.service.config import VERDICT, ServiceConfig
 from eps_hil.service.core import ServiceCore
 from eps_hil.service.friction_levels import FrictionLevelKeeper
@@ -158,6 +160,8 @@ def _level_keeper(
     adaptation = config.adaptation or AdaptationConfig()
     model = with_model_effects(load_model(config.model))
     method: OnlineMethod | None = None
+    if adaptation.method != "none" and adaptation.apply != "never":
+        _check_torques(model, config.model)
     try:
         if adaptation.method == "reversals":
             settings = estimator.settings
@@ -180,6 +184,17 @@ def service_mapping(mapping: SignalMapping, wanted: Collection[str] = SIGNALS) -
     carriers = {source.carrier for source in signals.values()} | {mapping.sync_message}
     messages = {name: rules for name, rules in mapping.messages.items() if name in carriers}
     return replace(mapping, signals=signals, messages=messages)
+
+
+def _check_torques(model: Model, file: object) -> None:
+    """What learns takes the torques as reported: what an effect corrects passes for friction."""
+    corrected = effects_in(model, (Slot.MOTOR, Slot.SENSOR))
+    if corrected:
+        raise InputError(
+            file, "model.effects",
+            f"{', '.join(corrected)} changes a torque, which adaptation would learn as friction",
+            "set adaptation.apply: never",
+        )  # fmt: skip
 
 
 Encoders = tuple[FrameEncoder | None, ...]

@@ -1,5 +1,6 @@
 """A calibration in the model file: only two numbers change, the history grows, reset leads back."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -95,3 +96,30 @@ def test_an_interval_is_widened_to_what_the_level_would_be_without_the_force() -
     wide = widened(Levels(0.072, 0.110, (0.071, 0.073), (0.109, 0.111)), 0.016)
     assert wide.pos_ci95_nm == pytest.approx((0.055, 0.073))
     assert wide.neg_ci95_nm == pytest.approx((0.109, 0.127))
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        "{effect: coulomb_level, scale: 1.4}",
+        "{effect: friction_asymmetry, half_difference_nm: 0.02}",
+    ],
+)
+def test_levels_are_written_so_that_the_models_effects_make_what_was_measured(
+    tmp_path: Path, effect: str
+) -> None:
+    """A rig that is as its model: a calibration finds what is in use, and changes nothing."""
+    text = re.sub("^  effects:.*$", f"  effects: [{effect}]", REFERENCE.read_text(), flags=re.M)
+    model = written(tmp_path / "m.yaml", text)
+    used = model.in_use
+    assert used != model.present
+    pos, neg = used.offset_pos_nm, used.offset_neg_nm
+    measured = Levels(1.1 * pos, neg, (pos, 1.2 * pos))
+    assert model.check(measured, 0.5)
+    assert model.unknown_force_n(used, 2513.0) == 0.0
+    after = written(tmp_path / "m.yaml", model.calibrated(measured, {"method": "a"}))
+    assert after.in_use.offset_pos_nm == pytest.approx(1.1 * pos, rel=1e-5)
+    assert after.in_use.offset_neg_nm == pytest.approx(neg, rel=1e-5)
+    low, high = after.history[0]["after"]["pos_ci95_nm"]
+    assert low == pytest.approx(model.present.offset_pos_nm, rel=1e-5)
+    assert low < after.present.offset_pos_nm < high

@@ -108,6 +108,24 @@ def test_a_message_without_a_cycle_time_is_refused(tmp_path: Path, config_text: 
     assert "a.dbc: RIG_State: has no cycle time, which rack_force_n needs" in said
 
 
+@pytest.mark.parametrize("apply", ["never", "both_known"])
+def test_levels_are_not_learnt_out_of_what_an_effect_corrects(
+    tmp_path: Path, config_text: str, apply: str
+) -> None:
+    """25 mNm of a wrong motor torque are 63 N in k0, and that on top of the effect."""
+    model = (ROOT / "configs" / "reference_rig.yaml").read_text()
+    effect = "  effects: [{effect: motor_torque_offset, offset_nm: 0.025}]"
+    (tmp_path / "m.yaml").write_text(re.sub("^  effects:.*$", effect, model, flags=re.M))
+    text = config_text.replace(f"{ROOT}/configs/reference_rig.yaml", "m.yaml")
+    text += f"adaptation: {{method: reversals, apply: {apply}}}\n"
+    if apply == "never":
+        (tmp_path / "c.yaml").write_text(text)
+        assert prepare(load_config(tmp_path / "c.yaml"), "c.yaml").send_ids
+        return
+    said = refused(tmp_path, text)
+    assert "m.yaml: model.effects: motor_torque_offset changes a torque, which adaptation" in said
+
+
 _FORCE = 'RackForceEstimate : 38|18@1- (0.2,0) [-26214.2|26214.2] "N"'
 
 
