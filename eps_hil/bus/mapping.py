@@ -140,7 +140,7 @@ class MessageRules:
         """Cycle time of a message (of cantools) in seconds; None where nobody says one."""
         if self.cycle_time_s is not None:
             return self.cycle_time_s
-        return message.cycle_time / 1e3 if message.cycle_time else None
+        return message.cycle_time / 1e3 if (message.cycle_time or 0) > 0 else None
 
 
 @with_config(_STRICT)

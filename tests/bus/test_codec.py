@@ -386,6 +386,11 @@ def test_a_counter_that_the_dbc_ends_before_its_last_value_leaves_that_out(
     assert MessageRules(counter="Alive", counter_modulo=told).counter_values(signal) == values
 
 
+@pytest.mark.parametrize(("cycle_ms", "cycle_s"), [(5, 0.005), (0, None), (-1, None), (None, None)])
+def test_a_cycle_time_is_positive_or_none(cycle_ms: int | None, cycle_s: float | None) -> None:
+    assert MessageRules().cycle_s(SimpleNamespace(cycle_time=cycle_ms)) == cycle_s
+
+
 def test_the_encoder_names_a_message_that_is_missing() -> None:
     with pytest.raises(InputError, match="nearest: EPSHIL_Estimate"):
         FrameEncoder(DATABASE, "EPSHIL_Estimat", dbc_file="d.dbc")
