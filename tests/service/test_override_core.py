@@ -405,6 +405,18 @@ class TestSetup:
         with pytest.raises(InputError, match=name):
             prepare_override(config, CONFIG)
 
+    def test_a_torque_that_nobody_measured_is_no_input(self, tmp_path: Path) -> None:
+        text = (ROOT / "configs" / "eps_rig_signals.yaml").read_text()
+        supply = (
+            "{supply_power: {message: EPS_Torques, current: MotorTorque, "
+            "voltage: TorsionBarTorque, assist_gain: 0.3, blend_speed_rad_s: 10.0}}"
+        )
+        mapping = tmp_path / "s.yaml"
+        mapping.write_text(re.sub(r"(  motor_torque_nm: ).*\n", rf"\1{supply}\n", text))
+        config = replace(load_config(CONFIG), signals=mapping)
+        with pytest.raises(InputError, match="motor_torque_nm: is calculated from supply_power"):
+            prepare_override(config, CONFIG)
+
     def test_the_rack_position_may_come_from_the_rotor(self, tmp_path: Path) -> None:
         text = (ROOT / "configs" / "eps_rig_signals.yaml").read_text()
         mapping = tmp_path / "s.yaml"
