@@ -12,6 +12,7 @@ from typing import Any
 
 from eps_hil.bus.codec import crc_rule, rules_of
 from eps_hil.bus.database import find_message, load_database
+from eps_hil.bus.e2e import E2eProtector
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.protection import CrcRule
 from eps_hil.bus.replay import offsets
@@ -99,10 +100,11 @@ class _Reader:
         message: Any = find_message(database, override.command_message)
         self._message = message
         self._signal = message.get_signal_by_name(override.torque_signal)
-        self._crc: CrcRule | None = None
+        self._crc: CrcRule | E2eProtector | None = None
         rules = rules_of(message)
-        # Where the ECU wants an AUTOSAR profile, header and CRC are not the DBC's
-        if override.e2e is None and rules.crc is not None:
+        if override.e2e is not None:  # header and CRC are the profile's then, not the DBC's
+            self._crc = E2eProtector(override.e2e, message.length)
+        elif rules.crc is not None:
             crc = message.get_signal_by_name(rules.crc)
             dbc_file, place = parts.config.dbc[0], override.command_message
             self._crc = crc_rule(message, crc, rules, dbc_file, place)

@@ -133,6 +133,7 @@ class TorqueGuard:
         self._armed_ns = self._beat_ns = 0
         self._last_ns: int | None = None
         self._enabled_ns: int | None = None
+        self._unjudged_ns = self._unconfirmed_ns = 0
         self._torque_nm = 0.0
         self._history: deque[tuple[int, float]] = deque()
 
@@ -156,6 +157,7 @@ class TorqueGuard:
             return False
         self.armed = True
         self.energy_j = 0.0
+        self._unjudged_ns = self._unconfirmed_ns = 0
         self._armed_ns = self._beat_ns = now_ns
         return True
 
@@ -202,15 +204,34 @@ class TorqueGuard:
         return Command(self._torque_nm, self._enabled_ns is not None)
 
     def _watch(self, now_ns: int, seen: Seen) -> None:
-        """Since when each input has its value, the work done, and which commands still count."""
+        """Since when each input has its value, what was done, and which commands still count."""
         for place, reading in enumerate(seen.inputs):
             if reading.value != self._values[place]:
                 self._values[place], self._changed_ns[place] = reading.value, now_ns
         if self._last_ns is not None:
             power_w = abs(self._torque_nm * seen.motor_speed_rad_s.value)
             self.energy_j += power_w * (now_ns - self._last_ns) * 1e-9
+            if self._enabled_ns is not None:
+                self._watch_ecu(now_ns, self._last_ns, self._enabled_ns, seen)
         while self._history and now_ns - self._history[0][0] > WINDOW_NS:
             self._history.popleft()
+
+    def _watch_ecu(self, now_ns: int, last_ns: int, enabled_ns: int, seen: Seen) -> None:
+        """For how long the ECU had a command that it was not judged by, or did not confirm.
+
+        Releases in between do not start this anew, or one that refuses short commands is never
+        noticed. It ends with a command long enough to be judged, and with an "active" during one.
+        """
+        judged = last_ns - enabled_ns > _ns(self.limits.torque_response_s)
+        self._unjudged_ns = 0 if judged else self._unjudged_ns + now_ns - last_ns
+        state = seen.ecu_state
+        confirmed = state is not None and state.t_ns > enabled_ns and self._active(now_ns, state)
+        self._unconfirmed_ns = 0 if confirmed else self._unconfirmed_ns + now_ns - last_ns
+
+    def _active(self, now_ns: int, state: Reading) -> bool:
+        """Whether the ECU says that it applies the command."""
+        fresh = _fresh(now_ns, state.t_ns, self.limits.ecu_status_timeout_s)
+        return fresh and state.value == ECU_ACTIVE
 
     def obstacles(self, now_ns: int, seen: Seen) -> Trip:
         """Inputs, bus and clock: what stands against arming, or ends it."""
@@ -268,24 +289,23 @@ class TorqueGuard:
         position_m = seen.rack_position_m.value
         if not limits.rack_position_min_m <= position_m <= limits.rack_position_max_m:
             found |= Trip.POSITION
-        if self._enabled_ns is not None:
-            found |= self._ecu(now_ns, now_ns - self._enabled_ns, seen)
-        return found
+        enabled_for_ns = 0 if self._enabled_ns is None else now_ns - self._enabled_ns
+        return found | self._ecu(now_ns, enabled_for_ns, seen)
 
     def _ecu(self, now_ns: int, enabled_for_ns: int, seen: Seen) -> Trip:
         """Whether the ECU does, and says that it does, what it was told a moment ago."""
         limits, found = self.limits, Trip.NONE
         response_ns, status_ns = _ns(limits.torque_response_s), _ns(limits.ecu_status_timeout_s)
-        if enabled_for_ns > response_ns:
+        if enabled_for_ns > response_ns or self._unjudged_ns > response_ns:
             told = [nm for t_ns, nm in self._history if now_ns - t_ns <= response_ns]
             told.append(self._torque_nm)  # in force, however long ago it was sent
             reported_nm, slack_nm = seen.motor_torque_nm.value, limits.max_torque_error_nm
             if not min(told) - slack_nm <= reported_nm <= max(told) + slack_nm:
                 found |= Trip.TORQUE_ERROR
         state = seen.ecu_state
-        if state is not None and enabled_for_ns > status_ns:
-            fresh = _fresh(now_ns, state.t_ns, limits.ecu_status_timeout_s)
-            if not fresh or state.value != ECU_ACTIVE:
+        if state is not None:
+            late = enabled_for_ns > status_ns and not self._active(now_ns, state)
+            if late or self._unconfirmed_ns > status_ns:
                 found |= Trip.ECU_STATUS
         return found
 

@@ -8,7 +8,10 @@ _LEAST_NS = 50_000_000
 
 
 class LatestValues:
-    """Values by canonical name; one that has missed five cycles (50 ms at least) is NaN."""
+    """Values by canonical name; one that has missed five cycles (50 ms at least) is NaN.
+
+    So is one from so far in the future: the clock was set back, and its age is unknown.
+    """
 
     def __init__(self, period_s: Mapping[str, float]) -> None:
         self._allowed_ns = {
@@ -25,7 +28,7 @@ class LatestValues:
         """All values as of ``t_ns``; NaN for what is too old by then."""
         return {
             name: value
-            if t_ns - self._stamps[name] <= self._allowed_ns.get(name, _LEAST_NS)
+            if abs(t_ns - self._stamps[name]) <= self._allowed_ns.get(name, _LEAST_NS)
             else math.nan
             for name, value in self._values.items()
         }

@@ -54,7 +54,8 @@ class Limits:
     magnitude of the torsion-bar torque. ``max_torque_error_nm``: how far the torque that the ECU
     reports may lie outside the range commanded over the last ``torque_response_s``.
     ``ecu_status_timeout_s``: so long after the first command, and from then on, the ECU must have
-    said "active" (only where it has a status message). ``max_motor_speed_rad_s``,
+    said "active" (only where it has a status message). Both times are enabled ones: commands too
+    short for a verdict add up. ``max_motor_speed_rad_s``,
     ``rack_position_min_m``, ``rack_position_max_m``: what the gear may do. ``max_energy_j``
     (integral of abs(torque · speed)) and ``max_armed_s``: budget of one arming.
     ``arm_window_s``: the second step of arming must follow the first within it.

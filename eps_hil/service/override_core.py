@@ -119,7 +119,8 @@ class OverrideCore:
 
     def arm(self, now_ns: int) -> bool:
         """Second step of arming."""
-        self._beaten, self._armed_ticks = False, 0
+        if self.state is State.LISTENING:
+            self._beaten, self._armed_ticks = False, 0
         return not self._dry_run and self.override.arm(now_ns, self._seen())
 
     def heartbeat(self, now_ns: int) -> None:
@@ -214,17 +215,17 @@ class OverrideCore:
             self._ecu = Reading(ECU_ACTIVE if obeys else -1.0, received_ns)
 
     def _seen(self) -> Seen:
-        foreign, self._foreign = self._service.foreign > self._foreign, self._service.foreign
-        good, self._trouble = not self._trouble, False
         return Seen(
-            **self._readings, ecu_state=self._ecu, reason=self.reason, foreign=foreign,
-            bus_good=good,
+            **self._readings, ecu_state=self._ecu, reason=self.reason,
+            foreign=self._service.foreign > self._foreign, bus_good=not self._trouble,
         )  # fmt: skip
 
     def _tick(self, *, live: bool) -> list[Frame]:
         now_ns, before = self._now_ns, self.state
         self._last_tick_ns = now_ns
         self.command = self.override.step(now_ns, self._request_nm, self._seen())
+        # Judged, and by nothing else: a key pressed between two frames must not hide them
+        self._foreign, self._trouble = self._service.foreign, False
         if self._dry_run:
             return []
         frames: list[Frame] = []

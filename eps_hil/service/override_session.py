@@ -11,6 +11,7 @@ import contextlib
 import math
 import signal
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 
 from eps_hil.bus.frame import Frame
@@ -78,6 +79,8 @@ class OverrideSession:
         self._parts, self._operator, self._say = parts, operator, say
         self._over, self._show = over, show
         self._journal = journal or Journal(None)
+        self._unwritten: deque[tuple[Transition, int]] = deque()
+        """With the wall clock's time; what the disk refused is tried again."""
         self._opener, self._dry_run = opener, operator is None
         self.core = OverrideCore(parts, source, dry_run=self._dry_run)
         self.fault: Transition | None = None
@@ -91,7 +94,8 @@ class OverrideSession:
     async def run(self, duration_s: float | None = None) -> None:
         """Until the source is over, a fault, a signal, ``duration_s`` or a lost bus.
 
-        :class:`BusError` for the last; whatever else went wrong is raised after the teardown.
+        :class:`BusError` for the last; whatever else went wrong is raised after the teardown,
+        but for a disk or terminal that failed beside a fault: the fault is what matters then.
         """
         self._loop = asyncio.get_running_loop()
         self._ending.watch_over(self._loop)
@@ -106,7 +110,8 @@ class OverrideSession:
             raise
         finally:
             self._tear_down()
-        self._ending.raise_failure()
+        if self.fault is None or not isinstance(self._ending.failure, OSError):
+            self._ending.raise_failure()
 
     # The desk of the operator.
 
@@ -213,11 +218,23 @@ class OverrideSession:
 
     def _record(self) -> None:
         transitions = self.core.override.take_transitions()
-        self._journal.write(transitions, time.time_ns())
         for transition in transitions:
-            self._say(f"override   {transition}")
+            self._unwritten.append((transition, time.time_ns()))
             if transition.after is State.FAULT and transition.before is not State.FAULT:
                 self.fault = transition
+        self._write()
+        for transition in transitions:
+            self._say(f"override   {transition}")
+
+    def _write(self) -> None:
+        """Into the journal, in order; a disk that refuses ends the session, but loses nothing."""
+        try:
+            while self._unwritten:
+                transition, wall_ns = self._unwritten[0]
+                self._journal.write([transition], wall_ns)
+                self._unwritten.popleft()
+        except OSError as error:
+            self._ending.fail(error)
 
     # Ends.
 
@@ -245,6 +262,9 @@ class OverrideSession:
                 self._port.close()
                 self._port = None
             self._record()
+            if self._unwritten:
+                lacking = ", ".join(str(each) for each, _ in self._unwritten)
+                self._say(f"override   the journal could not be written and lacks: {lacking}")
 
     def _on_error(self, error: BaseException) -> None:
         self._why = f"{type(error).__name__}: {error}"

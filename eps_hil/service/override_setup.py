@@ -196,6 +196,12 @@ def _position(mapping: SignalMapping, model: Model, config: ServiceConfig) -> fl
                 config.signals, f"signals.{name}", "is not mapped, and the torque guard needs it",
                 "map it",
             )  # fmt: skip
+    if mapping.signals["motor_torque_nm"].supply_power is not None:
+        raise InputError(
+            config.signals, "signals.motor_torque_nm",
+            "is calculated from supply_power, and the torque guard needs the torque that the ECU "
+            "reports", "map a reported torque or current",
+        )  # fmt: skip
     if "rack_position_m" in mapping.signals:
         return 0.0
     if "motor_angle_rad" in mapping.signals:

@@ -104,6 +104,15 @@ def test_a_silent_signal_is_no_value() -> None:
     assert math.isnan(latest.at(501 * MS)["slow"])
 
 
+def test_a_clock_that_was_set_back_keeps_no_signal_alive() -> None:
+    latest = LatestValues({"fast": 0.001})
+    latest.take("fast", 1000 * MS, 1.0)
+    assert latest.at(950 * MS) == {"fast": 1.0}, "messages may overtake each other"
+    assert math.isnan(latest.at(949 * MS)["fast"])
+    latest.take("fast", 900 * MS, 2.0)
+    assert latest.at(900 * MS) == {"fast": 2.0}
+
+
 def test_settings_are_checked_with_their_place() -> None:
     config = load_config(CONFIG)
     assert calibration_settings(config, CONFIG) == CalibrationSettings()

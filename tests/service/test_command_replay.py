@@ -6,6 +6,7 @@ from itertools import pairwise
 import pytest
 
 from eps_hil.bus.database import load_database
+from eps_hil.bus.e2e import E2eProfile
 from eps_hil.bus.frame import Frame
 from eps_hil.errors import InputError
 from eps_hil.service.command_replay import CommandReplay, LoggedCommand, read_commands
@@ -46,6 +47,31 @@ def test_the_log_is_read_with_checks(parts: OverrideParts) -> None:
     assert [each.t_ns for each in found] == [0, MS, 2 * MS, 3 * MS]
     # the CRC of the third is wrong
     assert [each.torque_nm for each in found] == [None, pytest.approx(0.1), None, None]
+
+
+def test_where_the_ecu_wants_a_profile_its_crc_is_checked(parts: OverrideParts) -> None:
+    parts = replace(parts, override=replace(parts.override, e2e=E2eProfile("p01", data_id=0x80)))
+    frames = log_of(parts, [0.1, 0.2, 0.3])
+    flipped = bytearray(frames[1].data)
+    flipped[3] ^= 0x40
+    frames[1] = replace(frames[1], data=bytes(flipped))
+    found = read_commands(frames, parts, "x.log")
+    assert [each.torque_nm for each in found] == [pytest.approx(0.1), None, pytest.approx(0.3)]
+
+
+@pytest.mark.parametrize("every_ms", [25, 30])
+@pytest.mark.parametrize("obeys", [True, False])
+def test_an_ecu_that_refuses_short_commands_is_noticed(
+    parts: OverrideParts, every_ms: int, obeys: bool
+) -> None:
+    """A log with gaps: each is a release, and no command lasts as long as the status may take."""
+    commands = [LoggedCommand(k * every_ms * MS, 0.018) for k in range(40)]
+    bench = Lockstep(parts, CommandReplay(commands))
+    bench.arm()
+    if not obeys:
+        bench.rig.override.hear = lambda command, now_ns: None  # type: ignore[method-assign]
+    bench.step(600)
+    assert bench.core.override.guard.trips == (Trip.NONE if obeys else Trip.ECU_STATUS)
 
 
 def test_a_log_without_a_torque_or_with_too_much_of_it_is_refused(parts: OverrideParts) -> None:

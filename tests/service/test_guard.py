@@ -28,6 +28,20 @@ ZERO = Command(0.0, False)
 FROM_FILE = TypeAdapter(Limits)
 
 
+def enabled_before_a_trip(bench: Bench, length: int, state: float | None = None) -> int:
+    """Frames, in commands of ``length`` frames a frame of release apart, until one is refused."""
+    enabled = 0
+    while enabled < 500:
+        for _ in range(length):
+            if state is not None:
+                bench.ecu = Reading(state, bench.now_ns)
+            if not bench.step(0.001).enable:
+                return enabled
+            enabled += 1
+        bench.step(None)
+    return enabled
+
+
 def tripped(bench: Bench, trips: Trip) -> None:
     """Latched for exactly these reasons, and silent whatever is asked for."""
     assert bench.guard.trips == trips
@@ -368,6 +382,51 @@ class TestEcu:
         bench.values["motor_torque_nm"] = 0.3
         assert [bench.step(0.001).enable for _ in range(12)] == [True] * 11 + [False]
 
+    @pytest.mark.parametrize("length", [1, 4, 10, 11, 50])
+    def test_short_commands_share_the_response_time(self, length: int) -> None:
+        bench = armed()
+        bench.values["motor_torque_nm"] = 0.3
+        assert enabled_before_a_trip(bench, length) == 11
+        tripped(bench, Trip.TORQUE_ERROR)
+
+    def test_short_commands_that_the_ecu_follows_may_go_on(self) -> None:
+        assert enabled_before_a_trip(armed(), 4) == 500
+
+    @pytest.mark.parametrize(("judged_ms", "enabled"), [(11, 0), (12, 11)])
+    def test_a_command_that_was_judged_gives_it_again(self, judged_ms: int, enabled: int) -> None:
+        bench = armed()
+        bench.hold(0.001, 5)
+        bench.step(None)
+        bench.hold(0.001, judged_ms)
+        bench.step(None)
+        bench.values["motor_torque_nm"] = 0.3
+        assert enabled_before_a_trip(bench, 1) == enabled
+        tripped(bench, Trip.TORQUE_ERROR)
+
+    @pytest.mark.parametrize("after_ms", [4.0, 4.001])
+    def test_a_frame_longer_than_the_response_time_uses_it_up(self, after_ms: float) -> None:
+        bench = armed(with_limits(torque_response_s=0.004))
+        bench.values["motor_torque_nm"] = 0.3
+        assert bench.step(0.001).enable
+        bench.step(None, after_ms=after_ms)
+        assert bench.step(0.001).enable is (after_ms == 4.0)
+
+    def test_the_first_frame_of_all_is_judged_by_nothing(self) -> None:
+        """However short the response time: nothing was commanded before it."""
+        bench = armed(with_limits(torque_response_s=1e-10))
+        bench.values["motor_torque_nm"] = 0.3
+        assert [bench.step(0.001).enable for _ in range(2)] == [True, False]
+
+    @pytest.mark.parametrize("spent", ["torque", "status"])
+    def test_arming_gives_the_ecu_its_times_again(self, spent: str) -> None:
+        bench = armed()
+        wrong = {"torque": (0.3, None, 11), "status": (0.0, 0.0, 41)}
+        bench.values["motor_torque_nm"], state, enabled = wrong[spent]
+        for _ in range(2):
+            assert enabled_before_a_trip(bench, 3, state) == enabled
+            bench.guard.clear()
+            assert bench.arm()
+
     def test_commands_older_than_the_response_time_do_not_excuse(self) -> None:
         """From 0.1 straight to zero; the ECU keeps 0.1: gone 11 ms after the last 0.1."""
         bench = injecting(0.1)
@@ -415,6 +474,38 @@ class TestEcu:
         bench.hold(0.1, 60)
         bench.ecu = Reading(ECU_ACTIVE, bench.now_ns)
         assert [bench.step(0.1).enable for _ in range(41)] == [True] * 40 + [False]
+        tripped(bench, Trip.ECU_STATUS)
+
+    @pytest.mark.parametrize("state", [0.0, math.nan])
+    @pytest.mark.parametrize("length", [1, 10, 40])
+    def test_short_commands_share_the_time_of_the_status(self, length: int, state: float) -> None:
+        bench = armed()
+        assert enabled_before_a_trip(bench, length, state) == 41
+        tripped(bench, Trip.ECU_STATUS)
+
+    def test_short_commands_that_the_ecu_confirms_may_go_on(self) -> None:
+        assert enabled_before_a_trip(armed(), 4, ECU_ACTIVE) == 500
+
+    @pytest.mark.parametrize(("after_ns", "goes_on"), [(0, False), (1, True), (MS + 1, False)])
+    def test_only_what_was_said_during_a_command_confirms_it(
+        self, after_ns: int, goes_on: bool
+    ) -> None:
+        """Not before it, and not in the future."""
+        bench = armed()
+        for _ in range(60):
+            bench.ecu = Reading(0.0, bench.now_ns)
+            bench.step(0.001)
+            bench.ecu = Reading(ECU_ACTIVE, bench.now_ns + after_ns)
+            bench.step(None)
+        assert (bench.guard.trips == Trip.NONE) is goes_on
+
+    def test_a_status_that_took_it_back_confirms_nothing(self) -> None:
+        """Active in the first command alone: 41 ms of commands later it trips."""
+        bench = armed()
+        assert bench.step(0.001).enable
+        bench.ecu = Reading(ECU_ACTIVE, bench.now_ns + 1)
+        bench.step(None)
+        assert enabled_before_a_trip(bench, 10, 0.0) == 41
         tripped(bench, Trip.ECU_STATUS)
 
 

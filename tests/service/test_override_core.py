@@ -288,6 +288,28 @@ class TestTrips:
         zero_from_here(bench, 2)
         assert trips(bench) == Trip.BUS
 
+    @pytest.mark.parametrize("key", [OverrideCore.arm, OverrideCore.prepare])
+    @pytest.mark.parametrize("what", ["error", "foreign"])
+    def test_a_key_of_arming_hides_nothing(
+        self, bench: Lockstep, key: Callable[[OverrideCore, int], bool], what: str
+    ) -> None:
+        """Pressed between a frame that trips and the sync frame at which it is judged."""
+        injecting(bench)
+        found = Frame(bench.wall_ns, COMMAND, bytes(8), error=what == "error")
+        bench.send(bench.core.on_frames([found], bench.now_ns, bench.wall_ns))
+        assert key(bench.core, bench.now_ns) is False
+        bench.step()
+        assert bench.state is State.FAULT
+        assert trips(bench) & (Trip.BUS if what == "error" else Trip.OTHER_TRANSMITTER)
+
+    def test_the_key_of_arming_does_nothing_to_a_torque(self, bench: Lockstep) -> None:
+        injecting(bench)
+        assert bench.core.arm(bench.now_ns) is False
+        assert "arming refused" in bench.story()[-1]
+        bench.step(3)
+        assert bench.state is State.INJECTING
+        assert bench.core.command.enable
+
     def test_the_ecu_says_no(self, bench: Lockstep) -> None:
         injecting(bench)
         bench.rig.override.state = OverrideState.REJECTED
@@ -381,6 +403,18 @@ class TestSetup:
         mapping.write_text(re.sub(rf"  {name}: .*\n", "", text))
         config = replace(load_config(CONFIG), signals=mapping)
         with pytest.raises(InputError, match=name):
+            prepare_override(config, CONFIG)
+
+    def test_a_torque_that_nobody_measured_is_no_input(self, tmp_path: Path) -> None:
+        text = (ROOT / "configs" / "eps_rig_signals.yaml").read_text()
+        supply = (
+            "{supply_power: {message: EPS_Torques, current: MotorTorque, "
+            "voltage: TorsionBarTorque, assist_gain: 0.3, blend_speed_rad_s: 10.0}}"
+        )
+        mapping = tmp_path / "s.yaml"
+        mapping.write_text(re.sub(r"(  motor_torque_nm: ).*\n", rf"\1{supply}\n", text))
+        config = replace(load_config(CONFIG), signals=mapping)
+        with pytest.raises(InputError, match="motor_torque_nm: is calculated from supply_power"):
             prepare_override(config, CONFIG)
 
     def test_the_rack_position_may_come_from_the_rotor(self, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ What a killed or stopped process leaves behind is shown by test_override_kill.py
 """
 
 import asyncio
+import errno
 import os
 import signal
 import threading
@@ -369,6 +370,78 @@ def test_a_late_release_is_sent_all_the_same() -> None:
     frame = session._parts.command.frame(session.core.command)
     session._send([frame], time.monotonic_ns() - 1_000_000_000)
     assert port.sent == [frame]
+
+
+class FullDisk:
+    """Stands in for the journal's file; refuses lines while ``full``."""
+
+    def __init__(self) -> None:
+        self.full = True
+        self.lines: list[str] = []
+
+    def append(self, text: str) -> None:
+        if self.full:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        self.lines.append(text)
+
+
+def tripping_session(then: Callable[[FullDisk], None]) -> tuple[OverrideSession, FullDisk, Any]:
+    """A hand is in the wheel while the disk is full; (session, disk, lines that were said)."""
+    said: list[str] = []
+    session, disk = quiet_session(), FullDisk()
+    stand_in: Any = disk
+    session._journal._file, session._say = stand_in, said.append
+
+    async def first() -> None:
+        session.core.override.listen(1)
+        session.core.override.state = State.INJECTING
+        session.core.override.trip(2, Trip.DRIVER)
+        session._record()
+        then(disk)
+
+    async def nothing(duration_s: float | None) -> None: ...
+
+    session._listen_first, session._serve = first, nothing  # type: ignore[method-assign]
+    asyncio.run(session.run())  # the fault is told by ``session.fault``, as ever
+    return session, disk, said
+
+
+def test_a_trip_outlives_a_line_that_the_disk_refused() -> None:
+    def make_room(disk: FullDisk) -> None:
+        assert not disk.lines
+        disk.full = False
+
+    session, disk, said = tripping_session(make_room)
+    assert session._ending.asked_for, "nothing is commanded that cannot be written down"
+    assert session.fault is not None
+    assert session.fault.trips == Trip.DRIVER
+    assert ['"to": "listening"' in disk.lines[0], '"driver"' in disk.lines[1]] == [True, True]
+    assert '"to": "off"' in disk.lines[2]
+    assert "override   injecting -> fault: driver" in said
+    assert not [line for line in said if "lacks" in line]
+
+
+def test_a_journal_without_the_trip_is_told_as_such() -> None:
+    session, disk, said = tripping_session(lambda disk: None)
+    assert session.fault is not None
+    assert not disk.lines
+    assert "could not be written and lacks: off -> listening" in said[-1]
+    assert "injecting -> fault: driver, fault -> off" in said[-1]
+
+
+def test_a_full_disk_without_a_fault_is_the_error_of_the_session() -> None:
+    session, disk = quiet_session(), FullDisk()
+    stand_in: Any = disk
+    session._journal._file = stand_in
+
+    async def first() -> None:
+        session.core.override.listen(1)
+        session._record()
+
+    session._listen_first = first  # type: ignore[method-assign]
+    with pytest.raises(OSError, match="No space left"):
+        asyncio.run(session.run())
+    assert session.fault is None
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
