@@ -9,7 +9,7 @@ from eps_hil.bus.codec import FrameDecoder, FrameEncoder, crc_rule, rules_of
 from eps_hil.bus.commands import refuse_command
 from eps_hil.bus.database import find_message, load_database, nearest
 from eps_hil.bus.frame import Frame
-from eps_hil.bus.mapping import SignalMapping, load_mapping
+from eps_hil.bus.mapping import MessageRules, SignalMapping, load_mapping
 from eps_hil.bus.message_decoder import MessageDecoder
 from eps_hil.bus.protection import CounterCheck
 from eps_hil.bus.signal_codec import ReadSignal
@@ -54,8 +54,10 @@ class CommandEncoder:
 class StatusReader:
     """The ECU's own word on the override: the value of one signal, CRC and counter checked."""
 
-    def __init__(self, message: Any, signal: Any, dbc_file: str) -> None:
-        rules = rules_of(message)
+    def __init__(
+        self, message: Any, signal: Any, dbc_file: str, rules: MessageRules | None = None
+    ) -> None:
+        rules = rules or rules_of(message)
         self.can_id, self.extended = int(message.frame_id), bool(message.is_extended_frame)
         faults = dict.fromkeys(
             ("crc", "counter", "length", "lost_frames", "not_decodable", "not_available",
@@ -67,7 +69,7 @@ class StatusReader:
                 self._decoder.crc = crc_rule(message, each, rules, dbc_file, message.name)
             elif each.name == rules.counter:
                 self._decoder.counter = each.name
-                self._decoder.check = CounterCheck(2**each.length)
+                self._decoder.check = CounterCheck(rules.counter_values(each))
 
     def read(self, frame: Frame) -> float | None:
         """The value (NaN: damaged); None where the frame is another's or a repeated one."""
@@ -121,7 +123,8 @@ def prepare_override(config: ServiceConfig, file: str | Path) -> OverrideParts:
             file, "bus.options.hardware_stamps", "another clock cannot tell how old an input is",
             "leave it out for the torque override",
         )  # fmt: skip
-    mapping = service_mapping(load_mapping(config.signals), (*SIGNALS, *GATING))
+    whole = load_mapping(config.signals)
+    mapping = service_mapping(whole, (*SIGNALS, *GATING))
     database = load_database(config.dbc, strict=mapping.strict)
     dbc_file = " + ".join(path.name for path in config.dbc)
     decoder = FrameDecoder(database, mapping, mapping_file=config.signals, dbc_file=dbc_file)
@@ -155,7 +158,7 @@ def prepare_override(config: ServiceConfig, file: str | Path) -> OverrideParts:
         estimator=make_estimator(config, mapping, decoder, file),
         command=command,
         state=state or None,
-        status=_status(database, override, file, dbc_file),
+        status=_status(database, override, whole, file, dbc_file),
         position_per_rad=position,
         never_send_ids=tuple(others),
     )
@@ -233,7 +236,11 @@ def _check_ages(
 
 
 def _status(
-    database: Any, override: OverrideConfig, file: object, dbc_file: str
+    database: Any,
+    override: OverrideConfig,
+    mapping: SignalMapping,
+    file: object,
+    dbc_file: str,
 ) -> StatusReader | None:
     if override.status_message is None:
         return None
@@ -247,4 +254,4 @@ def _status(
             f"is not longer than the cycle of {message.name} ({period_s:g} s)",
             "allow several cycles",
         )  # fmt: skip
-    return StatusReader(message, signal, dbc_file)
+    return StatusReader(message, signal, dbc_file, mapping.messages.get(message.name))

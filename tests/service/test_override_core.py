@@ -7,12 +7,14 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import cantools
 import pytest
 
 from eps_hil.bus.codec import FrameEncoder
 from eps_hil.bus.database import find_message, load_database
 from eps_hil.bus.e2e import E2eProfile, E2eProtector
 from eps_hil.bus.frame import Frame
+from eps_hil.bus.mapping import MessageRules
 from eps_hil.bus.port import BusState
 from eps_hil.errors import InputError
 from eps_hil.rig.ecu import OverrideState
@@ -20,7 +22,12 @@ from eps_hil.service.config import load_config
 from eps_hil.service.guard import Command, Trip
 from eps_hil.service.override import State
 from eps_hil.service.override_core import RELEASES, OverrideCore
-from eps_hil.service.override_setup import CommandEncoder, OverrideParts, prepare_override
+from eps_hil.service.override_setup import (
+    CommandEncoder,
+    OverrideParts,
+    StatusReader,
+    prepare_override,
+)
 
 from .lockstep import CONFIG, ROOT, Lockstep, Sawtooth, parts_of
 
@@ -467,3 +474,20 @@ class TestSetup:
         for bit in Trip:
             if bit and bit.name:
                 assert f"{bit.value} {bit.name.lower().replace('_', ' ')}" in reason.comment
+
+
+def test_the_ecus_word_is_checked_as_the_mapping_says() -> None:
+    """A DBC that names no counter leaves a frozen status message looking alive."""
+    database = cantools.database.load_string(
+        'VERSION ""\nBO_ 5 Status: 8 ECU\n SG_ Alive : 0|4@1+ (1,0) [0|14] "" X\n'
+        ' SG_ Active : 8|2@1+ (1,0) [0|3] "" X\n',
+        "dbc",
+    )
+    message = database.get_message_by_name("Status")
+    rules = MessageRules(counter="Alive")
+    reader = StatusReader(message, message.get_signal_by_name("Active"), "a.dbc", rules)
+    frames = [Frame(n, 5, bytes([n % 15, 1, 0, 0, 0, 0, 0, 0])) for n in range(40)]
+    assert [reader.read(frame) for frame in frames] == [1.0] * 40
+    assert reader.read(frames[-1]) is None
+    blind = StatusReader(message, message.get_signal_by_name("Active"), "a.dbc")
+    assert [blind.read(frames[-1]) for _ in range(3)] == [1.0] * 3
