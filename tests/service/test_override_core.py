@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cantools
 import pytest
@@ -478,7 +479,7 @@ class TestSetup:
 
 def test_the_ecus_word_is_checked_as_the_mapping_says() -> None:
     """A DBC that names no counter leaves a frozen status message looking alive."""
-    database = cantools.database.load_string(
+    database: Any = cantools.database.load_string(
         'VERSION ""\nBO_ 5 Status: 8 ECU\n SG_ Alive : 0|4@1+ (1,0) [0|14] "" X\n'
         ' SG_ Active : 8|2@1+ (1,0) [0|3] "" X\n',
         "dbc",
