@@ -29,8 +29,8 @@ from eps_hil.estimation.bristle_setup import (
     new_belief,
 )
 from eps_hil.estimation.compensation import drive_torque_nm, instant_of, moved
-from eps_hil.estimation.gap import another_time, bridge, still_unknown
-from eps_hil.estimation.levels import approach
+from eps_hil.estimation.gap import another_time, bridge, rests, still_unknown
+from eps_hil.estimation.levels import approach, tell
 from eps_hil.estimation.rack_force import publish, verdict
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Constants, Inputs, Physics
@@ -109,10 +109,12 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     if s.running != RUNS:
         if another_time(c, s, u, torque):
             begin_anew(e, x.effects)
-        _start(c, f, law, b, s, u, torque)
+        _start(c, f, known, b, s, u, i, torque)
     else:
         b.extra[0] = _extra_level_nm(known, i, b.mean)
         _predict(f, law, b, s, 0.5 * (torque + s.torque))
+    if x.use.level or x.use.memory:
+        tell(s, i)
     if x.use.memory:
         acting.advance(x.effects, i, c.step_s)
     s.torque = torque
@@ -144,6 +146,7 @@ def _follow_unknown(f: FilterConstants, law: FrictionLaw, b: Belief, s: Moment, 
     sigma0 = law.sigma0_nm_per_rad
     speed = b.mean[OMEGA]
     level = static_level_nm(speed if speed != 0.0 else b.mean[BRISTLE], b.mean[FORCE], law)
+    level = max(level + b.extra[0], SMALLEST_LEVEL_NM)
     slides = abs(speed) > _slip_from(f, b)
     slip = abs(speed) * f.drive.step_s if slides else 0.0
     learned = sigma0 / _RELAXED * math.sqrt(b.cov[BRISTLE, BRISTLE])
@@ -215,24 +218,34 @@ def _extra_level_nm(x: Physics, i: Instant, mean: Floats) -> float:
 def _start(
     c: Constants,
     f: FilterConstants,
-    law: FrictionLaw,
+    x: Physics,
     b: Belief,
     s: Moment,
     u: Inputs,
+    i: Instant,
     torque: float,
 ) -> None:
     """Begin, or begin again: torque balance, with the bristle's ignorance shared by the force."""
-    ratio, stiffness = f.drive.ratio, law.sigma0_nm_per_rad
+    ratio, stiffness = f.drive.ratio, x.law.sigma0_nm_per_rad
     mean, cov = b.mean, b.cov
     speed = u.motor_speed_rad_s
     way = speed if speed != 0.0 else -1.0
-    pos = static_level_nm(1.0, ratio * torque, law)
-    neg = static_level_nm(-1.0, ratio * torque, law)
-    level = pos if way >= 0.0 else neg
+    pos = static_level_nm(1.0, ratio * torque, x.law)
+    neg = static_level_nm(-1.0, ratio * torque, x.law)
+    most, extra = 0.0, pos if way >= 0.0 else neg
+    if x.use.level:
+        now = moved(i, 0.0, i.position_m, ratio * torque)  # it may have rested meanwhile
+        most = max(acting.level_nm(x.effects, now, pos), acting.level_nm(x.effects, now, neg))
+        if not rests(c, s, speed):
+            now = moved(i, speed, i.position_m, ratio * torque)
+        pos = max(acting.level_nm(x.effects, now, pos), SMALLEST_LEVEL_NM)
+        neg = max(acting.level_nm(x.effects, now, neg), SMALLEST_LEVEL_NM)
+    level, most = pos if way >= 0.0 else neg, max(pos, neg, most)
+    extra = level - extra
     unsure = _RELAXED * level / stiffness
     if s.running == HELD:
         unsure = min(unsure, s.bristle_rms)
-    bridge(c, s, u, torque, pos, neg, way, stiffness)
+    bridge(c, s, u, torque, pos, neg, most, way, stiffness)
     bend = s.bristle
     if s.unknown_nm > _KEPT * level:
         bend, unsure = 0.0, _RELAXED * level / stiffness
@@ -248,7 +261,7 @@ def _start(
     cov[FORCE, FORCE] = (ratio * stiffness * unsure) ** 2 + f.force_variance
     cov[RATE, RATE] = f.rate_start
     b.place[0], b.place[1] = 0, 1
-    b.extra[0] = 0.0
+    b.extra[0] = extra
     s.held = u.motor_angle_rad
     s.running, s.settle_steps, s.held_steps = RUNS, max(c.settle_steps, f.lag), 0
 

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation import acting
-from eps_hil.estimation.compensation import drive_torque_nm, friction_step, instant_of
+from eps_hil.estimation.compensation import drive_torque_nm, friction_step, instant_of, moved
 from eps_hil.estimation.gap import another_time, bridge, rests
-from eps_hil.estimation.levels import FrictionLevels, adapted_level_nm, levels_in_use
+from eps_hil.estimation.levels import FrictionLevels, level_in_use_nm, levels_in_use
 from eps_hil.estimation.observer import observer_step
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import (
@@ -61,16 +61,22 @@ def start(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
     of its angle as a way.
     """
     law = x.law
-    torque = drive_torque_nm(c, x, instant_of(c, x, s, r, u), u)
+    i = instant_of(c, x, s, r, u)
+    torque = drive_torque_nm(c, x, i, u)
     s.phi = u.motor_angle_rad
     resting = s.running == HELD and rests(c, s, u.motor_speed_rad_s)
     if not resting or abs(u.motor_speed_rad_s) < abs(s.omega):
         s.omega = u.motor_speed_rad_s
     load = s.force if s.running == HELD else c.ratio * torque
     way = s.bristle if s.running == HELD else u.motor_speed_rad_s
-    pos = adapted_level_nm(x, r, 1.0, s.local * load)
-    neg = adapted_level_nm(x, r, -1.0, s.local * load)
-    bridge(c, s, u, torque, pos, neg, way, law.sigma0_nm_per_rad)
+    now = moved(i, 0.0, i.position_m, s.local * load)
+    pos, neg = level_in_use_nm(x, r, 1.0, now), level_in_use_nm(x, r, -1.0, now)
+    most = max(pos, neg)  # it may have rested meanwhile
+    if x.use.level and not rests(c, s, u.motor_speed_rad_s):
+        now = moved(i, u.motor_speed_rad_s, i.position_m, s.local * load)
+        pos, neg = level_in_use_nm(x, r, 1.0, now), level_in_use_nm(x, r, -1.0, now)
+        most = max(pos, neg, most)
+    bridge(c, s, u, torque, pos, neg, most, way, law.sigma0_nm_per_rad)
     s.drive = s.drive_before = torque
     s.acceleration = s.slope = s.path = s.bias = s.bias_slid = 0.0
     if s.running == NEVER_RAN:  # a rotor at rest balances its torque with the rack

@@ -14,9 +14,11 @@ import numpy.typing as npt
 from eps_hil.compiled import kernel
 from eps_hil.estimation.records import copy
 from eps_hil.physics.effects.added import Added
+from eps_hil.physics.effects.effect import Instant
 
 LINE_LENGTH = 640
 """Steps of friction that wait for the filtered force: 64 ms at the shortest step."""
+INSTANT = len(Instant._fields)
 NEVER_RAN, HELD, RUNS = -1, 0, 1
 NOBODY_KNOWS = 1 << 40
 """``held_steps``, and more, where the clock went back by over a second."""
@@ -100,6 +102,8 @@ class Moment:
     head: int
     running: int
     settle_steps: int
+    # What the physics was told last (an Instant): added effects act by it while held.
+    told: Annotated[npt.NDArray[np.float64], INSTANT]
 
 
 class Rig:
