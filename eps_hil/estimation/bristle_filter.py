@@ -31,10 +31,19 @@ from eps_hil.estimation.bristle_setup import (
 from eps_hil.estimation.compensation import drive_torque_nm, instant_of, moved
 from eps_hil.estimation.gap import another_time, bridge, rests, still_unknown
 from eps_hil.estimation.levels import approach, tell
+from eps_hil.estimation.memory import LONG_S, end_hold, hold_memory
 from eps_hil.estimation.rack_force import publish, verdict
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Constants, Inputs, Physics
-from eps_hil.estimation.state import HELD, RUNS, Carried, Moment, Rig, begin_anew
+from eps_hil.estimation.state import (
+    HELD,
+    RUNS,
+    Carried,
+    Moment,
+    Rig,
+    begin_after_nonsense,
+    begin_anew,
+)
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects.added import Added, InUse
 from eps_hil.physics.effects.effect import Instant
@@ -92,6 +101,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     """
     s, r = e.moment[0], e.rig[0]
     if reason != 0:
+        hold_memory(Physics(x.law, x.effects, x.use), s, c.step_s)
         r.clock_s += c.step_s if r.clock_s > 0.0 else 0.0
         s.running = min(s.running, HELD)
         s.held_steps += 1
@@ -107,14 +117,16 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     b.extra[1] = acting.torque_nm(x.effects, i, 0.0) if x.use.torque else 0.0
     torque = drive_torque_nm(c, known, i, u) - b.extra[1]
     if s.running != RUNS:
-        if another_time(c, s, u, torque):
-            begin_anew(e, x.effects)
+        anew = another_time(c, s, u, torque)
+        end_hold(c, known, s, r, LONG_S if anew else s.held_steps * c.step_s)
+        if anew:
+            begin_anew(e)
         _start(c, f, known, b, s, u, i, torque)
     else:
         b.extra[0] = _extra_level_nm(known, i, b.mean)
         _predict(f, law, b, s, 0.5 * (torque + s.torque))
     if x.use.level or x.use.memory:
-        tell(s, i)
+        tell(s, r, i)
     if x.use.memory:
         acting.advance(x.effects, i, c.step_s)
     s.torque = torque
@@ -125,7 +137,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
         _correct(f, b, 1, PHI, u.motor_angle_rad, f.angle_variance)
     b.place[0] += 1
     if not _possible(b):
-        begin_anew(e, x.effects)
+        begin_after_nonsense(e, x.effects)
         return _DIVERGED
     s.phi, s.omega, s.bristle = b.mean[PHI], b.mean[OMEGA], b.mean[BRISTLE]
     s.bristle_rms = math.sqrt(b.cov[BRISTLE, BRISTLE])
@@ -137,7 +149,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     s.unlimited = friction_nm(law, b.extra, b.mean)
     publish(c, s, s.unlimited)
     beyond = _OUT_OF_RANGE if x.use.ranged and acting.out_of_range(x.effects, i) else 0
-    return verdict(c, s) | beyond
+    return verdict(c, s, r) | beyond
 
 
 @kernel

@@ -92,7 +92,7 @@ def friction_step(
     now = moved(i, moving, i.position_m, i.rack_force_n)
     level = level_in_use_nm(x, r, direction, now)
     if x.use.level or x.use.memory:
-        tell(s, now)
+        tell(s, r, now)
     if x.use.memory:
         acting.advance(x.effects, now, c.step_s)
     s.unknown_nm = still_unknown(s.unknown_nm, slip, level, x.law.sigma0_nm_per_rad)

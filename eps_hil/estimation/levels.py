@@ -126,10 +126,11 @@ def level_in_use_nm(x: Physics, r: Rig, direction: float, i: Instant) -> float:
 
 
 @kernel
-def tell(s: Moment, i: Instant) -> None:
+def tell(s: Moment, r: Rig, i: Instant) -> None:
     """Remember an instant for what acts while the estimate is held."""
     for k in range(INSTANT):
         s.told[k] = i[k]
+    r.most_nm = max(r.most_nm, abs(i.motor_torque_nm))
 
 
 @kernel

@@ -107,13 +107,19 @@ class Moment:
 
 
 class Rig:
-    """What is of the rig: its time, what adaptation adds to k0+ and k0− now, and its goals (Nm)."""
+    """What is of the rig: its time, what adaptation adds to k0+ and k0− now, and its goals (Nm).
+
+    The largest motor torque so far (Nm), and what is unknown of what effects remember, as a rack
+    force (N).
+    """
 
     clock_s: float
     added_pos: float
     added_neg: float
     goal_pos: float
     goal_neg: float
+    most_nm: float
+    memory_n: float
 
 
 def record_of(kind: type) -> np.dtype[Any]:
@@ -213,12 +219,18 @@ def move_by_angle(e: Carried, angle_rad: float, step_s: float) -> None:
 
 
 @kernel
-def begin_anew(e: Carried, effects: Added) -> None:
+def begin_anew(e: Carried) -> None:
     """The state before the first step once more, for what a jump of time or nonsense spoilt.
 
     The levels are at their goals then: nothing is published in which a step could show.
     """
     copy(e.moment, 0, _NEW, 0)
-    effects.state[:] = 0.0
     r = e.rig[0]
     r.added_pos, r.added_neg = r.goal_pos, r.goal_neg
+
+
+@kernel
+def begin_after_nonsense(e: Carried, effects: Added) -> None:
+    """The same, and nothing that effects remember."""
+    begin_anew(e)
+    effects.state[:] = 0.0

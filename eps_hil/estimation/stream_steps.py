@@ -12,6 +12,7 @@ from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment, levels
 from eps_hil.estimation.creep import carry, slide_on
 from eps_hil.estimation.gap import lose_way, misled
+from eps_hil.estimation.memory import end_hold, hold_memory
 from eps_hil.estimation.plausibility import judge_sample, judge_step
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
@@ -296,6 +297,14 @@ def _slid(m: Memory, c: Constants, x: Physics, u: Inputs, missing: bool) -> None
         slide_on(m.watch, c, x, now, m.carried.rig[0], u)
 
 
+@kernel
+def _remember(e: Carried, c: Constants, x: Physics, gap_s: float) -> None:
+    """What effects remember, over ``gap_s`` without any step."""
+    s = e.moment[0]
+    hold_memory(x, s, gap_s)
+    end_hold(c, x, s, e.rig[0], gap_s + s.held_steps * c.step_s)
+
+
 @kernel(inline="always")
 def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     """Step the grid up to sync stamp ``t``; results in m.t_ns, m.estimate, m.reason [0:n]."""
@@ -307,7 +316,8 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         levels.hand_over(m.levels, m.carried.rig[0], m.grid[0])
         m.carried.rig[0].clock_s += max(t - m.grid[0], 0) * 1e-9
         if t - m.grid[0] > _JUMP_NS:
-            begin_anew(m.carried, x.effects)
+            _remember(m.carried, c, x, (t - m.grid[0]) * 1e-9)
+            begin_anew(m.carried)
             m.kept.steps[2] = 0
         else:  # the clock was set back: for how long nothing was seen, nobody knows
             unseen = _JUMP_NS // timing.step_ns
