@@ -29,12 +29,21 @@ from eps_hil.estimation.bristle_setup import (
     new_belief,
 )
 from eps_hil.estimation.compensation import drive_torque_nm, instant_of, moved
-from eps_hil.estimation.gap import another_time, bridge, still_unknown
-from eps_hil.estimation.levels import approach
+from eps_hil.estimation.gap import another_time, bridge, rests, still_unknown
+from eps_hil.estimation.levels import approach, tell
+from eps_hil.estimation.memory import LONG_S, end_hold, hold_memory
 from eps_hil.estimation.rack_force import publish, verdict
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Constants, Inputs, Physics
-from eps_hil.estimation.state import HELD, RUNS, Carried, Moment, Rig, begin_anew
+from eps_hil.estimation.state import (
+    HELD,
+    RUNS,
+    Carried,
+    Moment,
+    Rig,
+    begin_after_nonsense,
+    begin_anew,
+)
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects.added import Added, InUse
 from eps_hil.physics.effects.effect import Instant
@@ -92,6 +101,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     """
     s, r = e.moment[0], e.rig[0]
     if reason != 0:
+        hold_memory(Physics(x.law, x.effects, x.use), s, c.step_s)
         r.clock_s += c.step_s if r.clock_s > 0.0 else 0.0
         s.running = min(s.running, HELD)
         s.held_steps += 1
@@ -107,12 +117,16 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     b.extra[1] = acting.torque_nm(x.effects, i, 0.0) if x.use.torque else 0.0
     torque = drive_torque_nm(c, known, i, u) - b.extra[1]
     if s.running != RUNS:
-        if another_time(c, s, u, torque):
-            begin_anew(e, x.effects)
-        _start(c, f, law, b, s, u, torque)
+        anew = another_time(c, s, u, torque)
+        end_hold(c, known, s, r, LONG_S if anew else s.held_steps * c.step_s)
+        if anew:
+            begin_anew(e)
+        _start(c, f, known, b, s, u, i, torque)
     else:
         b.extra[0] = _extra_level_nm(known, i, b.mean)
         _predict(f, law, b, s, 0.5 * (torque + s.torque))
+    if x.use.level or x.use.memory:
+        tell(s, r, i)
     if x.use.memory:
         acting.advance(x.effects, i, c.step_s)
     s.torque = torque
@@ -123,7 +137,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
         _correct(f, b, 1, PHI, u.motor_angle_rad, f.angle_variance)
     b.place[0] += 1
     if not _possible(b):
-        begin_anew(e, x.effects)
+        begin_after_nonsense(e, x.effects)
         return _DIVERGED
     s.phi, s.omega, s.bristle = b.mean[PHI], b.mean[OMEGA], b.mean[BRISTLE]
     s.bristle_rms = math.sqrt(b.cov[BRISTLE, BRISTLE])
@@ -135,7 +149,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     s.unlimited = friction_nm(law, b.extra, b.mean)
     publish(c, s, s.unlimited)
     beyond = _OUT_OF_RANGE if x.use.ranged and acting.out_of_range(x.effects, i) else 0
-    return verdict(c, s) | beyond
+    return verdict(c, s, r) | beyond
 
 
 @kernel
@@ -144,6 +158,7 @@ def _follow_unknown(f: FilterConstants, law: FrictionLaw, b: Belief, s: Moment, 
     sigma0 = law.sigma0_nm_per_rad
     speed = b.mean[OMEGA]
     level = static_level_nm(speed if speed != 0.0 else b.mean[BRISTLE], b.mean[FORCE], law)
+    level = max(level + b.extra[0], SMALLEST_LEVEL_NM)
     slides = abs(speed) > _slip_from(f, b)
     slip = abs(speed) * f.drive.step_s if slides else 0.0
     learned = sigma0 / _RELAXED * math.sqrt(b.cov[BRISTLE, BRISTLE])
@@ -215,24 +230,34 @@ def _extra_level_nm(x: Physics, i: Instant, mean: Floats) -> float:
 def _start(
     c: Constants,
     f: FilterConstants,
-    law: FrictionLaw,
+    x: Physics,
     b: Belief,
     s: Moment,
     u: Inputs,
+    i: Instant,
     torque: float,
 ) -> None:
     """Begin, or begin again: torque balance, with the bristle's ignorance shared by the force."""
-    ratio, stiffness = f.drive.ratio, law.sigma0_nm_per_rad
+    ratio, stiffness = f.drive.ratio, x.law.sigma0_nm_per_rad
     mean, cov = b.mean, b.cov
     speed = u.motor_speed_rad_s
     way = speed if speed != 0.0 else -1.0
-    pos = static_level_nm(1.0, ratio * torque, law)
-    neg = static_level_nm(-1.0, ratio * torque, law)
-    level = pos if way >= 0.0 else neg
+    pos = static_level_nm(1.0, ratio * torque, x.law)
+    neg = static_level_nm(-1.0, ratio * torque, x.law)
+    most, extra = 0.0, pos if way >= 0.0 else neg
+    if x.use.level:
+        now = moved(i, 0.0, i.position_m, ratio * torque)  # it may have rested meanwhile
+        most = max(acting.level_nm(x.effects, now, pos), acting.level_nm(x.effects, now, neg))
+        if not rests(c, s, speed):
+            now = moved(i, speed, i.position_m, ratio * torque)
+        pos = max(acting.level_nm(x.effects, now, pos), SMALLEST_LEVEL_NM)
+        neg = max(acting.level_nm(x.effects, now, neg), SMALLEST_LEVEL_NM)
+    level, most = pos if way >= 0.0 else neg, max(pos, neg, most)
+    extra = level - extra
     unsure = _RELAXED * level / stiffness
     if s.running == HELD:
         unsure = min(unsure, s.bristle_rms)
-    bridge(c, s, u, torque, pos, neg, way, stiffness)
+    bridge(c, s, u, torque, pos, neg, most, way, stiffness)
     bend = s.bristle
     if s.unknown_nm > _KEPT * level:
         bend, unsure = 0.0, _RELAXED * level / stiffness
@@ -248,7 +273,7 @@ def _start(
     cov[FORCE, FORCE] = (ratio * stiffness * unsure) ** 2 + f.force_variance
     cov[RATE, RATE] = f.rate_start
     b.place[0], b.place[1] = 0, 1
-    b.extra[0] = 0.0
+    b.extra[0] = extra
     s.held = u.motor_angle_rad
     s.running, s.settle_steps, s.held_steps = RUNS, max(c.settle_steps, f.lag), 0
 

@@ -116,7 +116,7 @@ def _forward(
     b = x.belief
     for k in range(since, until):
         if wrong[k] & _TIME:
-            begin_anew(e, x.effects)
+            begin_anew(e)
         u = Inputs(inputs[k, 0], inputs[k, 1], inputs[k, 2], inputs[k, 3], 0.0)
         why = filter_step(c, x, e, u, wrong[k])
         to.kind[k] = _HELD

@@ -5,15 +5,11 @@ import math
 from eps_hil.compiled import kernel
 from eps_hil.estimation import acting
 from eps_hil.estimation.gap import NOISE_SIGMA, still_unknown
-from eps_hil.estimation.levels import adapted_level_nm, approach
+from eps_hil.estimation.levels import approach, level_in_use_nm, tell
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import Moment, Rig
 from eps_hil.physics.effects.effect import Instant
-from eps_hil.physics.friction import (
-    SMALLEST_LEVEL_NM,
-    bristle_step,
-    friction_torque_nm,
-)
+from eps_hil.physics.friction import bristle_step, friction_torque_nm
 
 LEAST_OF_LOAD = 0.1
 """Share of the rack force that arrives at the rotor, below which no law of it is believed."""
@@ -93,11 +89,10 @@ def friction_step(
     if direction == 0.0:
         direction = s.bristle
     approach(c, r)
-    level = adapted_level_nm(x, r, direction, i.rack_force_n)
     now = moved(i, moving, i.position_m, i.rack_force_n)
-    if x.use.level:
-        level = acting.level_nm(x.effects, now, level)
-    level = max(level, SMALLEST_LEVEL_NM)
+    level = level_in_use_nm(x, r, direction, now)
+    if x.use.level or x.use.memory:
+        tell(s, r, now)
     if x.use.memory:
         acting.advance(x.effects, now, c.step_s)
     s.unknown_nm = still_unknown(s.unknown_nm, slip, level, x.law.sigma0_nm_per_rad)

@@ -10,9 +10,9 @@ is another zero, and a sample before it may be of that step: each is followed on
 import math
 
 from eps_hil.compiled import kernel
-from eps_hil.estimation.compensation import CREEP_SIGMA
-from eps_hil.estimation.levels import adapted_level_nm
-from eps_hil.estimation.setup import Inputs, Physics
+from eps_hil.estimation.compensation import CREEP_SIGMA, instant_of, moved
+from eps_hil.estimation.levels import adapted_level_nm, level_in_use_nm, told_last
+from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import HELD, Moment, Records, Rig
 from eps_hil.estimation.torque_jumps import take_friction
 from eps_hil.estimation.watch import CREPT_RING, Limits, Watch
@@ -91,7 +91,7 @@ def see_again(w: Watch, p: Limits, u: Inputs) -> None:
 
 
 @kernel
-def carry(w: Watch, x: Physics, s: Moment, r: Rig, steps: int) -> None:
+def carry(w: Watch, c: Constants, x: Physics, s: Moment, r: Rig, steps: int) -> None:
     """Bend the bristle of a held state along the way of the last ``steps`` steps."""
     if s.running != HELD or not s.carried:
         return
@@ -104,7 +104,7 @@ def carry(w: Watch, x: Physics, s: Moment, r: Rig, steps: int) -> None:
         went = w.crept[(w.unbroken - j + 1) & _WRAP] - last
         if went == 0.0:
             continue
-        level = adapted_level_nm(x, r, went, load)
+        level = level_in_use_nm(x, r, went, told_last(s, went / c.step_s, load))
         sigma0 = x.law.sigma0_nm_per_rad
         limit = max(level / sigma0, abs(s.bent))
         s.bent = bristle_step(s.bent, went, abs(went), level, sigma0)
@@ -114,15 +114,19 @@ def carry(w: Watch, x: Physics, s: Moment, r: Rig, steps: int) -> None:
 
 
 @kernel
-def slide_on(watch: Records, x: Physics, s: Moment, r: Rig, went: float) -> None:
-    """The friction of a step without an estimate, as the rotor ``went`` by its speed (rad).
+def slide_on(watch: Records, c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
+    """The friction of a step without an estimate, as the rotor went by its speed.
 
     It turns over where the rotor does, which is not to be taken for what a torque does
     (``torque_jumps.add_pace``).
     """
     w = watch[0]
-    sigma0 = x.law.sigma0_nm_per_rad
+    sigma0, went = x.law.sigma0_nm_per_rad, u.motor_speed_rad_s * c.step_s
     level = adapted_level_nm(x, r, went, s.local * s.force)
+    if x.use.level:
+        i = instant_of(c, x, s, r, u)
+        i = moved(i, i.speed_rad_s, i.position_m, s.local * s.force)
+        level = level_in_use_nm(x, r, went, i)
     bristle = bristle_step(w.bristle, went, abs(went), level, sigma0)
     friction_nm = w.friction_nm + sigma0 * (bristle - w.bristle)
     take_friction(watch, friction_nm, w.friction_known != 0, bristle)

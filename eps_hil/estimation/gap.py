@@ -9,7 +9,7 @@ hundredths of a radian of sliding are enough, and no time at rest is.
 import math
 
 from eps_hil.compiled import kernel
-from eps_hil.estimation.levels import adapted_level_nm
+from eps_hil.estimation.levels import level_in_use_nm, told_last
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import HELD, NEVER_RAN, NOBODY_KNOWS, Moment, Rig
 from eps_hil.physics.friction import bristle_step
@@ -33,8 +33,8 @@ def still_unknown(unknown_nm: float, slip_rad: float, level_nm: float, sigma0: f
 @kernel
 def lose_way(x: Physics, s: Moment, r: Rig, way_rad: float) -> None:
     """The rotor went ``way_rad`` out and back again, nobody knows how far each way."""
-    sigma0, load = x.law.sigma0_nm_per_rad, s.local * s.force
-    most = max(adapted_level_nm(x, r, 1.0, load), adapted_level_nm(x, r, -1.0, load))
+    sigma0, i = x.law.sigma0_nm_per_rad, told_last(s, 0.0, s.local * s.force)
+    most = max(level_in_use_nm(x, r, 1.0, i), level_in_use_nm(x, r, -1.0, i))
     anything = sigma0 * abs(s.bristle) + most
     s.unknown_nm = min(s.unknown_nm + sigma0 * max(way_rad, 0.0), anything)
 
@@ -133,13 +133,14 @@ def bridge(
     torque: float,
     pos: float,
     neg: float,
+    most: float,
     way: float,
     sigma0: float,
 ) -> None:
     """Bristle and what is unknown of it as estimating begins, or begins again after held steps.
 
     ``torque``: T_1m (Nm) now. ``pos``, ``neg``: T_fs (Nm) of either direction; that of ``way`` is
-    the one that counts.
+    the one that counts. ``most``: the largest that it may have been at rest or is now.
 
     A rotor at rest on both sides of a gap (one that turns round is not, by eq. 4a), its angle
     changed by less than the bristle can bend, has kept its bristle. Without an angle it may have
@@ -164,7 +165,7 @@ def bridge(
     may have been gone in it, such a rotor may have gone on and come back: by its way as much is
     unknown.
     """
-    level, most = pos if way >= 0.0 else neg, max(pos, neg)
+    level = pos if way >= 0.0 else neg
     end = level / sigma0
     speed = u.motor_speed_rad_s
     angle, held = s.angle, s.held
@@ -213,7 +214,7 @@ def bridge(
         level, end = pos if change >= 0.0 else neg, most / sigma0
         if furthest > 2.0 * end and abs(change) > far:  # it moved: perhaps further, and back
             hidden = abs(change)
-    s.bristle = bristle_step(s.bristle, change, abs(change), level, sigma0)
-    s.bristle = min(max(s.bristle, -end), end)
+    end = max(end, abs(s.bristle))  # a level that is less now bends nothing back
+    s.bristle = min(max(bristle_step(s.bristle, change, abs(change), level, sigma0), -end), end)
     anything = sigma0 * abs(s.bristle) + most
     s.unknown_nm = min(s.unknown_nm + (sigma0 * hidden if kept else anything), anything)

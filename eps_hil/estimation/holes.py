@@ -10,7 +10,7 @@ from eps_hil.compiled import kernel
 from eps_hil.estimation.validity import Reason
 from eps_hil.estimation.watch import NO_STEP, WRAP, Limits, Watch
 
-_SETTLING = int(Reason.SETTLING)
+_SETTLING, _GAP = int(Reason.SETTLING), int(Reason.GAP)
 _SUDDEN = 0.7
 """Share of a torque's change in a window that a jump makes in two milliseconds."""
 _TURNS_IN = 5
@@ -33,8 +33,11 @@ def unseen(w: Watch, p: Limits) -> int:
     so long it is waited for. After a start it is only not known which of both a jump is: who
     begins amid traffic waits by himself (service/core.py), a recording begins before its faults.
     So it is while the motion has to confirm what the torque did in a hole (:func:`course`), or the
-    angle what the speed did.
+    angle what the speed did. A gap that does not end is none: the torques come more seldom than
+    was said of them.
     """
+    if w.unseen > p.unsure_steps:
+        return _SETTLING | _GAP
     waits, w.awaited = w.awaited, max(w.awaited - 1, 0)
     if w.missed_now:
         w.unsure, w.missed_now = p.unsure_steps, 0

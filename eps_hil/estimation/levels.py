@@ -13,8 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.compiled import kernel
+from eps_hil.estimation import acting
 from eps_hil.estimation.setup import Constants, Physics
-from eps_hil.estimation.state import Rig
+from eps_hil.estimation.state import INSTANT, Moment, Rig
+from eps_hil.physics.effects.effect import Instant
 from eps_hil.physics.friction import SMALLEST_LEVEL_NM, static_level_nm
 
 _WAITING = 32
@@ -112,6 +114,30 @@ def adapted_level_nm(x: Physics, r: Rig, direction: float, load_n: float) -> flo
     """T_fs of eq. 3 with what adaptation has added to k0± so far."""
     added_nm = r.added_pos if direction >= 0.0 else r.added_neg
     return max(static_level_nm(direction, load_n, x.law) + added_nm, SMALLEST_LEVEL_NM)
+
+
+@kernel
+def level_in_use_nm(x: Physics, r: Rig, direction: float, i: Instant) -> float:
+    """The same with what the model's added effects make of it at an instant."""
+    level = adapted_level_nm(x, r, direction, i.rack_force_n)
+    if x.use.level:
+        level = max(acting.level_nm(x.effects, i, level), SMALLEST_LEVEL_NM)
+    return level
+
+
+@kernel
+def tell(s: Moment, r: Rig, i: Instant) -> None:
+    """Remember an instant for what acts while the estimate is held."""
+    for k in range(INSTANT):
+        s.told[k] = i[k]
+    r.most_nm = max(r.most_nm, abs(i.motor_torque_nm))
+
+
+@kernel
+def told_last(s: Moment, speed_rad_s: float, rack_force_n: float) -> Instant:
+    """The last instant that was estimated at, with another speed and load."""
+    t = s.told
+    return Instant(t[0], speed_rad_s, t[2], t[3], rack_force_n, t[5], t[6], t[7], t[8])
 
 
 def levels_in_use(x: Physics, r: Rig) -> FrictionLevels:

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation import acting
-from eps_hil.estimation.compensation import drive_torque_nm, friction_step, instant_of
+from eps_hil.estimation.compensation import drive_torque_nm, friction_step, instant_of, moved
 from eps_hil.estimation.gap import another_time, bridge, rests
-from eps_hil.estimation.levels import FrictionLevels, adapted_level_nm, levels_in_use
+from eps_hil.estimation.levels import FrictionLevels, level_in_use_nm, levels_in_use
+from eps_hil.estimation.memory import LONG_S, end_hold, hold_memory
 from eps_hil.estimation.observer import observer_step
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import (
@@ -31,6 +32,7 @@ from eps_hil.estimation.state import (
     Carried,
     Moment,
     Rig,
+    begin_after_nonsense,
     begin_anew,
     new_carried,
 )
@@ -61,16 +63,22 @@ def start(c: Constants, x: Physics, s: Moment, r: Rig, u: Inputs) -> None:
     of its angle as a way.
     """
     law = x.law
-    torque = drive_torque_nm(c, x, instant_of(c, x, s, r, u), u)
+    i = instant_of(c, x, s, r, u)
+    torque = drive_torque_nm(c, x, i, u)
     s.phi = u.motor_angle_rad
     resting = s.running == HELD and rests(c, s, u.motor_speed_rad_s)
     if not resting or abs(u.motor_speed_rad_s) < abs(s.omega):
         s.omega = u.motor_speed_rad_s
     load = s.force if s.running == HELD else c.ratio * torque
     way = s.bristle if s.running == HELD else u.motor_speed_rad_s
-    pos = adapted_level_nm(x, r, 1.0, s.local * load)
-    neg = adapted_level_nm(x, r, -1.0, s.local * load)
-    bridge(c, s, u, torque, pos, neg, way, law.sigma0_nm_per_rad)
+    now = moved(i, 0.0, i.position_m, s.local * load)
+    pos, neg = level_in_use_nm(x, r, 1.0, now), level_in_use_nm(x, r, -1.0, now)
+    most = max(pos, neg)  # it may have rested meanwhile
+    if x.use.level and not rests(c, s, u.motor_speed_rad_s):
+        now = moved(i, u.motor_speed_rad_s, i.position_m, s.local * load)
+        pos, neg = level_in_use_nm(x, r, 1.0, now), level_in_use_nm(x, r, -1.0, now)
+        most = max(pos, neg, most)
+    bridge(c, s, u, torque, pos, neg, most, way, law.sigma0_nm_per_rad)
     s.drive = s.drive_before = torque
     s.acceleration = s.slope = s.path = s.bias = s.bias_slid = 0.0
     if s.running == NEVER_RAN:  # a rotor at rest balances its torque with the rack
@@ -100,6 +108,7 @@ def estimator_step(c: Constants, x: Physics, e: Carried, u: Inputs, reason: int)
     """
     s, r = e.moment[0], e.rig[0]
     if reason != 0:
+        hold_memory(x, s, c.step_s)
         r.clock_s += c.step_s if r.clock_s > 0.0 else 0.0
         if s.running == RUNS:
             s.carried, s.bent = 1, s.bristle
@@ -107,8 +116,10 @@ def estimator_step(c: Constants, x: Physics, e: Carried, u: Inputs, reason: int)
         s.held_steps += 1
         return reason
     if s.running != RUNS:
-        if another_time(c, s, u, drive_torque_nm(c, x, instant_of(c, x, s, r, u), u)):
-            begin_anew(e, x.effects)
+        anew = another_time(c, s, u, drive_torque_nm(c, x, instant_of(c, x, s, r, u), u))
+        end_hold(c, x, s, r, LONG_S if anew else s.held_steps * c.step_s)
+        if anew:
+            begin_anew(e)
         start(c, x, s, r, u)
     i = instant_of(c, x, s, r, u)
     torque = drive_torque_nm(c, x, i, u)
@@ -122,17 +133,20 @@ def estimator_step(c: Constants, x: Physics, e: Carried, u: Inputs, reason: int)
     s.once_filtered += c.low_pass * (s.force - s.once_filtered)
     s.filtered += c.low_pass * (s.once_filtered - s.filtered)
     if not abs(s.filtered) < _IMPOSSIBLE_N or not abs(s.bristle) < _IMPOSSIBLE_N:
-        begin_anew(e, x.effects)
+        begin_after_nonsense(e, x.effects)
         return _DIVERGED
     publish(c, s, friction)
     beyond = _OUT_OF_RANGE if x.use.ranged and acting.out_of_range(x.effects, i) else 0
-    return verdict(c, s) | beyond
+    return verdict(c, s, r) | beyond
 
 
 @kernel
-def verdict(c: Constants, s: Moment) -> int:
+def verdict(c: Constants, s: Moment, r: Rig) -> int:
     """Whether the observer has settled and the friction is known: reason bits of the step."""
     reason = 0
+    if r.memory_n > 0.0:
+        reason = _FRICTION_UNKNOWN if r.memory_n > c.unknown_limit_n else 0
+        r.memory_n *= c.memory_keep
     if c.compensate and s.unknown_n > c.unknown_limit_n:
         reason |= _FRICTION_UNKNOWN
         s.unknown_steps = c.unknown_steps

@@ -64,6 +64,7 @@ class Constants(NamedTuple):
     limit: bool
     angle_measured: bool
     known_force: bool
+    memory_keep: float
 
 
 class Physics(NamedTuple):
@@ -163,7 +164,18 @@ def constants(
         limit=settings.limiter,
         angle_measured=measured,
         known_force=settings.quantity == "friction",
+        memory_keep=_memory_keep(model, step_s),
     )
+
+
+def _memory_keep(model: Model, step_s: float) -> float:
+    """Share that a step leaves of what the slowest effect remembers of a time; 0: none does."""
+    longest_s = 0.0
+    for entry in model.effects:
+        for i, memory in enumerate(entry.get("memory", ()), 1):
+            if memory in ("lag", "heat"):
+                longest_s = max(longest_s, float(entry[f"memory_{i}"]))
+    return math.exp(-step_s / longest_s) if longest_s > 0.0 else 0.0
 
 
 def smoothing(frequency_hz: float, step_s: float) -> float:

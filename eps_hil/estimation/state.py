@@ -14,9 +14,11 @@ import numpy.typing as npt
 from eps_hil.compiled import kernel
 from eps_hil.estimation.records import copy
 from eps_hil.physics.effects.added import Added
+from eps_hil.physics.effects.effect import Instant
 
 LINE_LENGTH = 640
 """Steps of friction that wait for the filtered force: 64 ms at the shortest step."""
+INSTANT = len(Instant._fields)
 NEVER_RAN, HELD, RUNS = -1, 0, 1
 NOBODY_KNOWS = 1 << 40
 """``held_steps``, and more, where the clock went back by over a second."""
@@ -100,16 +102,24 @@ class Moment:
     head: int
     running: int
     settle_steps: int
+    # What the physics was told last (an Instant): added effects act by it while held.
+    told: Annotated[npt.NDArray[np.float64], INSTANT]
 
 
 class Rig:
-    """What is of the rig: its time, what adaptation adds to k0+ and k0− now, and its goals (Nm)."""
+    """What is of the rig: its time, what adaptation adds to k0+ and k0− now, and its goals (Nm).
+
+    The largest motor torque so far (Nm), and what is unknown of what effects remember, as a rack
+    force (N).
+    """
 
     clock_s: float
     added_pos: float
     added_neg: float
     goal_pos: float
     goal_neg: float
+    most_nm: float
+    memory_n: float
 
 
 def record_of(kind: type) -> np.dtype[Any]:
@@ -209,12 +219,18 @@ def move_by_angle(e: Carried, angle_rad: float, step_s: float) -> None:
 
 
 @kernel
-def begin_anew(e: Carried, effects: Added) -> None:
+def begin_anew(e: Carried) -> None:
     """The state before the first step once more, for what a jump of time or nonsense spoilt.
 
     The levels are at their goals then: nothing is published in which a step could show.
     """
     copy(e.moment, 0, _NEW, 0)
-    effects.state[:] = 0.0
     r = e.rig[0]
     r.added_pos, r.added_neg = r.goal_pos, r.goal_neg
+
+
+@kernel
+def begin_after_nonsense(e: Carried, effects: Added) -> None:
+    """The same, and nothing that effects remember."""
+    begin_anew(e)
+    effects.state[:] = 0.0

@@ -217,7 +217,9 @@ class StreamEstimator:
         """Compile (or load) all machine code now, so that no frame waits for it."""
         twin = StreamEstimator.__new__(StreamEstimator)
         twin.constants, twin.timing = self.constants, self.timing
-        effects = self.physics.effects._replace(state=self.physics.effects.state.copy())
+        effects = self.physics.effects._replace(
+            state=self.physics.effects.state.copy(), spare=self.physics.effects.spare.copy()
+        )
         twin.physics = self.physics._replace(effects=effects)
         if isinstance(twin.physics, PhysicsInside):
             twin.physics = twin.physics._replace(belief=new_belief())

@@ -12,6 +12,7 @@ from eps_hil.compiled import kernel
 from eps_hil.estimation import alignment, levels
 from eps_hil.estimation.creep import carry, slide_on
 from eps_hil.estimation.gap import lose_way, misled
+from eps_hil.estimation.memory import end_hold, hold_memory
 from eps_hil.estimation.plausibility import judge_sample, judge_step
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import (
@@ -242,7 +243,7 @@ def _go_back(m: Memory, c: Constants, x: Physics, u: Inputs, doubted: bool) -> N
     if rolled:
         roll_back(m.carried, m.kept)
     steps = 2 if s.held_steps == 1 else 1  # it is held since the step before
-    carry(w, x, s, m.carried.rig[0], s.held_steps + 1 if rolled else steps)
+    carry(w, c, x, s, m.carried.rig[0], s.held_steps + 1 if rolled else steps)
     if rolled and not s.carried:
         lost = leapt - s.leapt - abs(u.motor_angle_rad - s.last_angle)
         s.unknown_nm = max(s.unknown_nm, unknown_nm)
@@ -282,18 +283,26 @@ def _be_wary(m: Memory, x: Physics, doubted: bool) -> None:
 
 
 @kernel
-def _slid(m: Memory, c: Constants, x: Physics, went: float, missing: bool) -> None:
-    """Take the way (rad) of a step, and the friction that it made."""
+def _slid(m: Memory, c: Constants, x: Physics, u: Inputs, missing: bool) -> None:
+    """Take the way of a step, and the friction that it made."""
     now = m.carried.moment[0]
     if now.running == RUNS:
-        now.turned += went
+        now.turned += u.motor_speed_rad_s * c.step_s
         now.zero = m.watch[0].zero
         known = now.unknown_n <= c.unknown_limit_n
         take_friction(m.watch, now.unlimited, known, now.bristle)
     elif missing:
         take_friction(m.watch, 0.0, False, m.watch[0].bristle)
     else:
-        slide_on(m.watch, x, now, m.carried.rig[0], went)
+        slide_on(m.watch, c, x, now, m.carried.rig[0], u)
+
+
+@kernel
+def _remember(e: Carried, c: Constants, x: Physics, gap_s: float) -> None:
+    """What effects remember, over ``gap_s`` without any step."""
+    s = e.moment[0]
+    hold_memory(x, s, gap_s)
+    end_hold(c, x, s, e.rig[0], gap_s + s.held_steps * c.step_s)
 
 
 @kernel(inline="always")
@@ -307,7 +316,8 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         levels.hand_over(m.levels, m.carried.rig[0], m.grid[0])
         m.carried.rig[0].clock_s += max(t - m.grid[0], 0) * 1e-9
         if t - m.grid[0] > _JUMP_NS:
-            begin_anew(m.carried, x.effects)
+            _remember(m.carried, c, x, (t - m.grid[0]) * 1e-9)
+            begin_anew(m.carried)
             m.kept.steps[2] = 0
         else:  # the clock was set back: for how long nothing was seen, nobody knows
             unseen = _JUMP_NS // timing.step_ns
@@ -341,7 +351,7 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         keep(m.carried, m.kept, sound, c.keep_steps)
         m.t_ns[n] = at - lag
         now = m.carried.moment[0]
-        _slid(m, c, x, inputs.motor_speed_rad_s * c.step_s, missing)
+        _slid(m, c, x, inputs, missing)
         if timing.limits.on and abs(now.out_force) > timing.limits.estimate_n:
             doubt |= _IMPLAUSIBLE
             now.settle_steps = max(now.settle_steps, c.settle_steps)

@@ -1,6 +1,7 @@
 """The way of a rotor while its estimate is held: it bends the bristle, noise and jumps do not."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eps_hil.estimation.batch import estimate
-from eps_hil.estimation.creep import carry, follow_creep
+from eps_hil.estimation.creep import carry, follow_creep, slide_on
 from eps_hil.estimation.plausibility import limits_of
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.setup import Inputs, physics_of
+from eps_hil.estimation.setup import Inputs, constants, physics_of
 from eps_hil.estimation.state import HELD, new_carried
 from eps_hil.estimation.stream import Trace
 from eps_hil.estimation.watch import CREPT_RING, new_watch
@@ -155,7 +156,7 @@ def walked(model: Model, path: Any, bristle: float, jumps: Any) -> tuple[float, 
     rng, watch, carried = np.random.default_rng(3), new_watch(), new_carried()
     w, s = watch[0], carried.moment[0]
     limits, physics = limits_of(model, EstimatorSettings(), True), physics_of(model)
-    before, exact = 0.0, bristle
+    c, before, exact = constants(model, EstimatorSettings()), 0.0, bristle
     s.running, s.carried, s.bent = HELD, 1, bristle
     measured = path + jumps + NOISE_RAD * rng.standard_normal(len(path))
     for k in range(-200, len(path)):
@@ -167,9 +168,10 @@ def walked(model: Model, path: Any, bristle: float, jumps: Any) -> tuple[float, 
         if k < 0:
             s.zero = w.zero
             continue
-        carry(w, physics, s, carried.rig[0], 1)
+        carry(w, c, physics, s, carried.rig[0], 1)
         went = float(path[k] - (path[k - 1] if k else 0.0))
         level = static_level_nm(1e-9 * went, 0.0, physics.law)
+        level += sum(one["level_nm"] for one in model.effects)
         exact = bristle_step(exact, went, abs(went), level, physics.law.sigma0_nm_per_rad)
     return float(s.bent), float(exact), float(s.other_zero)
 
@@ -205,8 +207,32 @@ def test_a_jump_that_is_read_half_way_first_is_no_way(reference_model: Model, ha
 def test_a_way_with_lost_steps_carries_nothing(reference_model: Model) -> None:
     """Nor one that is longer than what is remembered."""
     watch, carried, physics = new_watch(), new_carried(), physics_of(reference_model)
-    w, s = watch[0], carried.moment[0]
+    w, s, c = watch[0], carried.moment[0], constants(reference_model, EstimatorSettings())
     for unbroken, steps, known in ((5, 4, 1), (5, 5, 0), (5000, CREPT_RING, 0)):
         w.unbroken, s.running, s.carried = unbroken, HELD, 1
-        carry(w, physics, s, carried.rig[0], steps)
+        carry(w, c, physics, s, carried.rig[0], steps)
         assert s.carried == known
+
+
+STRIBECK = ({"effect": "stribeck", "level_nm": 0.3, "speed_rad_s": 2.0},)
+
+
+def test_creep_bends_the_bristle_by_the_level_with_its_effects(reference_model: Model) -> None:
+    model = replace(reference_model, effects=STRIBECK)
+    path = np.interp(np.arange(650), [0, 100, 500], [0.0, 0.0, 0.06])
+    bent, exact, _ = walked(model, path, 0.0, np.zeros(650))
+    assert exact > 1.5 * BENT
+    assert bent == pytest.approx(exact, abs=0.002)
+
+
+def test_a_slide_without_an_estimate_has_the_friction_with_its_effects(
+    reference_model: Model,
+) -> None:
+    u, found = Inputs(0.0, 0.0, 0.1, 0.0), []
+    for model in (reference_model, replace(reference_model, effects=STRIBECK)):
+        watch, carried = new_watch(), new_carried()
+        c, physics = constants(model, EstimatorSettings()), physics_of(model)
+        for _ in range(5000):
+            slide_on(watch, c, physics, carried.moment[0], carried.rig[0], u)
+        found.append(float(watch[0].friction_nm))
+    assert found[1] - found[0] == pytest.approx(0.3, abs=0.01)

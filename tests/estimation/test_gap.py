@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from eps_hil.estimation.batch import estimate
+from eps_hil.estimation.gap import lose_way
 from eps_hil.estimation.rack_force import RackForceEstimator
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.setup import Inputs
+from eps_hil.estimation.setup import Inputs, physics_of
+from eps_hil.estimation.state import new_carried
 from eps_hil.estimation.stream import Trace
 from eps_hil.estimation.validity import Reason
 from eps_hil.physics.model import Model
@@ -18,6 +20,7 @@ from eps_hil.series import Series
 MS = 1_000_000
 NAMES = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "motor_angle_rad")
 UNKNOWN = int(Reason.FRICTION_UNKNOWN)
+STRIBECK = ({"effect": "stribeck", "level_nm": 0.3, "speed_rad_s": 2.0},)
 
 
 def back_and_rest(seconds: float = 3.0) -> dict[str, Series]:
@@ -50,6 +53,40 @@ def test_begun_at_rest_it_is_not_valid_however_long_that_lasts(
     assert np.all(resting & UNKNOWN)
     whole = within(estimate(back_and_rest(), reference_model, settings), 0.9, 2.9)
     assert np.all(whole == 0)
+
+
+@pytest.mark.parametrize("kind", ["observer", "bristle_filter"])
+@pytest.mark.parametrize("lost_ms", [1, 30, 150])
+def test_a_hole_at_rest_keeps_what_added_effects_make_of_the_bristle(
+    reference_model: Model, kind: Any, lost_ms: int
+) -> None:
+    """It was cut down to the level of eq. 3 alone: up to 490 N off, and valid."""
+    model, settings = replace(reference_model, effects=STRIBECK), EstimatorSettings(kind=kind)
+    t, rng = np.arange(4000) * 1e-3, np.random.default_rng(3)
+    speed = np.where(t < 1.0, 5.0 * (1.0 + np.cos(np.pi * t)), 0.0)
+    speed += np.where((t > 1.5) & (t < 3.0), 0.02 * (1.0 - np.cos(4.0 * np.pi * t / 3.0)), 0.0)
+    angle = np.cumsum(speed) * 1e-3 + 5e-5 * rng.standard_normal(4000)
+    noisy = speed + 0.02 * rng.standard_normal(4000)
+    columns = (0.5 + 2e-4 * rng.standard_normal(4000), 0.0 * t, noisy, angle)
+    t_ns = (t * 1e9).round().astype(np.int64)
+    whole = {name: Series(t_ns, value) for name, value in zip(NAMES, columns, strict=True)}
+    right = estimate(whole, model, settings)
+    without = estimate(whole, reference_model, settings)
+    assert abs(right.rack_force_n[-1] - without.rack_force_n[-1]) > 100.0
+    holed = cut(whole, lambda t_ns: (t_ns >= 2200 * MS) & (t_ns < (2200 + lost_ms) * MS))
+    trace = estimate(holed, model, settings)
+    assert trace.rack_force_n[-1] == pytest.approx(right.rack_force_n[-1], abs=20.0)
+
+
+def test_a_lost_way_may_have_bent_the_bristle_to_the_level_with_its_effects(
+    reference_model: Model,
+) -> None:
+    found = []
+    for model in (reference_model, replace(reference_model, effects=STRIBECK)):
+        carried = new_carried()
+        lose_way(physics_of(model), carried.moment[0], carried.rig[0], 10.0)
+        found.append(float(carried.moment[0].unknown_nm))
+    assert found[1] - found[0] == pytest.approx(0.3)
 
 
 def test_a_rotor_that_slides_has_a_known_bristle() -> None:

@@ -165,3 +165,16 @@ def test_a_resting_bristle_keeps_its_torque_where_frames_are_corrupt(
     assert np.array_equal(right.t_ns, found.t_ns)
     assert found.valid[-300:].all()
     assert np.abs(found.rack_force_n - right.rack_force_n)[-300:].max() < 60.0
+
+
+def test_torques_at_half_the_rate_that_was_said_are_a_gap(reference_model: Model) -> None:
+    """It was settling for ever, and nothing said why."""
+    t_ns = np.arange(4000) * 1_000_000
+    speed = 20.0 * np.sin(np.pi * t_ns * 1e-9)
+    columns = (0.5 + 0.01 * speed, 0.0 * speed, speed, np.cumsum(speed) * 1e-3)
+    names = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "motor_angle_rad")
+    series = {n: Series(t_ns, v) for n, v in zip(names, columns, strict=True)}
+    for name in names[:2]:
+        series[name] = Series(t_ns[::2], series[name].value[::2])
+    trace = estimate(series, reference_model, periods_s=dict.fromkeys(names, 1e-3))
+    assert np.all(trace.reason[-1000:] & int(Reason.GAP))

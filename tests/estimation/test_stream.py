@@ -350,7 +350,7 @@ def test_a_new_state_is_the_first_one(reference_model: Model) -> None:
     used = stream.memory.carried
     rig = used.rig.copy()
     assert used.moment[0].omega != 0.0
-    begin_anew(used, stream.physics.effects)
+    begin_anew(used)
     assert used.moment.tobytes() == new_moment().tobytes()
     assert used.rig.tobytes() == rig.tobytes()
 

@@ -60,12 +60,14 @@ class Added(NamedTuple):
     """What is added to the model, a row an effect.
 
     ``terms`` (n,) counts its terms, ``parameters`` (n, MOST_TERMS, WIDTH) and ``state``
-    (n, MOST_TERMS, STATES) are theirs.
+    (n, MOST_TERMS, STATES) are theirs;
+    ``spare``, as the latter, is room for another state of them.
     """
 
     terms: npt.NDArray[np.int64]
     parameters: Floats
     state: Floats
+    spare: Floats
 
 
 def added(model: Model, only: Callable[[Effect, Slot], bool] | None = None) -> Added:
@@ -76,6 +78,7 @@ def added(model: Model, only: Callable[[Effect, Slot], bool] | None = None) -> A
     table = Added(
         np.zeros(len(_KERNELS), np.int64),
         np.zeros((len(_KERNELS), MOST_TERMS, WIDTH)),
+        np.zeros((len(_KERNELS), MOST_TERMS, STATES)),
         np.zeros((len(_KERNELS), MOST_TERMS, STATES)),
     )
     for _, _, row, term, numbers in terms(model, only):
