@@ -42,7 +42,8 @@ class Reason(IntFlag):
     STALE = 8192
     """The estimate is older than its look-back and a limit: it, or the service, was held up."""
     FRICTION_UNKNOWN = 16384
-    """The bristle's history is unknown (start, gap), and the rotor has not slid since."""
+    """The bristle's history is unknown (start, gap), and the rotor has not slid since; or what
+    effects with memory missed in a hole is not forgotten yet."""
     RANGE = 32768
     """A signal reads what it cannot be (``plausibility`` of the estimator's settings)."""
     RATE = 65536

@@ -69,7 +69,7 @@ def test_a_hole_at_rest_keeps_what_added_effects_make_of_the_bristle(
     noisy = speed + 0.02 * rng.standard_normal(4000)
     columns = (0.5 + 2e-4 * rng.standard_normal(4000), 0.0 * t, noisy, angle)
     t_ns = (t * 1e9).round().astype(np.int64)
-    whole = {name: Series(t_ns, value) for name, value in zip(NAMES, columns, strict=True)}
+    whole = {n: Series(t_ns, np.asarray(v)) for n, v in zip(NAMES, columns, strict=True)}
     right = estimate(whole, model, settings)
     without = estimate(whole, reference_model, settings)
     assert abs(right.rack_force_n[-1] - without.rack_force_n[-1]) > 100.0
