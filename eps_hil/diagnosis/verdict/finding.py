@@ -10,7 +10,7 @@ from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Selection
 from eps_hil.diagnosis.balance.baseline import HOLD
 from eps_hil.diagnosis.balance.fit import Fit
-from eps_hil.diagnosis.balance.probes import bounds
+from eps_hil.diagnosis.balance.probes import bounds, neutral_value
 from eps_hil.diagnosis.balance.problem import Problem, term_of
 from eps_hil.diagnosis.balance.turning import ends_of, in_words
 from eps_hil.diagnosis.data.entry import place
@@ -33,7 +33,10 @@ its interval a value was taken, how the controller held it and how its filters s
 SLOW_SAMPLES_S = 2e-3
 """Between samples: half of a shorter step is below what is named (``least`` of the delay)."""
 _AT_THE_END = 0.5
-"""No name is surer whose scale ended at the bound of the search."""
+"""No name is surer whose scale ended at the bound of the search, or whose number is not clear."""
+_CLEAR = 1.5
+"""Half widths of its interval that a number has to be away from none: three deviations."""
+_HARDLY = " Its interval comes near to none of it: longer recordings would tell."
 _FARTHER = (
     " So far it was looked for: more is asked for, or something else that this stands in for. Look "
     "at the signal's unit and scale first."
@@ -75,6 +78,8 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
     sure = _confidence(gain, least, rivals)
     if _at_the_end(effect, entry, problem):
         sure, held = min(sure, _AT_THE_END), f"{held}{_FARTHER}"
+    if _hardly_there(effect, parameters, problem):
+        sure, held = min(sure, _AT_THE_END), f"{held}{_HARDLY}"
     turning = in_words(problem, found, k, selection.without.get(term_of(entry)), RIVAL)
     return {
         "effect": effect.id,
@@ -90,6 +95,16 @@ def finding(problem: Problem, selection: Selection, k: int) -> dict[str, Any]:
         "confusable_with": twins,
         "next_experiment": _experiment(effect, twins),
     }
+
+
+def _hardly_there(effect: Effect, parameters: Mapping[str, Any], problem: Problem) -> bool:
+    """Whether the interval of what makes an effect comes near to none of it."""
+    probe = effect.probe
+    told = None if probe is None else parameters.get(probe.amplitude)
+    if probe is None or told is None or told["ci95"] is None:
+        return False
+    half = 0.5 * (told["ci95"][1] - told["ci95"][0])
+    return bool(abs(told["value"] - neutral_value(probe, problem.model)) < _CLEAR * half)
 
 
 def _at_the_end(effect: Effect, entry: Mapping[str, Any], problem: Problem) -> bool:
