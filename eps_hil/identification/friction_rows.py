@@ -1,8 +1,7 @@
 """Friction of a measured motion together with its sensitivities, in one compiled pass.
 
-The bristle (eq. 2a over a step, as in ``physics.balance``) and its derivatives obey the same
-recursion, so they are simulated side by side: nine parameters for about the price of two runs of
-the balance.
+The bristle (eq. 2a, exact over a step) and its derivatives obey the same recursion, so they are
+simulated side by side: nine parameters for about the price of two runs of the balance.
 """
 
 import math
@@ -13,13 +12,9 @@ import numpy.typing as npt
 from eps_hil.compiled import njit
 from eps_hil.physics.balance import Motion, residual_nm
 from eps_hil.physics.friction import (
-    MOST_CHANGE,
     FrictionLaw,
-    bristle_change,
     bristle_step,
-    change_share,
     friction_law,
-    level_change,
     static_level_nm,
 )
 from eps_hil.physics.model import Model
@@ -56,8 +51,7 @@ def _rows(law: FrictionLaw, m: Motion, out: Floats) -> None:
     s0 = law.sigma0_nm_per_rad
     z = 0.0
     dz = np.zeros(7)
-    dlevel, dbefore = np.zeros(6), np.zeros(6)
-    before, way_before = 1.0, 0.0
+    dlevel = np.zeros(6)
     for k in range(len(m.time_s)):
         speed, force = m.speed_rad_s[k], m.rack_force_n[k]
         direction = speed if speed != 0.0 else m.travel_rad[k]
@@ -76,24 +70,9 @@ def _rows(law: FrictionLaw, m: Motion, out: Floats) -> None:
         kept = math.exp(-d)
         shape = (kept * (1.0 + d) - 1.0) / (d * d) if d > 1e-6 else -0.5 + d / 3.0
         by_decay = -z * kept + travel * shape
-        # ... and what T_fs changes meanwhile: change * (travel * share - z d e^-d / 2)
-        bent, each = 0.0, 0.0
-        if speed * way_before > 0.0:
-            change = level_change(before, level)
-            bent = bristle_change(z, travel, d, change)
-            each = bristle_change(z, travel, d, 1.0) if abs(change) < MOST_CHANGE else 0.0
-            if d > 1e-6:
-                by_share = -2.0 * change_share(d, kept) / d - 0.5 * kept
-            else:
-                by_share = -1.0 / 6.0 + 0.25 * d
-            by_decay += change * (travel * by_share - 0.5 * (1.0 - d) * kept * z)
-            kept -= 0.5 * change * d * kept
-        z = bristle_step(z, travel, slip, level, s0) + bent
-        before_nm, before, way_before = before, level, speed
+        z = bristle_step(z, travel, slip, level, s0)
         for i in range(6):
-            by_level = (before_nm / level * dlevel[i] - dbefore[i]) / level
-            dz[i] = kept * dz[i] - by_decay * d / level * dlevel[i] + each * by_level
-            dbefore[i] = dlevel[i]
+            dz[i] = kept * dz[i] - by_decay * d / level * dlevel[i]
         dz[6] = kept * dz[6] + by_decay * slip / level
         # T_f = s0 z + s1(w) (w - |w| s0 z / level)
         ratio = speed / law.sigma1_speed_rad_s

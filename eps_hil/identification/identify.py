@@ -37,11 +37,7 @@ from eps_hil.series import Series
 
 METHOD_INERTIA, METHOD_BRISTLE = 3.3e-4, 6.5e-3
 METHOD_SAMPLES = 0.03
-"""Own error of the method (relative; of a 1 ms step): docs/theory-identification.md, section 5.
-
-The inertia's is what a command does between two samples: held for 1 ms it makes 0.02 % of inertia,
-as a straight line 0.03 %. What is left without that is 0.004 %.
-"""
+"""Own error of the method (relative; of a 1 ms step): docs/theory-identification.md, section 5."""
 LOOSEST_BRISTLE = 0.5
 DAMPING, DAMPING_SPEED = "friction.sigma1_nm_s_per_rad", "friction.sigma1_speed_rad_s"
 _SLOW = 0.25

@@ -17,7 +17,7 @@ from eps_hil.physics.effects.effect import Ratios
 from eps_hil.physics.friction import (
     SMALLEST_LEVEL_NM,
     FrictionLaw,
-    bristle_along,
+    bristle_step,
     friction_torque_nm,
     static_level_nm,
 )
@@ -148,7 +148,7 @@ def _rub(drive: Drive, m: Motion, levels: Floats, friction: Floats) -> None:
         ratios = Ratios(drive.sensor_to_rotor, drive.ratio)
         _levels(m, law, levels)
         added.levels_along(drive.effects, m, ratios, levels[0], levels[1])
-    bristle, before, way_before = 0.0, 1.0, 0.0
+    bristle = 0.0
     for k in range(len(friction)):
         speed, force = m.speed_rad_s[k], m.rack_force_n[k]
         direction = speed if speed != 0.0 else m.travel_rad[k]
@@ -160,11 +160,9 @@ def _rub(drive: Drive, m: Motion, levels: Floats, friction: Floats) -> None:
             level = max(levels[way, k], SMALLEST_LEVEL_NM)
         else:
             level = static_level_nm(direction, force, law)
-        if speed * way_before <= 0.0:  # T_fs jumped
-            before = level
-        wear = m.slip_rad[k] * law.sigma0_nm_per_rad
-        bristle = bristle_along(bristle, m.travel_rad[k], wear, 1.0 / level, before)
-        before, way_before = level, speed
+        bristle = bristle_step(
+            bristle, m.travel_rad[k], m.slip_rad[k], level, law.sigma0_nm_per_rad
+        )
         friction[k] = friction_torque_nm(bristle, speed, level, law)
 
 

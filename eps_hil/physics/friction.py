@@ -11,8 +11,6 @@ from eps_hil.compiled import kernel
 from eps_hil.physics.model import Friction
 
 SMALLEST_LEVEL_NM = 1e-6
-MOST_CHANGE = 0.5
-"""Of T_fs within a step, what is followed; more is a jump, which has no slope."""
 _FADED = 60.0  # exp(−60) of the bristle damping is nothing, and smaller ones are slow to compute
 
 
@@ -65,57 +63,6 @@ def bristle_step(
     lost = -math.expm1(-decay)
     share = lost / decay if decay > 1e-9 else 1.0 - 0.5 * decay
     return bristle_rad * (1.0 - lost) + travel_rad * share
-
-
-@kernel(inline="always")
-def bristle_along(
-    bristle_rad: float, travel_rad: float, wear: float, per_level: float, before_nm: float
-) -> float:
-    """:func:`bristle_step` and :func:`bristle_change` together, by one exponential.
-
-    ``wear``: slip · σ0 (Nm); ``per_level``: 1/T_fs at the end; ``before_nm``: T_fs before it,
-    T_fs itself where it jumped.
-    """
-    decay = wear * per_level
-    lost = -math.expm1(-decay)
-    kept = 1.0 - lost
-    if decay < 1e-3:
-        share = 1.0 - decay * (0.5 - decay * (1.0 / 6.0 - decay / 24.0))
-        late = decay * (0.125 * decay - 1.0 / 6.0)
-    else:
-        per_decay = 1.0 / decay
-        share = lost * per_decay
-        late = (kept - share) * per_decay + 0.5 * kept
-    change = min(max(1.0 - before_nm * per_level, -MOST_CHANGE), MOST_CHANGE)
-    travel_part = travel_rad * (share + change * late)
-    return bristle_rad * kept * (1.0 - 0.5 * change * decay) + travel_part
-
-
-@kernel(inline="always")
-def bristle_change(bristle_rad: float, travel_rad: float, decay: float, change: float) -> float:
-    """What :func:`bristle_step` lacks where T_fs goes straight to its end value during the step.
-
-    ``bristle_rad``: z before the step; ``decay``: its d; ``change``: of T_fs over the step, as a
-    part of the end value, to first order. With T_fs held at its end value the friction is half a
-    step early, so that viscous friction takes kω Δt/2 off the inertia: 0.06 % of the reference
-    rig's at 1 ms.
-    """
-    kept = math.exp(-decay)
-    return change * (travel_rad * change_share(decay, kept) - 0.5 * decay * kept * bristle_rad)
-
-
-@kernel(inline="always")
-def change_share(decay: float, kept: float) -> float:
-    """((1 + d) e^−d − 1)/d² + e^−d/2, by its series near 0; ``kept``: e^−d."""
-    if decay < 1e-3:
-        return decay * (0.125 * decay - 1.0 / 6.0)
-    return (kept * (1.0 + decay) - 1.0) / (decay * decay) + 0.5 * kept
-
-
-@kernel(inline="always")
-def level_change(before_nm: float, level_nm: float) -> float:
-    """``change`` of :func:`bristle_change`; ``before_nm``: T_fs before, in the same direction."""
-    return min(max(1.0 - before_nm / level_nm, -MOST_CHANGE), MOST_CHANGE)
 
 
 @kernel(inline="always")

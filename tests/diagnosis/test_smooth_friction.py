@@ -52,17 +52,12 @@ def test_presliding_that_only_the_model_has_is_found(
 def test_presliding_that_nothing_explains_is_said(
     record: Callable[..., Any], reference_model: Model, other_rig: ModuleType
 ) -> None:
-    """Slow motion alone: other numbers bend to it, and none is clear.
-
-    A late speed may be named, of which the interval comes near to none: no more than likely.
-    """
+    """Slow motion alone: other numbers bend to it, and none is confirmed on the hold-outs."""
     for speed_rad_s, said in ((0.35, True), (0.0, False)):
         plant = {other_rig.SMOOTH: speed_rad_s}
         programme = ("slow", "steps")
         content = asked(record, reference_model, plant, (*programme, "slow"), programme)
-        assert {one["effect"] for one in content["findings"]} <= {"speed_sensor_delay"}
-        assert all(one["confidence"] <= 0.5 for one in content["findings"])
-        assert said or not content["findings"]
+        assert content["findings"] == []
         assert any("while the rotor turns round" in one for one in content["limits"]) is said
 
 

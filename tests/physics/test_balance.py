@@ -13,11 +13,9 @@ from eps_hil.physics.balance import Floats, Motion, residual_nm, sliding_levels_
 from eps_hil.physics.effects import added
 from eps_hil.physics.effects.effect import Ratios
 from eps_hil.physics.friction import (
-    bristle_change,
     bristle_step,
     friction_law,
     friction_torque_nm,
-    level_change,
     static_level_nm,
 )
 from eps_hil.physics.model import load_model
@@ -85,19 +83,13 @@ def test_levels_along_a_motion_are_the_kernels_sample_by_sample(names: list[str]
     m = _with_rests()
     found, _ = residual_nm(model, m)
     drive, bristle, expected, rests = drive_of(model), 0.0, np.empty(len(found)), set()
-    before, last = 1.0, 0.0
     for k in range(len(found)):
         speed, force, travel = m.speed_rad_s[k], m.rack_force_n[k], m.travel_rad[k]
         way = next((one for one in (speed, travel, bristle) if one), 0.0)
         rests |= {np.sign(way)} if not speed and not travel else set()
         u = added.instant(m, k, Ratios(drive.sensor_to_rotor, drive.ratio))
         level = added.level_nm(drive.effects, u, static_level_nm(way, force, drive.law))
-        sigma0, bent = drive.law.sigma0_nm_per_rad, 0.0
-        if speed * last > 0.0:
-            decay, change = abs(travel) * sigma0 / level, level_change(before, level)
-            bent = bristle_change(bristle, travel, decay, change)
-        bristle = bristle_step(bristle, travel, abs(travel), level, sigma0) + bent
-        before, last = level, speed
+        bristle = bristle_step(bristle, travel, abs(travel), level, drive.law.sigma0_nm_per_rad)
         torque = m.motor_torque_nm[k] + drive.sensor_to_rotor * m.torque_sensor_nm[k]
         torque -= force / drive.ratio + friction_torque_nm(bristle, speed, level, drive.law)
         expected[k] = torque - drive.inertia * m.acceleration_rad_s2[k]
@@ -178,25 +170,3 @@ def test_what_a_law_follows_may_be_known_with_less_noise_than_what_acts() -> Non
     plain, _ = residual_nm(model, m._replace(motor_torque_nm=clean))
     np.testing.assert_allclose(acts - none, right - plain, atol=1e-12)
     assert np.ptp(acts - none) == pytest.approx(0.04, rel=1e-6)
-
-
-@pytest.mark.parametrize("viscous", [4e-4, 4e-3])
-def test_friction_of_a_growing_level_is_not_half_a_step_early(viscous: float) -> None:
-    """At 1 ms as at 10 µs: half a step would be kω Δt/2 of inertia, here 0.1 and 1 % of it."""
-    model = load_model(_MODEL)
-    law = replace(model.friction, viscous_pos_nm_s_per_rad=viscous, sigma1_nm_s_per_rad=0.0)
-    model = replace(model, friction=law)
-
-    def residual(step_s: float) -> Floats:
-        time = np.arange(0.0, 0.4, step_s)
-        angle = 10.0 * time - 0.3 / 30.0 * (np.cos(30.0 * time) - 1.0) * 10.0
-        speed, still = 10.0 + 3.0 * np.sin(30.0 * time), np.zeros(len(time))
-        travel = np.diff(angle, prepend=angle[0])
-        found, _ = residual_nm(model, Motion(
-            time, still, still, still, still, speed, angle, travel, np.abs(travel), still,
-        ))  # fmt: skip
-        return found[:: round(1e-3 / step_s)]
-
-    apart = (residual(1e-3) - residual(1e-5))[100:]  # the bristle has forgotten its start
-    early = 0.5e-3 * viscous * 90.0
-    assert np.abs(apart).max() < 0.03 * early
