@@ -245,7 +245,7 @@ def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: 
 
 
 def _check_force(signal: Any, most_n: float, dbc_file: str, message: str) -> None:
-    """What is valid has to arrive as it was estimated: in newtons, and not cut off."""
+    """A valid estimate has to arrive as it was made: in newtons, and not clipped."""
     place = f"{message}.{signal.name}"
     if (signal.unit or "N").strip() != "N":
         raise InputError(
