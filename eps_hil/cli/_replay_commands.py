@@ -6,6 +6,7 @@ from typing import Any
 
 import typer
 
+from eps_hil.cli._lines import Lines
 from eps_hil.errors import EpsHilError, InputError, SafetyStop
 
 
@@ -39,15 +40,16 @@ def play_commands(
     operator: Operator = Unattended() if alone else terminal_operator()
     typer.echo("operator   none: unattended" if alone else f"operator   {HINT}")
     parts.estimator.warm_up()
-    journal = Journal(journal_file)
+    journal, lines = Journal(journal_file), Lines(live=sys.stderr.isatty())
     session = OverrideSession(
-        parts, source, operator, typer.echo, over=lambda: source.over,
-        show=_shown(source), journal=journal, silence_s=10.0,
+        parts, source, operator, lines.say, over=lambda: source.over,
+        show=lambda core: lines.show(_progress(core, source)), journal=journal, silence_s=10.0,
     )  # fmt: skip
     try:
         asyncio.run(session.run())
     finally:
         journal.close()
+        lines.end()
     if session.fault is not None:
         raise SafetyStop(f"the torque guard ended the run: {session.fault.why}")
     if not session.core.syncs:
@@ -68,14 +70,6 @@ def _plan(parts: Any, commands: Any, log: Path) -> list[str]:
     ]
 
 
-def _shown(source: Any) -> Any:
-    if not sys.stderr.isatty():
-        return None
-
-    def show(core: Any) -> None:
-        asked, whole = source.done
-        line = f"{core.state.name.lower()}  {core.command.torque_nm:+.3f} Nm  {asked}/{whole}"
-        sys.stderr.write(f"\r\x1b[2K{line}")
-        sys.stderr.flush()
-
-    return show
+def _progress(core: Any, source: Any) -> str:
+    asked, whole = source.done
+    return f"{core.state.name.lower()}  {core.command.torque_nm:+.3f} Nm  {asked}/{whole}"

@@ -13,6 +13,7 @@ from eps_hil.cli._files import check_model_place
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import reads_recordings
 from eps_hil.cli._levels import accept, reset_levels
+from eps_hil.cli._lines import Lines
 from eps_hil.cli._reversals import reversals
 from eps_hil.errors import EpsHilError, InputError, SafetyStop
 
@@ -195,7 +196,7 @@ def _inject(
     show = _Display(lambda: source.gates, lambda: _progress(source), notice, lambda: _ramps(source))
     journal = Journal(None if dry_run else journal_file)
     session = OverrideSession(
-        parts, source, operator, typer.echo, over=lambda: source.over,
+        parts, source, operator, show.lines.say, over=lambda: source.over,
         show=lambda _: show(), journal=journal, silence_s=settings.silence_s,
     )  # fmt: skip
     if dry_run and duration is None:
@@ -308,6 +309,7 @@ class _Display:
         self._gates, self._progress = gates, progress
         self._notice, self._done = notice, done
         self._live = sys.stderr.isatty()
+        self.lines = Lines(live=self._live)
         self._met: dict[str, bool] = {}
 
     def __call__(self) -> None:
@@ -326,12 +328,11 @@ class _Display:
             if self._met.get(gate.name) != gate.met:
                 self._met[gate.name] = gate.met
                 if not self._live:
-                    typer.echo(f"gate       {self._words(gate)}")
+                    self.lines.say(f"gate       {self._words(gate)}")
         if self._live:
             closed = [self._words(gate) for gate in gates if not gate.met]
             said = "; ".join(closed) if closed else "all gates met"
-            sys.stderr.write(f"\r\x1b[2K{self._progress()}  |  {said}"[:160])
-            sys.stderr.flush()
+            self.lines.show(f"{self._progress()}  |  {said}"[:156])
 
     @staticmethod
     def _words(gate: "GateState") -> str:
@@ -342,5 +343,4 @@ class _Display:
         """Leave the line, and the last word on the board."""
         done, of = self._done()
         self._notice.end(text=f"ended: {self._progress()}", done=done, of=of)
-        if self._live:
-            sys.stderr.write("\n")
+        self.lines.end()

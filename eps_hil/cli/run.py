@@ -1,13 +1,12 @@
 """``eps-hil run``: the service on a bus (CONTRACT 6)."""
 
-import contextlib
-import select
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
+
+from eps_hil.cli._lines import Lines
 
 
 def register(app: typer.Typer) -> None:
@@ -46,17 +45,17 @@ def run(
     if len(config) > 1:
         from eps_hil.cli._several import run_several
 
-        status = run_several(config, duration, log_estimates, journal, _say)
+        status = run_several(config, duration, log_estimates, journal, Lines().say)
         if status:
             raise typer.Exit(status)
         return
-    _run(config[0], duration, _live_line(status_line), log_estimates, journal)
+    _run(config[0], duration, _wanted(status_line), log_estimates, journal)
 
 
 def _run(
     config: Path,
     duration: float | None,
-    show: Callable[[str], None] | None,
+    live: bool,
     log_path: Path | None,
     journal: Path,
 ) -> None:
@@ -73,20 +72,20 @@ def _run(
     from eps_hil.service.systemd import Notifier
 
     say_if_it_compiles()
-    parts = prepare(load_config(config), config)
+    parts, lines = prepare(load_config(config), config), Lines(live=live)
     for line in describe(parts):
-        _say(line)
-    levels = LevelUpdates(parts, _say, journal)
-    _say(levels.hint())
-    log = EstimateLog(log_path, _say) if log_path else None
+        lines.say(line)
+    levels = LevelUpdates(parts, lines.say, journal)
+    lines.say(levels.hint())
+    log = EstimateLog(log_path, lines.say) if log_path else None
     notice = Notice("service", str(parts.config.bus), "service")
     notice.put(text="loads its code (the first time it is compiled, which takes minutes)")
     parts.warm_up()
     notice.end()
     service = Service(
         parts,
-        _say,
-        show=None if show is None else lambda snapshot: show(snapshot.line()),
+        lines.say,
+        show=(lambda snapshot: lines.show(snapshot.line())) if live else None,
         log=log,
         levels=levels,
         notifier=Notifier(),
@@ -97,29 +96,11 @@ def _run(
     finally:
         if log is not None:
             log.close()
-        if show is not None:
-            show("")
         for line in service.summary().lines() if service.ready else []:
-            _say(line)
+            lines.say(line)
+        lines.end()
 
 
-def _say(line: str) -> None:
-    """A reader that went away, or a disk that is full, must not end the service."""
-    with contextlib.suppress(OSError):
-        typer.echo(line)
-        sys.stdout.flush()
-
-
-def _live_line(wanted: bool | None) -> Callable[[str], None] | None:
-    """How to show a line over the last one; None where it is not wanted."""
-    stream: Any = sys.stderr
-    if not (stream.isatty() if wanted is None else wanted):
-        return None
-
-    def show(text: str) -> None:
-        # A terminal that was stopped (Ctrl-S) would block the loop: skip the line instead.
-        if select.select([], [stream], [], 0)[1]:
-            stream.write(f"\r\x1b[2K{text}")
-            stream.flush()
-
-    return show
+def _wanted(line: bool | None) -> bool:
+    """Whether there is a live line; by itself on a terminal."""
+    return sys.stderr.isatty() if line is None else line
