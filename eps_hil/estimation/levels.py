@@ -131,6 +131,7 @@ def tell(s: Moment, r: Rig, i: Instant) -> None:
     for k in range(INSTANT):
         s.told[k] = i[k]
     r.most_nm = max(r.most_nm, abs(i.motor_torque_nm))
+    r.most_rad_s = max(r.most_rad_s, abs(i.speed_rad_s))
 
 
 @kernel

@@ -18,7 +18,10 @@ from eps_hil.physics.effects.effect import Instant
 LONG_S = 1e4
 """A hole of which nobody knows how long it was."""
 _LARGE = 0.5
-"""Share of the largest torque so far, above which the farthest from the last torque is none."""
+"""Share of the largest torque so far, above which the farthest from the last torque is none.
+
+The same of the speed.
+"""
 
 
 @kernel
@@ -37,23 +40,67 @@ def end_hold(c: Constants, x: Physics, s: Moment, r: Rig, time_s: float) -> None
     if not x.use.memory or s.running == NEVER_RAN or c.memory_keep == 0.0:
         return
     told = told_last(s, s.told[1], s.told[4])
-    asked = _by(told, math.copysign(r.most_nm, told.motor_torque_nm), told.torque_sensor_nm)
+    speed, motor = told.speed_rad_s, told.motor_torque_nm
+    most = math.copysign(r.most_nm, motor)
+    asked = _by(told, speed, most, told.torque_sensor_nm)
     known = _made(x, asked)
     _move(x.effects, True)
-    farthest = _by(told, 0.0, 0.0) if abs(told.motor_torque_nm) > _LARGE * r.most_nm else asked
+    loaded, quick = abs(motor) > _LARGE * r.most_nm, abs(speed) > _LARGE * r.most_rad_s
+    farthest = _by(
+        told,
+        0.0 if quick else math.copysign(r.most_rad_s, speed),
+        0.0 if loaded else most,
+        0.0 if loaded else told.torque_sensor_nm,
+    )
     acting.advance(x.effects, farthest, time_s)
-    other = _made(x, asked)
+    apart = _apart_n(c, known, _made(x, asked))
     _move(x.effects, True)
-    torque = abs(other[0] - known[0]) + c.sensor_to_rotor * abs(other[1] - known[1])
-    for k in range(2, 5):
-        torque += abs(other[k] - known[k])
-    r.memory_n = max(r.memory_n, c.ratio * torque)
+    r.memory_n = max(r.memory_n, apart)
+
+
+def memory_of_a_start(
+    c: Constants, x: Physics, r: Rig, unknown: bool, most_nm: float, most_rad_s: float
+) -> None:
+    """What a memory that nobody knows is worth at most, for ``begin_after_nonsense``; and for now,
+    if it is ``unknown`` from the start. Those are the largest torque and speed that can be."""
+    if not x.use.memory or c.memory_keep == 0.0:
+        return
+    r.memory_most_n = _most_n(c, x, most_nm, most_rad_s)
+    r.memory_n = r.memory_most_n if unknown else 0.0
 
 
 @kernel
-def _by(i: Instant, motor_nm: float, sensor_nm: float) -> Instant:
-    """The same instant with other torques."""
-    return Instant(i[0], i[1], i[2], i[3], i[4], i[5], motor_nm, sensor_nm, i[8])
+def _most_n(c: Constants, x: Physics, most_nm: float, most_rad_s: float) -> float:
+    """The same for effects that remember nothing yet; nor do they afterwards."""
+    most = 0.0
+    for loaded in range(2):
+        for quick in range(2):
+            asked = Instant(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, most_nm, 0.0, c.ratio)
+            known = _made(x, asked)
+            farthest = _by(asked, quick * most_rad_s, loaded * most_nm, 0.0)
+            acting.advance(x.effects, farthest, LONG_S)
+            most = max(most, _apart_n(c, known, _made(x, asked)))
+            x.effects.state[:] = 0.0
+    return most
+
+
+@kernel
+def _apart_n(
+    c: Constants,
+    known: tuple[float, float, float, float, float],
+    other: tuple[float, float, float, float, float],
+) -> float:
+    """As a rack force (N), how far what effects make is from something else."""
+    torque = abs(other[0] - known[0]) + c.sensor_to_rotor * abs(other[1] - known[1])
+    for k in range(2, 5):
+        torque += abs(other[k] - known[k])
+    return c.ratio * torque
+
+
+@kernel
+def _by(i: Instant, speed_rad_s: float, motor_nm: float, sensor_nm: float) -> Instant:
+    """The same instant with another speed and other torques."""
+    return Instant(i[0], speed_rad_s, i[2], i[3], i[4], i[5], motor_nm, sensor_nm, i[8])
 
 
 @kernel

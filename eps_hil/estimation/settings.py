@@ -136,6 +136,10 @@ class EstimatorSettings:
     """Window of the straight line that gives a speed where only the angle is measured."""
     settle_s: NotNegative = 0.15
     """How long inputs must be good before the estimate is called valid again."""
+    memory_at_start: Literal["unknown", "none"] | None = None
+    """What effects with a memory, as a motor's heat, remember at the start: nobody knows, so that
+    the friction is unknown until it has faded; or nothing (a motor that has cooled). By itself:
+    'unknown' for a service, 'none' for a recording."""
     friction_unknown_n: Positive = 25.0
     """By how much the rack force may be off because the bristle's history is unknown (a start, a
     gap) and be called valid; a large number: it never counts. docs/theory-estimator.md"""

@@ -109,8 +109,8 @@ class Moment:
 class Rig:
     """What is of the rig: its time, what adaptation adds to k0+ and k0− now, and its goals (Nm).
 
-    The largest motor torque so far (Nm), and what is unknown of what effects remember, as a rack
-    force (N).
+    The largest motor torque (Nm) and speed (rad/s) so far. What is unknown of what effects
+    remember, as a rack force (N), and how much that is at most.
     """
 
     clock_s: float
@@ -119,7 +119,9 @@ class Rig:
     goal_pos: float
     goal_neg: float
     most_nm: float
+    most_rad_s: float
     memory_n: float
+    memory_most_n: float
 
 
 def record_of(kind: type) -> np.dtype[Any]:
@@ -231,6 +233,7 @@ def begin_anew(e: Carried) -> None:
 
 @kernel
 def begin_after_nonsense(e: Carried, effects: Added) -> None:
-    """The same, and nothing that effects remember."""
+    """The same, and nothing that effects remember: they did, and nobody knows what."""
     begin_anew(e)
     effects.state[:] = 0.0
+    e.rig[0].memory_n = e.rig[0].memory_most_n

@@ -7,6 +7,7 @@ wall time or on how frames were bunched, so frames replayed as fast as possible 
 what the live loop published.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,6 +21,7 @@ from eps_hil.estimation.bristle_filter import PhysicsInside, physics_inside
 from eps_hil.estimation.bristle_setup import new_belief
 from eps_hil.estimation.lanes import Lanes, run
 from eps_hil.estimation.levels import FrictionLevels, LevelChange
+from eps_hil.estimation.memory import memory_of_a_start
 from eps_hil.estimation.plain import plain
 from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.stream_steps import (
@@ -133,14 +135,35 @@ class StreamEstimator:
         self.timing = timing_of(model, settings, periods_s)
         self._places = {name: i for i, name in enumerate(SIGNALS) if name in periods_s}
         self.memory = new_memory()
+        self._begin_memory(model)
         self._newest = _NOTHING
         self._waiting = new_waiting()
         self._take, self._advance = take_all, take_and_advance
+
+    def _begin_memory(self, model: Model) -> None:
+        """What effects may remember at the start that nobody knows."""
+        x, limits = self.physics, self.settings.plausibility
+        memory_of_a_start(
+            self.constants,
+            setup.Physics(x.law, x.effects, x.use),
+            self.memory.carried.rig[0],
+            self.settings.memory_at_start == "unknown",
+            limits.largest_torque_nm(model.rack_to_rotor_ratio_rad_per_m),
+            limits.motor_speed_rad_s,
+        )
 
     @property
     def latency_s(self) -> float:
         """From a sync frame's stamp back to the instant that its estimate speaks of."""
         return self.timing.lookback * 1e-9 + self.constants.output_lag_s
+
+    @property
+    def memory_unknown_s(self) -> float:
+        """For how long at most what effects remember now makes the friction unknown."""
+        c, unknown_n = self.constants, float(self.memory.carried.rig[0].memory_n)
+        if unknown_n <= c.unknown_limit_n:
+            return 0.0
+        return math.log(c.unknown_limit_n / unknown_n) / math.log(c.memory_keep) * c.step_s
 
     def force_of_shift_n(self, shift_ns: int) -> float:
         """By how much the force is off (N) at its worst, once instants moved by ``shift_ns``.

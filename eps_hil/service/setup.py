@@ -276,6 +276,8 @@ def make_estimator(
                 f"{config.signals}",
             )  # fmt: skip
     settings = derived_settings(config.estimator, mapping)
+    if settings.memory_at_start is None:
+        settings = replace(settings, memory_at_start="unknown")
     if wrong := problem(settings):
         raise InputError(file, "estimator.kind", wrong)
     try:
@@ -315,6 +317,11 @@ def describe(parts: Parts) -> Iterator[str]:
     for name, source in mapping.signals.items():
         if source.derived:
             yield f"derive     {name} from {source.derive_from}"
+    if unknown_s := parts.estimator.memory_unknown_s:
+        yield (
+            f"friction   unknown for {unknown_s:.0f} s: the model remembers (a motor's heat, say) "
+            "what was before; if nothing is, estimator.memory_at_start: none"
+        )
     sends = [
         (parts.silent, config.publish.message, "with every sync frame"),
         (

@@ -8,7 +8,7 @@ import pytest
 
 from eps_hil.estimation.batch import estimate
 from eps_hil.estimation.rack_force import RackForceEstimator
-from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.settings import EstimatorSettings, PlausibilitySettings
 from eps_hil.estimation.setup import Inputs
 from eps_hil.estimation.stream import Trace
 from eps_hil.estimation.validity import Reason
@@ -104,3 +104,44 @@ def test_nonsense_forgets_what_it_spoilt(reference_model: Model) -> None:
         estimator.step(Inputs(2.2, 0.0, 20.0))
     assert estimator.step(Inputs(1e9, 0.0, 20.0)).reason & Reason.DIVERGED
     assert not np.any(estimator.physics.effects.state)
+
+
+def test_a_start_may_be_of_a_warm_motor(reference_model: Model) -> None:
+    """It was taken as cold: hundreds of newtons off, and valid, after a service began again."""
+    model, series = heated(reference_model, 2.0), loaded(26)
+    cold = estimate(series, model)
+    trace = estimate(series, model, EstimatorSettings(memory_at_start="unknown"))
+    unknown = (trace.reason & UNKNOWN) != 0
+    assert np.all(unknown[after(trace, 0.0, 8.0)])
+    assert not np.any(unknown[after(trace, 22.0, 25.0)])  # eleven times the memory
+    assert np.array_equal(trace.rack_force_n, cold.rack_force_n)
+    assert np.mean((cold.reason & UNKNOWN)[after(cold, 0.0, 8.0)] != 0) < 0.1
+
+
+def test_a_speed_is_remembered_over_a_silence_as_a_torque_is(reference_model: Model) -> None:
+    law = {
+        "effect": "empirical",
+        "form": "law",
+        "where": "motor",
+        "how": "factor",
+        "inputs": ["motor_speed_rad_s"],
+        "memory": ["heat"],
+        "shapes": ["linear"],
+        "memory_1": 2.0,
+        "size": -5e-4,
+    }
+    trace = estimate(silent(loaded(26), 14_000_000_000), replace(reference_model, effects=(law,)))
+    unknown = (trace.reason & UNKNOWN) != 0
+    assert np.any(unknown[after(trace, 15.6, 16.6)])
+
+
+def test_after_nonsense_what_a_warm_motor_remembers_is_unknown(reference_model: Model) -> None:
+    """It was nothing, and valid."""
+    series = loaded(12)
+    torque = series["motor_torque_nm"]
+    torque.value[6000:6003] = 1e9
+    settings = EstimatorSettings(plausibility=PlausibilitySettings(enabled=False))
+    trace = estimate(series, heated(reference_model, 2.0), settings)
+    assert np.any(trace.reason & int(Reason.DIVERGED))
+    unknown = (trace.reason & UNKNOWN) != 0
+    assert np.all(unknown[after(trace, 7.0, 10.0)])
