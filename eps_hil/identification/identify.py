@@ -42,6 +42,11 @@ LOOSEST_BRISTLE = 0.5
 DAMPING, DAMPING_SPEED = "friction.sigma1_nm_s_per_rad", "friction.sigma1_speed_rad_s"
 _SLOW = 0.25
 """Share of the turns that have to show the bristle's damping."""
+OFFSET_EFFECTS = {
+    "torque_sensor_nm": ("torque_sensor_offset", 1.0),
+    "motor_torque_nm": ("motor_torque_offset", -1.0),
+}
+"""The effect that takes a signal's offset (Nm, of the reading) off, and the sign that it has."""
 LEAST_OFFSET_NM = {"torque_sensor_nm": 0.005, "motor_torque_nm": 0.001}
 
 Progress = Callable[[float], None]
@@ -74,6 +79,7 @@ def identify(
     plausibility.check(rows, start)
     wheel = 1.0 / model.sensor_to_rotor
     offsets = {name: offset(rows, name, wheel) for name in ("torque_sensor_nm", "motor_torque_nm")}
+    start = replace(start, model=_without_effects_of(start.model, offsets))
     ready = [_without_offsets(one, offsets) for one in ready]
     rows = cases(ready, [case.motion for case in rows])
     signals = {name for one in ready for name in one.raw}
@@ -116,6 +122,24 @@ def _without_offsets(one: Prepared, offsets: Mapping[str, Offset | None]) -> Pre
 def _significant(name: str, reading: Offset) -> bool:
     low, high = reading.ci95
     return abs(reading.value) > LEAST_OFFSET_NM[name] and (low > 0 or high < 0)
+
+
+def _without_effects_of(model: Model, offsets: Mapping[str, Offset | None]) -> Model:
+    """Without the offsets of the file for which the recordings have a reading.
+
+    The reading is of the signal as it was recorded, so it has all of the offset in it.
+    """
+    gone = []
+    for name, (effect, sign) in OFFSET_EFFECTS.items():
+        reading = offsets[name]
+        if reading is None:
+            continue
+        low, high = sorted(sign * each for each in reading.ci95)
+        for entry in model.effects:
+            as_read = low <= float(entry.get("offset_nm", 0.0)) <= high
+            if entry["effect"] == effect and (_significant(name, reading) or not as_read):
+                gone.append(entry)
+    return replace(model, effects=tuple(entry for entry in model.effects if entry not in gone))
 
 
 def _result(
@@ -296,11 +320,9 @@ def _model(before: Model, state: State, late: Any, offsets: Mapping[str, Offset 
         **{key: max(getattr(state.model.friction, key), 0.0) for key in FRICTION_UNITS},
     )
     effects = [dict(entry) for entry in state.model.effects]
-    for name, sign in (("torque_sensor_nm", 1.0), ("motor_torque_nm", -1.0)):
+    for name, (effect, sign) in OFFSET_EFFECTS.items():
         reading = offsets[name]
         if reading is not None and _significant(name, reading):
-            effect = name.replace("_nm", "_offset")
-            effects = [entry for entry in effects if entry["effect"] != effect]
             effects.append({"effect": effect, "offset_nm": sign * reading.value})
     return replace(
         before,

@@ -179,6 +179,16 @@ def test_torsion_bar_offset_from_hands_off(
         {"effect": "torque_sensor_offset", "offset_nm": offset.value}
     ]
     assert found.parameters["friction.offset_pos_nm"].value == pytest.approx(true.k0_pos, rel=0.03)
+    # once more from what it wrote: the offset was taken off twice, and the levels were 36 % off
+    again = identify(shifted, found.model)
+    assert again.model.effects == found.model.effects
+    levels = ("friction.offset_pos_nm", "friction.offset_neg_nm")
+    for name in levels:
+        assert again.parameters[name].value == pytest.approx(found.parameters[name].value, rel=0.01)
+    # and from a file whose offset has gone since
+    corrected = identify(programme, found.model)
+    assert not corrected.model.effects
+    assert corrected.parameters[levels[0]].value == pytest.approx(true.k0_pos, rel=0.03)
 
 
 @pytest.mark.parametrize(
