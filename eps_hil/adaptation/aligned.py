@@ -4,6 +4,8 @@ The newest instant of which everything is known lies the largest delay back; the
 read at (instant + its delay), by the estimator's own ring and interpolation.
 """
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -49,6 +51,7 @@ class Aligned:
         self._stamps, self._values = np.zeros((n, RING), np.int64), np.zeros((n, RING))
         self._count, self._row = np.zeros(n, np.int64), np.zeros(n)
         delay_ns = [round(model.delays_s.of(name) * 1e9) for name in _NAMES]
+        self._sensor_came = False
         self._delay_ns, self._late_ns = np.array(delay_ns, np.int64), max(delay_ns)
 
     def push(self, t_ns: int, inputs: InjectionInputs) -> None:
@@ -63,8 +66,14 @@ class Aligned:
         self._count[:] = 0
 
     def read(self, t_ns: int) -> tuple[int, InjectionInputs]:
-        """(physical instant, signals of it); NaN where a signal is missing, lost or broken."""
+        """(physical instant, signals of it); NaN where a signal is missing, lost or broken.
+
+        A torsion-bar torque that never came is absent, and zero; later it is lost (CONTRACT 2).
+        """
         at = t_ns - self._late_ns
         _read_all(self._stamps, self._values, self._count, at, self._delay_ns, self._row)
         torque, speed, sensor, angle, force = self._row.tolist()
+        self._sensor_came |= math.isfinite(sensor)
+        if not self._sensor_came:
+            sensor = 0.0
         return at, InjectionInputs(torque, speed, sensor, angle, rack_force_n=force)

@@ -26,8 +26,8 @@ def adapt(
     """Feed one recording to ``adaptation``; its states after each stretch, in order.
 
     Several recordings may follow one another, in the order in which they were made. ``ValueError``
-    if motor torque, or both speed and angle, are missing. A missing torsion-bar torque counts as
-    zero, so what the driver holds is taken for rack force.
+    if motor torque, or both speed and angle, are missing. A torsion-bar torque that is not in
+    the recording counts as zero, so what the driver holds is taken for rack force.
     """
     if "motor_torque_nm" not in series:
         raise ValueError("the adaptation needs motor_torque_nm")
@@ -36,7 +36,9 @@ def adapt(
     used = [series[name] for name in ("motor_torque_nm", "motor_speed_rad_s") if name in series]
     first, last = max(s.t_ns[0] for s in used), min(s.t_ns[-1] for s in used)
     at = np.arange(first, last, _STEP_NS, dtype=np.int64)
-    sensor = np.nan_to_num(_at(series, "torque_sensor_nm", at, model))
+    sensor: Floats | float = 0.0  # absent; where it is lost the stretch begins anew
+    if "torque_sensor_nm" in series:
+        sensor = _at(series, "torque_sensor_nm", at, model)
     torque = _at(series, "motor_torque_nm", at, model) + model.sensor_to_rotor * sensor
     angle = _at(series, "motor_angle_rad", at, model)
     speed = _at(series, "motor_speed_rad_s", at, model)

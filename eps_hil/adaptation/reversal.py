@@ -179,8 +179,7 @@ class ReversalAdaptation:
             self._aligned.clear()
         self._aligned.push(t_ns, inputs)
         at_ns, now = self._aligned.read(t_ns)
-        sensor = now.torque_sensor_nm if math.isfinite(now.torque_sensor_nm) else 0.0
-        torque = now.motor_torque_nm + self._model.sensor_to_rotor * sensor
+        torque = now.motor_torque_nm + self._model.sensor_to_rotor * now.torque_sensor_nm
         return self.take(
             at_ns, torque, now.motor_speed_rad_s, now.motor_angle_rad, now.rack_force_n
         )

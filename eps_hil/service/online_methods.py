@@ -88,7 +88,7 @@ class OnlineReversals:
         self._settings, self._model = config.reversals, model
         self._periods_s, self._estimator_settings = periods_s, settings
         self._rows = AlignedRows(model, settings, periods_s)
-        self._to_rotor = model.sensor_to_rotor
+        self._to_rotor, self._sensor = model.sensor_to_rotor, "torque_sensor_nm" in periods_s
         self._turn = 0
         self.restart(FrictionLevels(model.friction.offset_pos_nm, model.friction.offset_neg_nm))
 
@@ -107,7 +107,7 @@ class OnlineReversals:
         for at_ns, (motor, sensor, speed, angle, force) in self._rows.rows(
             self._rows.advance(t_ns)
         ):
-            torque = motor + self._to_rotor * (0.0 if math.isnan(sensor) else sensor)
+            torque = motor + self._to_rotor * (sensor if self._sensor else 0.0)
             adaptation.take(at_ns, torque, speed, angle, force)
             self._turn = (self._turn + 1) % _SLICE_EVERY
             state = adaptation.work() if self._turn == 0 else None

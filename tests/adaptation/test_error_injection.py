@@ -1,6 +1,7 @@
 """Error injection: the integrators find both levels at zero load, and only then."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from eps_hil.adaptation.error_injection import (
 )
 from eps_hil.adaptation.gates import InjectionInputs
 from eps_hil.physics.chain_parameters import load_chain
-from eps_hil.physics.model import Model
+from eps_hil.physics.model import Delays, Model
 from eps_hil.rig.manoeuvre import Driver, Manoeuvre, Motor, Segment
 from eps_hil.rig.offline import simulate_recording
 from eps_hil.rig.profile import Sine, _Profile
@@ -138,3 +139,44 @@ def test_a_jump_of_time_is_no_acceleration(
     state = injection.step(10**12, rows[3500])
     assert state.direction == 0
     assert injection.levels == before
+
+
+def swung(model: Model, frequency_hz: float, seconds: float = 12.0) -> list[InjectionInputs]:
+    """The rotor to and fro by 8 rad without any load; its torque by eq. 1 and 2, step by step."""
+    f, dt, z, found = model.friction, 1e-3, 0.0, []
+    rng = np.random.default_rng(2)
+    way = 2.0 * math.pi * frequency_hz
+    for k in range(round(seconds / dt)):
+        angle, speed = 8.0 * math.sin(way * k * dt), 8.0 * way * math.cos(way * k * dt)
+        forth = (f.offset_pos_nm, f.viscous_pos_nm_s_per_rad)
+        back = (f.offset_neg_nm, f.viscous_neg_nm_s_per_rad)
+        offset, viscous = forth if speed >= 0.0 else back
+        level = offset + viscous * abs(speed)
+        end = math.copysign(level / f.sigma0_nm_per_rad, speed)
+        z = end + (z - end) * math.exp(-abs(speed) * f.sigma0_nm_per_rad * dt / level)
+        torque = model.inertia_kg_m2 * -way * way * angle + f.sigma0_nm_per_rad * z
+        noisy = torque + 4e-3 * rng.standard_normal(), speed + 0.25 * rng.standard_normal()
+        place = angle / model.rack_to_rotor_ratio_rad_per_m
+        found.append(InjectionInputs(*noisy, 0.0, angle, place, 0.0, 0.0, 0.0))
+    return found
+
+
+@pytest.mark.parametrize("frequency_hz", [0.5, 2.0])
+def test_a_quick_motion_moves_no_level(reference_model: Model, frequency_hz: float) -> None:
+    """The torque was not as late as the smoothed speed: both levels too low, by 41 % at 2 Hz."""
+    at_once = replace(reference_model, delays_s=Delays())
+    last = run(ErrorInjection(WIDE, at_once), swung(at_once, frequency_hz))[-1]
+    assert last.time_pos_s > 3.0
+    assert last.levels == pytest.approx((5.6e-2, 1.258e-1), rel=0.04)
+
+
+def test_a_torsion_bar_that_is_lost_stops_the_integrators(reference_model: Model) -> None:
+    """It was taken as no torque, and the driver's one became friction that is missing."""
+    rows = swung(replace(reference_model, delays_s=Delays()), 1.0, 6.0)
+    held = [row._replace(torque_sensor_nm=1.0) for row in rows]
+    lost = [row._replace(torque_sensor_nm=math.nan) for row in rows]
+    injection = ErrorInjection(WIDE, replace(reference_model, delays_s=Delays()))
+    before = run(injection, held[:3000])[-1]
+    for k, row in enumerate(lost[3000:], 3000):
+        after = injection.step(k * 1_000_000, row)
+    assert after.levels == pytest.approx(before.levels, abs=1e-3)

@@ -38,11 +38,13 @@ def test_a_rig_recording_gives_both_levels(
     assert states[-1].levels == pytest.approx(TRUE, rel=0.03)
 
 
-def test_a_hole_begins_a_new_stretch(reference_model: Model, sweep_truth: Any) -> None:
+@pytest.mark.parametrize("name", ["motor_torque_nm", "torque_sensor_nm"])
+def test_a_hole_begins_a_new_stretch(reference_model: Model, sweep_truth: Any, name: str) -> None:
+    """A torsion-bar torque that was lost was none: the driver's became missing friction."""
     series = series_of(sweep_truth, *NAMES, "rack_force_n")
-    one = series["motor_torque_nm"]
+    one = series[name]
     keep = (np.arange(len(one.t_ns)) % 5000) > 100
-    series["motor_torque_nm"] = Series(one.t_ns[keep], one.value[keep])
+    series[name] = Series(one.t_ns[keep], one.value[keep])
     adaptation = ReversalAdaptation(ReversalSettings(), reference_model)
     assert adapt(series, reference_model, adaptation) == []
 

@@ -218,3 +218,17 @@ def test_gaps_and_bad_samples_start_a_stretch_anew(reference_model: Model) -> No
         speed = math.nan if k % 3000 == 7 else 20.0 * math.sin(k * 1e-3)
         assert adaptation.step(t_ns, InjectionInputs(0.1, speed, 0.0)) is None
     assert adaptation.state.used == 0
+
+
+@pytest.mark.parametrize(("sensor_nm", "stretches"), [(math.nan, 1), (0.5, 0)])
+def test_a_torsion_bar_may_be_absent_but_not_lost(
+    reference_model: Model, sensor_nm: float, stretches: int
+) -> None:
+    """The one counts as no torque; the other did, too, in the middle of a stretch."""
+    adaptation = ReversalAdaptation(BLIND, reference_model)
+    complete = 0
+    for k in range(11_000):
+        now = sensor_nm if k < 2000 else math.nan
+        inputs = InjectionInputs(0.1, 20.0 * math.sin(k * 1e-3), now)
+        complete += adaptation.step(k * 1_000_000, inputs) is not None
+    assert min(complete, 1) == stretches
