@@ -111,8 +111,8 @@ def _from_identification(path: Path, model: Model) -> Uncertainty:
             parameters[keys[-1]] = abs(half)
         elif keys[-1] in DELAYED and "skews_s" not in keys:  # a skew is a difference of two
             delays[keys[-1]] = abs(half)
-        elif keys[-1] in OFFSETS and "offsets" in keys:
-            offsets[keys[-1]] = abs(half)
+        elif "offsets" in keys and (name := keys[-1].replace("_offset_nm", "_nm")) in OFFSETS:
+            offsets[name] = abs(half)
     if not parameters and not delays and not offsets:
         raise InputError(
             path, "", "holds no interval (ci95) of a model parameter or delay",

@@ -172,7 +172,7 @@ def test_sizes_come_from_yaml_and_from_an_identification(
                 "friction": [{"name": "offset_pos_nm", "value": 0.056, "ci95": [0.054, 0.058]}],
                 "delays_s": {"motor_speed": {"value": 0.004, "ci95": [0.0039, 0.0041]}},
                 "skews_s": {"motor_torque": {"value": 0.003, "ci95": [0.0, 0.1]}},
-                "offsets": {"torque_sensor_nm": {"value": 0.1, "ci95": [0.0902, 0.1098]}},
+                "offsets": {"torque_sensor_offset_nm": {"value": 0.1, "ci95": [0.0902, 0.1098]}},
             }
         ),
         encoding="utf-8",
