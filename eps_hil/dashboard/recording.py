@@ -27,9 +27,11 @@ from eps_hil.monitor.residual import balance_of
 from eps_hil.monitor.view_model import Monitor
 from eps_hil.physics.model import Model, load_model
 from eps_hil.recordings.can_log import read_frames
-from eps_hil.recordings.read import is_can_log, read_recording
+from eps_hil.recordings.read import is_can_log, read_columns
+from eps_hil.recordings.table import VALID
 from eps_hil.series import Series
 from eps_hil.service.config import ServiceConfig
+from eps_hil.signals import PUBLISHED
 
 _TOGETHER = 10_000
 _PIECE_NS, _LAP_NS = 60_000_000_000, 1_000_000_000
@@ -43,12 +45,29 @@ def store_of(
     """Everything of a recording, and the reader's notes; :class:`InputError` for a broken one."""
     if is_can_log(path):
         return _of_log(path, config, on_progress)
-    found = read_recording(path, gaps="mark", ignore_unknown=True)
+    columns, notes = read_columns(path, gaps="mark", ignore_unknown=True)
+    series = _without_invalid(columns)
     store = Store()
     model = load_model(config.model)
-    store.append(blocks_of(found.series, model))
-    store.append(balance_of_recording(found.series, model))
-    return _filled(path, store), found.notes
+    store.append(blocks_of(series, model))
+    store.append(balance_of_recording(series, model))
+    return _filled(path, store), notes
+
+
+def _without_invalid(columns: Mapping[str, Series]) -> dict[str, Series]:
+    """The signals of a table; an estimate that the file itself calls invalid is a gap."""
+    series = {name: one for name, one in columns.items() if name != VALID}
+    if VALID not in columns:
+        return series
+    valid = columns[VALID]
+    for name in PUBLISHED:
+        if name not in series:
+            continue
+        one = series[name]
+        row = np.searchsorted(valid.t_ns, one.t_ns, side="right") - 1
+        good = (row >= 0) & (valid.value[row] == 1.0)
+        series[name] = Series(one.t_ns, np.where(good, one.value, np.nan))
+    return series
 
 
 def blocks_of(series: Mapping[str, Series], model: Model) -> dict[str, Block]:

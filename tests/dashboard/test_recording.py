@@ -43,3 +43,23 @@ def test_a_page_begins_with_the_first_value(tmp_path: Path) -> None:
     assert len(store.tracks[SPEED].t_ns) == 2000
     for name in (ESTIMATE, FRICTION):
         assert np.isnan(store.tracks[name].value).sum() == 10  # a gap later on stays one
+
+
+def test_an_estimate_that_a_table_calls_invalid_is_a_gap(tmp_path: Path) -> None:
+    """It was drawn as a good one, 800 N off."""
+    (tmp_path / "c.yaml").write_text(CONFIG)
+    rows = ["time_s,motor_speed_rad_s,rack_force_n,rack_force_estimate_n,friction_torque_nm,valid"]
+    for k in range(3000):
+        valid = 1000 <= k < 2000 or k >= 2100
+        rows.append(
+            f"{k * 1e-3:.3f},{math.sin(k * 1e-2):.4f},100,{100 if valid else 900},0.1,{valid:d}"
+        )
+    (tmp_path / "estimates.csv").write_text("\n".join(rows) + "\n")
+    store, _ = store_of(tmp_path / "estimates.csv", load_config(tmp_path / "c.yaml"))
+    for name, value in ((ESTIMATE, 100.0), (FRICTION, 0.1)):
+        track = store.tracks[name]
+        assert np.nanmax(track.value) == pytest.approx(value)
+        since_ms = track.t_ns // MS
+        there = np.isfinite(track.value)
+        assert np.array_equal(since_ms[there], [*range(1000, 2000), *range(2100, 3000)])
+        assert not np.any(there[(since_ms >= 2000) & (since_ms < 2100)])
