@@ -10,6 +10,8 @@ from eps_hil import json_text
 from eps_hil.errors import InputError
 
 _LONGEST, _MOST = 200, 2000
+_LAST_NS = 9_000_000_000 * 10**9
+"""The year 2255: as far as nanoseconds are counted."""
 
 
 def marks_path(recording: Path) -> Path:
@@ -23,6 +25,11 @@ class Mark:
 
     t_ns: int
     text: str
+
+    @property
+    def has_time(self) -> bool:
+        """Whether the calendar has this instant."""
+        return 0 <= self.t_ns < _LAST_NS
 
     def as_json(self) -> dict[str, Any]:
         """As a line of the file holds it."""
@@ -47,6 +54,8 @@ class Marks:
             return f"there are {_MOST} marks already"
         clean = " ".join("".join(c if c.isprintable() else " " for c in text).split())
         mark = Mark(t_ns, clean[:_LONGEST])
+        if not mark.has_time:
+            return f"{t_ns} ns is no time of this clock"
         if self.path is not None:
             line = json.dumps(mark.as_json(), ensure_ascii=False) + "\n"
             try:
@@ -65,8 +74,11 @@ class Marks:
 def _read(path: Path, number: int, line: str) -> Mark:
     try:
         found = json_text.parse(line)
-        return Mark(int(found["t_ns"]), str(found["text"])[:_LONGEST])
-    except (ValueError, TypeError, KeyError):
+        mark = Mark(int(found["t_ns"]), str(found["text"])[:_LONGEST])
+    except (ValueError, TypeError, KeyError, OverflowError):
+        mark = Mark(-1, "")
+    if not mark.has_time:
         raise InputError(
             path, f"line {number}", "is no mark", 'write {"t_ns": 0, "text": "..."} or name another'
-        ) from None
+        )
+    return mark

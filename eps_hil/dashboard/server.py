@@ -373,25 +373,32 @@ class Page:
                 await self._socket.send_text(text)
 
     async def _send(self) -> None:
+        """Until the listener ends; a page to which nothing more can be told is let go."""
+        try:
+            await self._tell()
+        except Exception:  # the page went away in mid-sentence, or what it should be told is wrong
+            with contextlib.suppress(Exception):
+                await self._socket.close()
+
+    async def _tell(self) -> None:
         hub = self._hub
-        with contextlib.suppress(Exception):  # the page went away in mid-sentence
-            while not hub.ended:
-                if self._state_sent != hub.state_number and hub.state and not self._feed.waits:
-                    self._state_sent = hub.state_number
-                    await self._socket.send_text('{"state":' + hub.state + "}")
-                if self._marks_sent != len(hub.marks.marks):
-                    self._marks_sent = len(hub.marks.marks)
-                    await self._socket.send_text(json.dumps({"marks": hub.marks.as_json()}))
-                await self._send_mismatch()
-                while self._answers:
-                    found = answer(hub.store, *self._answers.pop())
-                    if found is not None:
-                        await self._socket.send_bytes(found)
-                message = self._feed.next(hub.store)
-                if message is not None:
-                    await self._socket.send_bytes(message)
-                await asyncio.sleep(_TICK_S)
-            await self._socket.send_text('{"ended":true}')
+        while not hub.ended:
+            if self._state_sent != hub.state_number and hub.state and not self._feed.waits:
+                self._state_sent = hub.state_number
+                await self._socket.send_text('{"state":' + hub.state + "}")
+            if self._marks_sent != len(hub.marks.marks):
+                self._marks_sent = len(hub.marks.marks)
+                await self._socket.send_text(json.dumps({"marks": hub.marks.as_json()}))
+            await self._send_mismatch()
+            while self._answers:
+                found = answer(hub.store, *self._answers.pop())
+                if found is not None:
+                    await self._socket.send_bytes(found)
+            message = self._feed.next(hub.store)
+            if message is not None:
+                await self._socket.send_bytes(message)
+            await asyncio.sleep(_TICK_S)
+        await self._socket.send_text('{"ended":true}')
 
 
 def serve(hub: Hub, sock: socket.socket, bound: str, listener: socket.socket | None = None) -> None:

@@ -114,6 +114,19 @@ def test_waiting_and_failing_are_said_in_words(live: Live, open_page: Make) -> N
     page.wait_for_selector("text=no connection to eps-hil dashboard")
 
 
+def test_the_last_verdict_does_not_stay_when_nothing_more_is_heard(
+    live: Live, open_page: Make
+) -> None:
+    page = open_page(live.server.url, eval_=False)
+    live.say()
+    page.wait_for_selector("#verdict.good")
+    page.wait_for_selector("#link.bad:has-text('no news for')")
+    assert page.inner_text("#verdict.bad") == "estimate unknown"
+    live.say()
+    page.wait_for_selector("#verdict.good")
+    page.wait_for_selector("#link.good")
+
+
 def test_how_far_a_calibration_and_a_programme_are(live: Live, open_page: Make) -> None:
     page = open_page(live.server.url)
     gates = [

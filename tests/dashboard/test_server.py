@@ -1,5 +1,6 @@
 """What the server answers, and what it refuses."""
 
+import contextlib
 import http.client
 import json
 import socket
@@ -9,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from eps_hil.dashboard.server import allowed_host, assets, listening
+from eps_hil.dashboard.server import Hub, allowed_host, assets, listening
 from eps_hil.dashboard.store import Block, Store
 from eps_hil.dashboard.traces import NAMES
 from eps_hil.errors import BusError
@@ -99,12 +100,31 @@ def test_nonsense_from_a_page_ends_nothing(running: Start, blocks: Blocks) -> No
         for text in ("", "{", "[]", "7", '{"view": 1}', '{"ask": {"from": "x"}}',
                      '{"drawn": "y"}',
                      '{"mark": {"t": 1e400, "text": 1}}',
+                     '{"mark": {"t": 1e12, "text": "no such year"}}',
+                     '{"mark": {"t": -1e12, "text": "nor this"}}',
                      '{"view": {"length_s": 1e999}}'):  # fmt: skip
             page.send(text)
         page.send('{"view": {"length_s": 1, "pixels": 100}}')
         while isinstance(message := page.recv(timeout=60), str):
             assert json.loads(message).keys() <= {"marks", "mismatch"}
     assert message[:4] == b"EPS1"
+
+
+def test_a_page_that_cannot_be_told_is_let_go(
+    running: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It kept its connection and heard nothing, and showed the last verdict as it was."""
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    started = running()
+    with connect(f"ws://127.0.0.1:{started.port}/feed") as page:
+        page.recv(timeout=60)
+        monkeypatch.setattr(Hub, "overview", lambda _: 1 / 0)
+        with contextlib.suppress(ConnectionClosed):
+            while page.recv(timeout=60):
+                pass
+        assert page.close_code == 1000
 
 
 def test_a_websocket_of_a_foreign_page_is_refused(running: Start) -> None:

@@ -127,8 +127,20 @@ function take(buffer) {
 }
 
 // What stands still must not look live.
+const NEWS_MS = 2000; // eight states
+let heard_ms = 0, ended = false;
+function silent_s() {
+  const since_ms = performance.now() - heard_ms;
+  return recorded || !heard_ms || since_ms < NEWS_MS ? 0 : Math.round(since_ms / 1000);
+}
 function linked() {
   if (socket.readyState !== WebSocket.OPEN) return;
+  if (ended || silent_s()) words.unknown();
+  if (ended || (silent_s() && !frozen)) {
+    byId("link").textContent = ended ? "ended" : `no news for ${silent_s()} s`;
+    byId("link").className = "chip bad";
+    return;
+  }
   byId("link").textContent = recorded ? "recording" : frozen ? "frozen" : "live";
   byId("link").className = frozen && !recorded ? "chip bad" : "chip good";
 }
@@ -147,17 +159,24 @@ function connect() {
     const said = JSON.parse(event.data);
     if (said.state) {
       state = said.state;
+      heard_ms = performance.now();
+      linked();
       words.show(state);
       document.title = `${state.problems.length ? "! " : ""}${layout.title} – eps_hil`; // seen from another tab
     }
     if (said.mismatch) mismatch.take(said.mismatch);
     if (said.diagnosis) mismatch.heard(said.diagnosis);
     if (said.marks) { marks = said.marks; listMarks(); dirty = true; }
-    if (said.ended) words.problems(["the listener on the bus has ended; start eps-hil dashboard again"]);
+    if (said.ended) {
+      ended = true;
+      linked();
+      words.problems(["the listener on the bus has ended; start eps-hil dashboard again"]);
+    }
   };
   socket.onclose = () => {
     link.textContent = "no connection";
     link.className = "chip bad";
+    words.unknown();
     words.problems(["no connection to eps-hil dashboard on this address; trying again each second"]);
     setTimeout(connect, 1000);
   };
@@ -271,4 +290,5 @@ if (recorded) {
 theme(document.documentElement.dataset.theme, false);
 listMarks();
 connect();
+setInterval(linked, 500);
 requestAnimationFrame(draw);

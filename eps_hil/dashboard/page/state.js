@@ -49,6 +49,14 @@ export function verdict(state) {
   chip.className = "chip " + (estimate.status === "valid" ? "good" : "bad");
 }
 
+// Nothing is heard any more: what was said last is not what is.
+export function unknown() {
+  const chip = byId("verdict");
+  if (chip.hidden) return;
+  chip.textContent = "estimate unknown";
+  chip.className = "chip bad";
+}
+
 export function show(state) {
   problems(state.problems);
   problems(state.waiting || [], "waiting");
