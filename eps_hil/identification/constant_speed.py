@@ -4,6 +4,7 @@ With rack force F and acceleration nearly zero, eq. 1d leaves T_f = T_em + (i_pi
 F/i_APA − J ω̇; its mean over a pass is one reading of one cell (speed, load).
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -12,11 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.physics.chain import HAND_ANGLE, LOAD_FORCE
+from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Friction, Model
 
 Floats = npt.NDArray[np.float64]
 
 _EDGE_S = 0.02
+_LEAST_SPREAD = 0.01
+"""Share of their largest by which speeds and loads must differ, each beside the other."""
 _NAMES = ("offset", "viscous", "load")
 _UNITS = ("nm", "nm_s_per_rad", "nm_per_n")
 
@@ -72,6 +76,7 @@ def cells_of(
     load = set_points[:-1, LOAD_FORCE]
     moved = np.r_[True, (np.abs(np.diff(rate)) > 1e-6) | (np.abs(np.diff(load)) > 1e-6), True]
     edges = np.flatnonzero(moved)
+    model = with_model_effects(model)
     physical = _aligned(columns, model)
     ratio = model.rack_to_rotor_ratio_rad_per_m / model.pinion_ratio_rad_per_m
     found = []
@@ -96,6 +101,7 @@ def reading(
 
     ``samples``: evenly spaced over the same ``seconds``, each signal at a rate of its own.
     """
+    model = with_model_effects(model)
     mean = {name: float(np.mean(value)) for name, value in samples.items()}
     speed = samples["motor_speed_rad_s"]
     slope = float(np.polyfit(np.linspace(0.0, seconds, len(speed)), speed, 1)[0])
@@ -131,23 +137,39 @@ def measured_map(cells: Sequence[Cell]) -> FrictionMap:
 def fitted(cells: Sequence[Cell], friction: Friction) -> tuple[Friction, dict[str, float]]:
     """Eq. 3 by least squares, one fit per direction: the friction block and 95 % half widths.
 
-    What eq. 3 does not hold (σ0, σ1, ω_σ1) is taken over from ``friction``.
+    What eq. 3 does not hold (σ0, σ1, ω_σ1) is taken over from ``friction``. Each direction needs
+    cells of which :func:`enough` is said.
     """
     from scipy.stats import t as student
 
     values, widths = {}, {}
     for side, sign in (("pos", 1.0), ("neg", -1.0)):
         own = [cell for cell in cells if cell.speed_rad_s * sign > 0]
-        a = np.array([[1.0, abs(cell.speed_rad_s), abs(cell.load_n)] for cell in own])
+        a = _regressors(own)
         y = np.array([abs(cell.friction_nm) for cell in own])
         solution, *_ = np.linalg.lstsq(a, y, rcond=None)
-        free = max(len(own) - 3, 1)
+        free = len(own) - a.shape[1]
         variance = float(np.sum((y - a @ solution) ** 2)) / free * np.linalg.inv(a.T @ a)
         wide = student.ppf(0.975, free) * np.sqrt(np.diag(variance))
         for name, unit, value, width in zip(_NAMES, _UNITS, solution, wide, strict=True):
             values[f"{name}_{side}_{unit}"] = max(float(value), 0.0)
             widths[f"{name}_{side}_{unit}"] = float(width)
     return replace(friction, **values), widths
+
+
+def enough(cells: Sequence[Cell]) -> bool:
+    """Whether cells of one direction give the three numbers of eq. 3, and an error of theirs."""
+    a = _regressors(cells)
+    if len(a) <= a.shape[1]:
+        return False
+    scale = np.max(np.abs(a), axis=0)
+    least = np.linalg.svd(a / np.where(scale > 0.0, scale, 1.0), compute_uv=False)[-1]
+    return bool(least > _LEAST_SPREAD * math.sqrt(len(a)))
+
+
+def _regressors(cells: Sequence[Cell]) -> Floats:
+    """1, |speed| and |load| of each cell (n, 3)."""
+    return np.array([[1.0, abs(cell.speed_rad_s), abs(cell.load_n)] for cell in cells])
 
 
 def _aligned(columns: Mapping[str, Floats], model: Model) -> dict[str, Floats]:

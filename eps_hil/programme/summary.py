@@ -12,7 +12,7 @@ from typing import Any
 
 from eps_hil.bus.config import BusSetup
 from eps_hil.errors import InputError
-from eps_hil.identification.constant_speed import Cell, fitted
+from eps_hil.identification.constant_speed import Cell, enough, fitted
 from eps_hil.identification.identify import identify
 from eps_hil.identification.result import Identification
 from eps_hil.identification.write_model import model_file
@@ -76,6 +76,12 @@ def identified(summary: Summary, model: Model) -> Identified:
             problem = (
                 f"{word} direction: {speeds} speeds and {loads} loads are good, "
                 f"eq. 3 needs {_LEAST} of each"
+            )
+            return Identified(None, {}, problem)
+        if not enough([cell for cell in cells if cell.speed_rad_s * sign > 0]):
+            problem = (
+                f"{word} direction: {len(own)} cells are good; eq. 3 needs four, with speeds and "
+                "loads that do not change together"
             )
             return Identified(None, {}, problem)
     friction, widths = fitted(cells, model.friction)

@@ -16,6 +16,7 @@ from eps_hil.adaptation.error_injection import (
 from eps_hil.adaptation.gates import Gates, GateState
 from eps_hil.adaptation.injection_settings import InjectionSettings
 from eps_hil.adaptation.torque_injection import InjectionCommand, Phase, TorqueInjection
+from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.service.adaptation_config import SANITY_BAND
 from eps_hil.service.config import ServiceConfig
@@ -58,6 +59,7 @@ class TorqueInjectionSource:
     """Torque injection as a source of torque: until it is engaged, only its gates are watched."""
 
     def __init__(self, settings: InjectionSettings, model: Model) -> None:
+        model = with_model_effects(model)
         self.injection = TorqueInjection(settings, model)
         self.command: InjectionCommand | None = None
         """What it last asked for; None before it was engaged."""
@@ -94,7 +96,7 @@ class ErrorInjectionSource:
     """Error injection listens: driver and ECU move the rack, no torque is ever asked for."""
 
     def __init__(self, settings: CalibrationSettings, model: Model) -> None:
-        self.injection = ErrorInjection(settings.error_injection, model)
+        self.injection = ErrorInjection(settings.error_injection, with_model_effects(model))
         self.state: ErrorInjectionState | None = None
         self._sliding_s = settings.error_sliding_s
 

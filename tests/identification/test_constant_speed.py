@@ -1,12 +1,20 @@
 """Friction read off constant-speed passes: eq. 1d in the mean, eq. 3 by least squares, the map."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from eps_hil.identification.constant_speed import Cell, cells_of, fitted, measured_map, reading
+from eps_hil.identification.constant_speed import (
+    Cell,
+    cells_of,
+    enough,
+    fitted,
+    measured_map,
+    reading,
+)
 from eps_hil.physics.chain import HAND_ANGLE, INPUTS, LOAD_FORCE
 from eps_hil.physics.friction import friction_law, static_level_nm
 from eps_hil.physics.model import load_model
@@ -44,6 +52,12 @@ class TestReading:
         columns["rack_force_n"] = columns["rack_force_n"][::10]
         one = reading(20.0, 1500.0, columns, 0.999, MODEL)
         assert one.friction_nm == pytest.approx(0.139, abs=1e-9)
+
+    def test_the_inertia_is_the_one_with_effects(self) -> None:
+        heavy = replace(MODEL, effects=({"effect": "inertia", "scale": 2.0},))
+        columns = self.columns(0.139, 50.0)
+        columns["motor_torque_nm"] = columns["motor_torque_nm"] + 2e-4 * 50.0
+        assert reading(20.0, 1500.0, columns, 0.999, heavy).friction_nm == pytest.approx(0.139)
 
     def test_passes_are_cut_by_the_set_points(self) -> None:
         """Two passes, 2 s each, with a second between them; only what is settled counts."""
@@ -85,6 +99,15 @@ class TestFrictionCells:
         friction, widths = fitted(self.cells(), MODEL.friction)
         for name in widths:
             assert getattr(friction, name) == pytest.approx(getattr(MODEL.friction, name))
+
+    def test_three_cells_have_no_error_of_their_own(self) -> None:
+        """They fit exactly: the half width was 2e-15 Nm; two on a diagonal ended in a traceback."""
+        forth = [cell for cell in self.cells(1e-3)[::4] if cell.speed_rad_s > 2.0]
+        assert enough(forth)
+        assert not enough([forth[k] for k in (0, 1, 3)])
+        assert not enough([forth[0], forth[4]])
+        assert not enough([forth[0], forth[4]] * 4)
+        assert enough([forth[k] for k in (0, 1, 3, 4)])
 
     def test_intervals_grow_with_scatter(self) -> None:
         friction, widths = fitted(self.cells(1e-3), MODEL.friction)
