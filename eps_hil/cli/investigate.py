@@ -72,7 +72,7 @@ def investigate(
     page.check("investigate")
     setup, limits = load_bus_setup(config), load_limits(config)
     model = load_model(setup.model)
-    share = load_rig_setup(config, "idle").rig.motor_share
+    rig = load_rig_setup(config, "idle")
     say_if_it_compiles()
     stop = _Stop()
     open_rig = _simulated(config, model, out) if simulated else _on_bus(setup, model)
@@ -82,7 +82,7 @@ def investigate(
         rig_min = sum(one.rig_s for one in steps) / 60.0
         typer.echo(f"{len(steps)} steps ({rig_min:.2f} min of rig) are there already")
     with progress("simulating what experiments would show") as bar:
-        menu = prepared_menu(model, limits, share, bar)
+        menu = prepared_menu(model, limits, rig.rig.motor_share, rig.chain, bar)
     typer.echo(f"{len(menu.prospects)} experiments keep the limits")
     led = stop.while_led(open_rig)
     run = Investigation(setup, menu, journal, led, lambda c: _say(story.lines(c)))
@@ -91,6 +91,8 @@ def investigate(
         with replacing(write_model) as temporary:
             temporary.write_text(dump_model(outcome.found.model), encoding="utf-8")
         typer.echo(f"model written to {write_model}")
+    elif write_model:
+        typer.echo(f"no model written to {write_model}: there is no verdict")
     story.write_page(outcome, report or out / "investigation.html", str(setup.model.name))
     if json:
         write_json(json, story.content_of(outcome))

@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import Any
 
 from eps_hil.investigate.experiment import Experiment
-from eps_hil.investigate.possible import Choice, Possible
+from eps_hil.investigate.possible import Choice, Possible, explained_in_part
 
 _UNNAMED_ROUNDS = 3
 """So often is what has no name looked at from elsewhere before it is left at that."""
@@ -42,13 +42,11 @@ def decide(
         return ended
     choices = possible.choices(done, fresh=False)
     why = "tells most a minute of what is open"
-    if not choices and steady and not (possible.rivals or possible.unnamed):
+    if not choices and steady and not (possible.rivals or possible.in_part):
         return Decision((), Stop.NOTHING_MORE, "no experiment within the limits tells more")
-    if not choices or possible.unnamed or (possible.found is None and done):
+    if not choices or possible.in_part or (possible.found is None and done):
         choices = possible.choices(done, fresh=True)
-        why = "looks again from elsewhere: " + (
-            "part of the residual has no name" if possible.unnamed else "the names have to stand"
-        )
+        why = "looks again from elsewhere: " + _reason(possible)
     fitting = [one for one in choices if 60.0 * one.minutes <= left_s]
     if fitting:
         return Decision(fitting, None, why)
@@ -59,8 +57,10 @@ def decide(
 
 def _ended(possible: Possible, before: Sequence[Mapping[str, Any]]) -> Decision | None:
     """The end where names and verdict stand, None where something is open."""
-    if possible.unnamed and _unnamed_for(before) >= _UNNAMED_ROUNDS:
-        why = "the residual has no name, and other motions do not give it one"
+    if possible.in_part and _in_part_for(before) >= _UNNAMED_ROUNDS:
+        why = "what was found does not explain all, and other motions do not change that"
+        if possible.unnamed:
+            why = "the residual has no name, and other motions do not give it one"
         return Decision((), Stop.NOTHING_MORE, why)
     if not possible.answered:
         return None
@@ -81,11 +81,20 @@ def _steady(possible: Possible, before: Sequence[Mapping[str, Any]]) -> bool:
     return same and tuple(names) == possible.names
 
 
-def _unnamed_for(before: Sequence[Mapping[str, Any]]) -> int:
-    """Rounds in succession, up to the last, in which something had no name."""
+def _in_part_for(before: Sequence[Mapping[str, Any]]) -> int:
+    """Rounds in succession, up to the last, in which not all was explained."""
     count = 0
     for one in reversed(before):
-        if all(finding["effect"] != "unknown" for finding in one["findings"]):
+        if not explained_in_part(one):
             break
         count += 1
     return count
+
+
+def _reason(possible: Possible) -> str:
+    """Why it looks again."""
+    if possible.unnamed:
+        return "part of the residual has no name"
+    if possible.in_part:
+        return "the hold-outs do not bear out what was found"
+    return "the names have to stand"

@@ -8,11 +8,11 @@ import numpy.typing as npt
 
 from eps_hil.investigate.experiment import TICK_S, Experiment, start_m
 from eps_hil.physics.chain import HAND_ANGLE, HAND_DAMPING, HAND_STIFFNESS, LOAD_FORCE
-from eps_hil.physics.chain_parameters import ChainParameters, load_chain
+from eps_hil.physics.chain_parameters import ChainParameters
 from eps_hil.physics.model import Model
 from eps_hil.programme.limits import Limits
+from eps_hil.rig.assumed_chain import assumed_chain
 from eps_hil.rig.command import ROBOT_DAMPING_NM_S_PER_RAD, ROBOT_STIFFNESS_NM_PER_RAD
-from eps_hil.rig.config import REFERENCE_CHAIN
 from eps_hil.rig.manoeuvre import COLUMNS, PRELOAD_COMPENSATION, ROWS_PER_S
 from eps_hil.rig.plant import Plant
 from eps_hil.rig.sensors import REPORTED, Sensors, SensorSettings
@@ -45,7 +45,7 @@ def foresee(
     chain: ChainParameters | None = None,
 ) -> Foreseen:
     """One run of the experiment through a chain of two masses and its sensors."""
-    parameters = chain or load_chain(REFERENCE_CHAIN)
+    parameters = assumed_chain(model, chain)
     table, lead = _table(experiment, limits, model, motor_share)
     truth = Plant(model, parameters, _MASSES, table).run()
     reported = Sensors(model, SensorSettings(), 0).run(truth)[lead:]

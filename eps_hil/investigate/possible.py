@@ -57,6 +57,12 @@ class Menu:
         return np.asarray(of.distance * size**2)
 
 
+def explained_in_part(content: Mapping[str, Any]) -> bool:
+    """Whether what a diagnosis named leaves something that it does not explain."""
+    nameless = any(one["effect"] == "unknown" for one in content["findings"])
+    return nameless or content["verdict"] == "partly_explained"
+
+
 @dataclass(frozen=True)
 class Rival:
     """A name that was found, and another that the recordings cannot tell from it."""
@@ -140,6 +146,11 @@ class Possible:
         return "unknown" in self.names
 
     @property
+    def in_part(self) -> bool:
+        """Whether what was named does not explain all that the recordings show."""
+        return self.found is not None and explained_in_part(self.found.content)
+
+    @property
     def open(self) -> list[int]:
         """Shapes that may be there unseen, and that some experiment would show."""
         reach = self.shown + _REACH * self._best
@@ -156,7 +167,7 @@ class Possible:
     @property
     def answered(self) -> bool:
         """Whether nothing is open that an experiment would tell."""
-        return self.found is not None and not (self.open or self.rivals or self.unnamed)
+        return self.found is not None and not (self.open or self.rivals or self.in_part)
 
     def choices(self, done: Sequence[Experiment], fresh: bool) -> list[Choice]:
         """Experiments by what they tell a minute; ``fresh``: as if nothing had been shown yet.

@@ -25,6 +25,7 @@ from eps_hil.investigate.foreseen import foresee
 from eps_hil.investigate.journal import Journal, Step
 from eps_hil.investigate.possible import Menu, Possible
 from eps_hil.investigate.worth import FITTED, Prospect, friction_level_nm, prospect, shapes
+from eps_hil.physics.chain_parameters import ChainParameters
 from eps_hil.physics.model import Model
 from eps_hil.programme.limits import Limits
 from eps_hil.programme.link import Rig
@@ -64,16 +65,20 @@ def prepared_menu(
     model: Model,
     limits: Limits,
     motor_share: float,
+    chain: ChainParameters | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Menu:
-    """Every experiment within the limits, simulated once with the model file."""
+    """Every experiment within the limits, simulated once with the model file.
+
+    ``chain``: of the rig, where it is known.
+    """
     if friction_level_nm(model) == 0.0:
         problem = "the model file has no friction, of which an effect could be a share"
         raise EpsHilError(f"{problem}; identify it first (eps-hil programme)")
     planned, asked = menu(limits, model), None
     prospects: dict[Experiment, Prospect] = {}
     for k, one in enumerate(planned):
-        seen = foresee(model, one, limits, motor_share)
+        seen = foresee(model, one, limits, motor_share, chain)
         if asked is None:
             asked = shapes(model, limits, Problem([prepare(one.name, seen.series)], model))
         if seen.within(limits):
@@ -227,7 +232,7 @@ def _content(number: int, used_s: float, possible: Possible, decision: Decision)
         "findings": [] if found is None else found.content["findings"],
         "limits": [] if found is None else found.content["limits"],
         "fit": None if found is None else found.content["fit"],
-        "discrepancy": round(possible.discrepancy, 4),
+        "discrepancy": None if found is None else round(possible.discrepancy, 4),
         "open_effects": sorted({shapes[k][0] for k in possible.open}),
         "open_names": [[one.entry["effect"], one.rival] for one in possible.rivals],
         "not_told_apart": [[one.entry["effect"], one.rival] for one in possible.same],

@@ -55,7 +55,9 @@ def possible(content: Mapping[str, Any]) -> str:
 def lines(content: Mapping[str, Any]) -> list[str]:
     """One round, for the terminal."""
     said = [f"{content['rig_s'] / 60.0:5.2f} min of rig: {showed(content)}"]
-    if content["stop"] is None:
+    if content["stop"] is None and not content["next"]:
+        said.append("      every experiment that would tell more went beyond a limit before")
+    elif content["stop"] is None:
         best = content["next"][0]
         said.append(f"      still possible: {possible(content)}")
         about = f" about {', '.join(best['about'])}" if best["about"] else ""
@@ -114,7 +116,7 @@ def write_page(outcome: Outcome, path: Path, model_file: str) -> None:
         verdict=showed(last),
         rows=rows,
         last=last,
-        nothing_found=all_clear(last.get("limits", [])),
+        nothing_found=showed(last) if last["verdict"] is None else all_clear(last["limits"]),
         model_file=model_file,
     )
     page.write(path, html)

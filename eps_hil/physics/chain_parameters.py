@@ -109,15 +109,20 @@ def load_chain(path: str | Path) -> ChainParameters:
     return parameters
 
 
-def rotor_inertia_kg_m2(model: Model, parameters: ChainParameters) -> float:
-    """J_rot of eq. 1b: what the model file's J_1m leaves beside nut, rack and road wheels."""
+def masses_kg_m2(model: Model, parameters: ChainParameters) -> float:
+    """What nut, rack and road wheels have of J_1m (eq. 1b), at the rotor."""
     rack_to_rotor = model.rack_to_rotor_ratio_rad_per_m
-    others = (
+    return (
         parameters.rack_mass_kg / rack_to_rotor**2
         + parameters.road_wheel_inertia_kg_m2
         * (parameters.tie_rod_ratio_rad_per_m / rack_to_rotor) ** 2
         + parameters.ball_nut_inertia_kg_m2 / model.belt_ratio**2
     )
+
+
+def rotor_inertia_kg_m2(model: Model, parameters: ChainParameters) -> float:
+    """J_rot of eq. 1b: what the model file's J_1m leaves beside nut, rack and road wheels."""
+    others = masses_kg_m2(model, parameters)
     left = model.inertia_kg_m2 - others
     given = parameters.rotor_inertia_kg_m2
     if given is not None:

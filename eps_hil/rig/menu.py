@@ -12,13 +12,12 @@ import numpy as np
 import yaml
 
 from eps_hil import yaml_file
-from eps_hil.physics.chain_parameters import load_chain
 from eps_hil.physics.model import Model
+from eps_hil.rig.assumed_chain import assumed_chain
 from eps_hil.rig.manoeuvre import FOLDER, Manoeuvre
 from eps_hil.rig.offline import simulate_recording
 from eps_hil.series import Series
 
-CHAIN = FOLDER.parent / "reference_chain.yaml"
 FILES = ("sine_sweep", "weave", "dwell", "constant_speed_preload", "steps")
 _ROBOT = {"stiffness_nm_per_rad": 400.0, "damping_nm_s_per_rad": 12.0}
 _HOLDS_S = (0.1, 0.3, 1.0, 3.0, 10.0)
@@ -121,7 +120,7 @@ def menu(
 
     ``names`` picks some of the menu.
     """
-    chain = load_chain(CHAIN)
+    chain = assumed_chain(model)
     made = {}
     every = {name: one for name, one in contents().items() if names is None or name in names}
     for k, (name, content) in enumerate(every.items()):

@@ -32,6 +32,10 @@ class Open:
     def unnamed(self) -> bool:
         return "unknown" in self.names
 
+    @property
+    def in_part(self) -> bool:
+        return self.unnamed or self.verdict == "partly_explained"
+
     def choices(self, done: list[Experiment], fresh: bool) -> list[Choice]:
         if not fresh and self.answered:
             return []
@@ -81,6 +85,17 @@ def test_what_has_no_name_is_looked_at_from_elsewhere_and_then_left() -> None:
     assert decision.choices[0].experiment == TWO
     assert "has no name" in decision.why
     assert decided(possible, before * 3, [ONE]).stop is Stop.NOTHING_MORE
+
+
+def test_what_hold_outs_do_not_bear_out_is_not_settled() -> None:
+    possible = Open("partly_explained", answered=False)
+    before = [told(possible)]
+    decision = decided(possible, before, [ONE])
+    assert decision.choices[0].experiment == TWO
+    assert "do not bear out" in decision.why
+    ended = decided(possible, before * 3, [ONE, TWO])
+    assert ended.stop is Stop.NOTHING_MORE
+    assert "does not explain all" in ended.why
 
 
 def test_the_budget_ends_it_and_a_shorter_experiment_may_still_fit() -> None:
