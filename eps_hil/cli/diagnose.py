@@ -384,6 +384,8 @@ def _say_simulation(simulation: Mapping[str, Any] | None) -> None:
         typer.echo(f"  another number: {one['summary']}")
     if differences["same"]:
         typer.echo(f"  both have: {', '.join(differences['same'])}")
+    if differences["undecided"]:
+        typer.echo(f"  not decided whether the rig has: {', '.join(differences['undecided'])}")
     for caveat in simulation["caveats"]:
         typer.echo(f"  note: {caveat}")
 

@@ -17,10 +17,10 @@ from eps_hil.diagnosis.diagnose import diagnose
 from eps_hil.diagnosis.given_load import Diagnosis
 from eps_hil.diagnosis.simulator.differences import (
     NUMBERS,
+    Asked,
     Surplus,
-    comparable,
+    asked,
     numbers,
-    surplus,
     without,
 )
 from eps_hil.diagnosis.simulator.simulation import Simulated, explain, silent_on
@@ -60,10 +60,11 @@ def diagnose_against(
         [prepare(name, one) for name, one in some.items()]
         for some in split(measured(recordings), measured(holdouts))
     )
-    extra: list[Surplus] = []
+    told = Asked()
     if not missing([*fitted, *kept]):
         effects = simulated.content["effects"]
-        extra = surplus(fitted, kept, simulated.model, effects, simulated.problem)
+        told = asked(fitted, kept, simulated.model, effects, simulated.problem)
+    extra = told.surplus
     base = without(simulated.model, extra)
     result = diagnose(
         base,
@@ -80,7 +81,7 @@ def diagnose_against(
     content["simulation"] = {
         **simulated.content,
         "caveats": caveats,
-        "differences": _differences(result, base, extra, fitted, simulated.content),
+        "differences": _differences(result, base, told, fitted, simulated.content),
     }
     return replace(result, content=without_nan(content))
 
@@ -131,23 +132,23 @@ def _finding(one: Surplus) -> dict[str, Any]:
 def _differences(
     result: Diagnosis,
     base: Model,
-    extra: Sequence[Surplus],
+    told: Asked,
     fitted: Sequence[Prepared],
     simulator: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Both directions, with sizes; ``same``: effects of the ``simulator`` (of the JSON) that the
-    recordings were asked for and have, too.
+    recordings were asked for and have, too; ``undecided``: those of which they do not tell.
     """
     findings = result.content["findings"]
     differ = (
         numbers(fitted, base, result.model, findings, simulator["parameters"]) if findings else []
     )
-    told = {one["name"].split(".")[0] for one in differ}
-    told |= {str(one.entry["effect"]) for one in extra}
+    apart = {one["name"].split(".")[0] for one in differ}
+    apart |= {str(one.entry["effect"]) for one in told.surplus}
     mine = [str(one["effect"]) for one in base.effects]
-    asked = [str(one["effect"]) for one in simulator["effects"] if comparable(one)]
+    effects = [str(one["effect"]) for one in simulator["effects"]]
     return {
-        "simulator_only": [one.content() for one in extra],
+        "simulator_only": [one.content() for one in told.surplus],
         "rig_only": [
             {"effect": one["effect"], "parameters": one.get("parameters", {})}
             for one in result.content["findings"]
@@ -157,7 +158,8 @@ def _differences(
             and "direction" not in one
         ],
         "numbers": differ,
-        "same": [one for one in asked if one not in told],
+        "same": [one for one in told.had if one not in apart],
+        "undecided": [one for one in effects if one not in (*apart, *told.had)],
     }
 
 

@@ -8,6 +8,7 @@ simulator without it: it needs no negative friction, and no unknown, to say so.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -80,24 +81,45 @@ class Surplus:
         }
 
 
-def surplus(
+@dataclass(frozen=True)
+class Asked:
+    """What the recordings say of the simulator's effects: too many, or the rig has it (ids)."""
+
+    surplus: Sequence[Surplus] = ()
+    had: Sequence[str] = ()
+
+
+def asked(
     fitted: Sequence[Prepared],
     kept: Sequence[Prepared],
     model: Model,
     effects: Collection[Mapping[str, Any]],
     traces: Problem,
-) -> list[Surplus]:
-    """Those of the simulator's ``effects`` that the recordings do without; ``model`` has them.
+) -> Asked:
+    """Which of the simulator's ``effects`` the recordings do without; ``model`` has them.
 
     ``traces``: the simulator's own, with the model that explains them.
     """
     found: list[Surplus] = []
+    had: list[str] = []
     for entry in effects:
         now = _gone(fitted, kept, model, entry, traces)
-        if now is not None:
+        if isinstance(now, Surplus):
             found.append(now)
             model = without(model, [now])
-    return found
+        elif now is _HAD:
+            had.append(str(entry["effect"]))
+    return Asked(found, had)
+
+
+class _Answer(Enum):
+    """Of an effect that is not too many."""
+
+    HAD = "the rig has it"
+    UNDECIDED = "the hold-outs do not tell, or it has no size"
+
+
+_HAD, _UNDECIDED = _Answer.HAD, _Answer.UNDECIDED
 
 
 def _gone(
@@ -106,12 +128,12 @@ def _gone(
     model: Model,
     entry: Mapping[str, Any],
     traces: Problem,
-) -> Surplus | None:
+) -> Surplus | _Answer:
     """The effect, if it is too many: the model's own numbers are free beside all shares of it."""
     effect = catalogue()[entry["effect"]]
     probe = effect.probe
     if probe is None or not comparable(entry):
-        return None
+        return _UNDECIDED
     size = float(entry[probe.amplitude])
     tried = []
     for share in _SHARES:
@@ -123,13 +145,13 @@ def _gone(
     costs = [float(np.sum(one.residual**2)) for one in tried]
     bend, slope, _ = np.polyfit(_SHARES, costs, 2)
     share = -0.5 * slope / bend if bend > 0.0 else float(_SHARES[int(np.argmin(costs))])
-    if costs[0] > costs[-1] or abs(share) > _GONE:
-        return None
     judge = [Problem(kept, one.model) for one in (tried[-1], tried[0])]
     left = [one.residual(one.model) for one in judge]
     gain = [float(np.sum(clipped(one, knee(left[1])) ** 2)) for one in left]
+    if costs[0] > costs[-1] or abs(share) > _GONE:
+        return _HAD if share > _GONE and gain[1] - gain[0] >= LEAST_GAIN else _UNDECIDED
     if gain[0] - gain[1] < LEAST_GAIN:
-        return None
+        return _UNDECIDED
     unit = next(one.unit for one in effect.parameters if one.name == probe.amplitude)
     at_best = tried[0].residual + share * (tried[-1].residual - tried[0].residual)
     wide = _half_width(Problem(fitted, model), tried[-1].residual - tried[0].residual, at_best)

@@ -49,7 +49,30 @@ def test_what_only_the_simulator_has_is_a_finding_with_its_size(
     assert after < 0.5 * before  # before: the simulator as it is
     assert not any(entry["effect"] == "stribeck" for entry in found.model.effects)
     diagnosis_page.write(found, tmp_path / "page.html", "rig.yaml")
-    assert "that the rig lacks" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "that the rig lacks" in page
+    assert "no other effect of the catalogue fits" not in page  # none was compared
+
+
+@pytest.mark.parametrize("load_cell", [True, False])
+def test_both_have_it_only_where_the_recordings_say_so(
+    record: Callable[..., Any], reference_model: Model, other_rig: Any, load_cell: bool
+) -> None:
+    """Without a load cell nobody is asked, and all were told as had by both."""
+    both = {other_rig.STRIB: 0.04, other_rig.STRIB_W: 10.0}
+    traces = record(
+        both, MANOEUVRES, noise=0.0, speed_late_s=-4e-3, torque_late_s=1e-3, seconds=SECONDS
+    )
+    sims = {f"sim_{name}": one for name, one in traces.items()}
+    rig = record(both, MANOEUVRES, seconds=SECONDS)
+    kept = record(both, ("weave",), seed=2, seconds=SECONDS)
+    if not load_cell:
+        for one in (*rig.values(), *kept.values()):
+            one.pop("rack_force_n")
+    told = diagnose_against(sims, reference_model, rig, kept).content["simulation"]["differences"]
+    assert (told["same"], told["undecided"]) == (
+        (["stribeck"], []) if load_cell else ([], ["stribeck"])
+    )
 
 
 def test_too_many_and_missing_and_another_number_at_once(
