@@ -3,8 +3,9 @@
     python scripts/proof_files.py            of the sources as they are
     python scripts/proof_files.py COMMIT     of a commit
 
-All of eps_hil/physics, and of eps_hil/diagnosis what ``eps-hil diagnose`` is made of: what it
-imports, and what that imports. What only ``eps-hil changes`` imports has no part in the proof.
+All of eps_hil/physics; of eps_hil/diagnosis what ``eps-hil diagnose`` is made of: what it imports,
+and what that imports; and what hides and judges: eps_hil/proof and eps_hil/oracle/closed_loop.py.
+What only ``eps-hil changes`` imports has no part in the proof.
 """
 
 import ast
@@ -18,12 +19,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PHYSICS, DIAGNOSIS = "eps_hil/physics", "eps_hil/diagnosis"
+PROOF, CLOSED_LOOP = "eps_hil/proof", "eps_hil/oracle/closed_loop.py"
 BEGIN = "eps_hil.diagnosis.diagnose"
 
 
 def digest(root: Path) -> str:
     """Seven digits of the contents of those files under ``root``."""
     files = {*(root / PHYSICS).rglob("*.py"), *_imported(root, BEGIN, set())}
+    files |= {*(root / PROOF).rglob("*.py"), root / CLOSED_LOOP}
     total = hashlib.sha256()
     for file in sorted(files):
         total.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
@@ -32,7 +35,7 @@ def digest(root: Path) -> str:
 
 def of_commit(commit: str) -> str:
     """The same of a commit of this repository."""
-    words = ["git", "archive", commit, PHYSICS, DIAGNOSIS]
+    words = ["git", "archive", commit, PHYSICS, DIAGNOSIS, PROOF, CLOSED_LOOP]
     packed = subprocess.run(words, cwd=ROOT, capture_output=True, check=True).stdout
     with tempfile.TemporaryDirectory() as folder, tarfile.open(fileobj=BytesIO(packed)) as tar:
         tar.extractall(folder, filter="data")

@@ -23,7 +23,7 @@ def register(app: typer.Typer) -> None:
 
 
 def concealed(
-    seed: Annotated[int, typer.Option("--seed", min=1, help="Which cases are drawn.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", min=1, max=998, help="Which cases are drawn.")] = 1,
     quick: Annotated[
         bool, typer.Option("--quick", help="A few development cases in minutes, for CI.")
     ] = False,
@@ -89,7 +89,7 @@ def concealed(
 
 
 def changes(
-    seed: Annotated[int, typer.Option("--seed", min=1, help="Which cases are drawn.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", min=1, max=998, help="Which cases are drawn.")] = 1,
     cases: Annotated[int, typer.Option("--cases", min=1, help="How many; half hold a change.")] = 8,
     json: Annotated[Path | None, typer.Option("--json", help="The figures as JSON.")] = None,
     out: Annotated[

@@ -28,7 +28,7 @@ from eps_hil.proof.code_version import code_version
 from eps_hil.proof.effects import ALIENS, CATALOGUED, find
 from eps_hil.proof.examine import MODEL, Examined, examine
 from eps_hil.proof.model_file import model_yaml
-from eps_hil.proof.plans import PROOF_SEEDS, lasting, near
+from eps_hil.proof.plans import first_seed, lasting, near
 from eps_hil.proof.run import strangers
 from eps_hil.proof.score import Share
 from eps_hil.proof.seal import opaque_id, open_answers, seal
@@ -61,7 +61,7 @@ class ChangePlan:
 
 def change_plans(seed: int, count: int, *, proof: bool) -> list[ChangePlan]:
     """``count`` plans: with and without a change, alone and beside something, new and gone."""
-    first = seed * 1000 + (PROOF_SEEDS if proof else 0)
+    first = first_seed(seed, proof=proof)
     rng = np.random.default_rng([first, _KIND])
     planned = []
     for k in range(count):

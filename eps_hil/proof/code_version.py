@@ -2,12 +2,10 @@
 
 import subprocess
 from contextlib import suppress
-from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 
-@cache
 def code_version() -> str:
     """The checkout's commit, else the package's version."""
     with suppress(OSError, subprocess.CalledProcessError):

@@ -4,6 +4,7 @@ Figures are counted on the full truth plant. Shares have Wilson's 95 % interval,
 ratios a bootstrap over cases (a fixed seed, so that the same cases give the same interval).
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,7 @@ from eps_hil.proof.score import Share
 from eps_hil.proof.truth import Floats
 
 _RESAMPLES = 2000
+_LONG = "20 min of recordings diagnosed, seconds on this machine"
 NO_GOAL = "–"
 CONSTANTS = {"friction_asymmetry", "motor_torque_offset", "torque_sensor_offset"}
 """One constant while sliding, on the full plant at rest too: which one comes first is luck."""
@@ -139,9 +141,11 @@ def _named_or_said(j: Judgement) -> bool:
 
 
 def _time(long_s: float | None) -> Figure:
+    """``long_s``: infinite where it failed."""
     met = None if long_s is None else long_s <= 10.0
-    words = "20 min of recordings diagnosed, seconds on this machine"
-    return Figure(words, long_s, None, None, int(long_s is not None), "≤ 10 s", met, percent=False)
+    if long_s == math.inf:
+        return Figure(_LONG, None, None, None, 1, "≤ 10 s", met, percent=False)
+    return Figure(_LONG, long_s, None, None, int(long_s is not None), "≤ 10 s", met, percent=False)
 
 
 def _in_set(j: Judgement) -> bool:
@@ -149,7 +153,7 @@ def _in_set(j: Judgement) -> bool:
 
 
 def _right_set(j: Judgement) -> bool:
-    return j.all_in_set and not j.invented
+    return j.all_in_set and not j.invented and not j.said_unknown
 
 
 def _both_named(j: Judgement) -> bool:
@@ -246,6 +250,8 @@ def _pairs(cases: Sequence[Scored], name: str, models: Sequence[str]) -> Floats:
         if one.judged.kind not in ("singles", "pairs") or "oracle" not in one.worth:
             continue
         worth = {**one.worth, "augmented": one.worth.get("augmented", one.worth["baseline"])}
+        if worth["augmented"][name] is None:  # it has no figure, so it is worth nothing
+            worth["augmented"] = worth["baseline"]
         row = [worth[model][name] for model in models]
         if all(value is not None for value in row):
             rows.append(row)

@@ -152,9 +152,11 @@ def read_lines(out: Path) -> list[dict[str, Any]]:
 
 
 def long_seconds(out: Path) -> float | None:
-    """What 20 minutes of recordings took; None where it was not tried, or failed."""
-    found = (_json(out / LONG) or {}).get("seconds")
-    return None if found is None else float(found)
+    """What 20 minutes of recordings took; None where it was not tried, infinite where it failed."""
+    told = _json(out / LONG)
+    if not told:
+        return None
+    return math.inf if told["seconds"] is None else float(told["seconds"])
 
 
 def judgement(line: Mapping[str, Any]) -> Judgement:

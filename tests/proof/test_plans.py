@@ -13,6 +13,7 @@ from eps_hil.proof.plans import (
     LEVELS,
     LOADS,
     MIX,
+    MOST_SEED,
     QUICK,
     TWINS,
     mixed,
@@ -64,6 +65,28 @@ def test_seeds_of_development_and_proof_never_meet() -> None:
     development = {(plan.kind, plan.seed) for plan in mixed(MIX, 3)}
     assert not development & {(plan.kind, plan.seed) for plan in mixed(MIX, 3, proof=True)}
     assert mixed(MIX, 3) == mixed(MIX, 3)
+
+
+def test_no_seed_of_development_is_one_of_a_proof() -> None:
+    """Seed 1044 was the proof's 44."""
+    highest = {plan.seed for plan in mixed(MIX, MOST_SEED)}
+    lowest = {plan.seed for plan in mixed(MIX, 0, proof=True)}
+    assert max(highest) < min(lowest)
+    with pytest.raises(ValueError, match="at most"):
+        mixed(MIX, MOST_SEED + 1)
+
+
+def test_effects_come_at_more_than_one_level_rate_and_size() -> None:
+    """They took turns in step with the effects: each came at one only."""
+    aliens = [plan for seed in range(3) for plan in plans("aliens", seed, 60)]
+    for name in ALIENS:
+        levels = {plan.wanted[0][1] for plan in aliens if plan.wanted[0][0] == name}
+        assert levels == set(LEVELS[1:])
+    for kind, of in (("rates", "every"), ("sizes", "size")):
+        planned = [plan for seed in range(6) for plan in plans(kind, seed, 60) if plan.wanted]
+        seen = {(plan.wanted[0][0], getattr(plan, of)) for plan in planned}
+        names = {name for name, _ in seen}
+        assert len(seen) > 2.5 * len(names)
 
 
 def test_what_is_hidden_together_are_no_twins_of_each_other() -> None:

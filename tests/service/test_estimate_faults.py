@@ -34,6 +34,19 @@ HOLDS = (
 )  # fmt: skip
 
 
+LIES = {
+    "motor torque reads 8 nm", "signal off scale", "torques frozen", "signal frozen",
+    "motor state frozen", "offset on a signal", "torque values late",
+}  # fmt: skip
+"""Values that are wrong and not impossible: not always seen. tests/estimation/test_false_*.py, and
+docs/theory-estimator.md says what cannot be told."""
+
+
+def test_every_kind_of_fault_is_tried_or_named() -> None:
+    assert {*HOLDS, *LIES} == set(case.KINDS)
+    assert not LIES & set(HOLDS)
+
+
 @pytest.fixture(scope="module")
 def world() -> World:
     return World([("demo", 24)])
