@@ -42,7 +42,7 @@ def clocks(
     from rich.console import Console
 
     from eps_hil.cli._files import check_different, check_kept, outputs_for, write_json
-    from eps_hil.cli._inputs import check_extras, progress
+    from eps_hil.cli._inputs import check_extras, progress, say_notes
     from eps_hil.clocks.audit import audit
     from eps_hil.clocks.corrected import check_suffix, write_corrected
 
@@ -61,8 +61,10 @@ def clocks(
         _show(console, found)
         told.append(found.content())
         if path in targets:
+            notes: list[str] = []
             with progress(f"writing {targets[path].name}") as bar:
-                count = write_corrected(found, targets[path], bar)
+                count = write_corrected(found, targets[path], bar, notes)
+            say_notes(path, notes)
             own = ", ".join(one.channel for one in found.untied)
             typer.echo(
                 f"{count} frames written to {targets[path]}"

@@ -11,9 +11,7 @@ from eps_hil.clocks.audit import Audit
 from eps_hil.clocks.stamps import Stamps
 from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import LOOK_AHEAD_NS, read_unordered_frames
-from eps_hil.recordings.conversion import LOG_SUFFIXES, as_message, log_writer
-from eps_hil.recordings.files import replacing
-from eps_hil.recordings.mf4_bus import write_bus_mf4
+from eps_hil.recordings.conversion import LOG_SUFFIXES, write_log
 
 _NS = 1_000_000_000
 _SUFFIXES = (*LOG_SUFFIXES, ".mf4")
@@ -42,12 +40,15 @@ def corrected_stamps(found: Audit) -> dict[str, Stamps]:
 
 
 def write_corrected(
-    found: Audit, target: Path, on_progress: Callable[[float], None] | None = None
+    found: Audit,
+    target: Path,
+    on_progress: Callable[[float], None] | None = None,
+    notes: list[str] | None = None,
 ) -> int:
     """Write the copy, in the order of the corrected stamps; return its number of frames.
 
-    Frames of one channel stay in the order of the file. :class:`InputError` where one clock went
-    back and by how much could not be told.
+    Frames of one channel stay in the order of the file. ``notes`` hears which bus has which number.
+    :class:`InputError` where one clock went back and by how much could not be told.
     """
     check_suffix(target)
     stamps_of = corrected_stamps(found)
@@ -60,19 +61,11 @@ def write_corrected(
         stamps[names == name] = t_ns
         place[names == name] = np.maximum.accumulate(t_ns)
     order = np.argsort(place, kind="stable").tolist()
-    source = found.path.suffix.lower()
-    with replacing(target) as temporary:
-        if target.suffix.lower() == ".mf4":
-            put_right = ((tagged[k][0], _at(tagged[k][1], int(stamps[k]))) for k in order)
-            return write_bus_mf4(temporary, put_right, source=found.path.name)
-        writer = log_writer(temporary, target.suffix.lower(), int(stamps[order[0]]) / _NS)
-        try:
-            for k in order:
-                name, frame = tagged[k]
-                writer.on_message_received(as_message(_at(frame, int(stamps[k])), name, source))
-        finally:
-            writer.stop()
-    return len(tagged)
+    put_right = ((tagged[k][0], _at(tagged[k][1], int(stamps[k]))) for k in order)
+    count, told = write_log(target, put_right, int(stamps[order[0]]), found.path.name)
+    if notes is not None:
+        notes += told
+    return count
 
 
 def _check_rising(found: Audit, stamps_of: Mapping[str, Stamps]) -> None:

@@ -3,7 +3,7 @@
 A CAN log becomes MF4 in two ways: as signals, where a mapping is given, else as its raw frames.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 from eps_hil.bus.frame import Frame
 from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_tagged_frames
+from eps_hil.recordings.channel_numbers import ChannelNumbers
 from eps_hil.recordings.files import refused_by_system, replacing
 from eps_hil.recordings.read import is_can_log, read_columns
 from eps_hil.recordings.table import ESTIMATES, MARK_REMEDY
@@ -23,7 +24,6 @@ LOG_SUFFIXES = (".log", ".blf", ".asc")
 """CAN logs that can be written. Not TRC: its writer drops CAN FD, remote and error frames."""
 
 _FATE = {".mf4": "marked by their invalidation bits", ".mcap": "left out"}
-_NUMBERED_FROM_1 = (".blf", ".asc", ".trc")
 _NS = 1_000_000_000
 _YEAR_1990_S = 631_152_000  # BLF has no date before; python-can then leaves the start out
 
@@ -135,29 +135,45 @@ def _log_to_log(
     dbc: Sequence[Path] = (),
 ) -> tuple[str, ...]:
     notes: list[str] = []
-    frames = 0
     tagged = read_tagged_frames(source, channel=channel, notes=notes, on_progress=on_progress)
     first = next(tagged)  # before anything is written: a broken log raises here
-    if target.suffix.lower() == ".mf4":
-        from eps_hil.recordings.mf4_bus import write_bus_mf4
+    frames, more = write_log(target, chain([first], tagged), first[1].t_ns, source.name, dbc)
+    say_written(f"{frames} frames" + ", as bus logging," * (target.suffix.lower() == ".mf4"))
+    return (*notes, *more)
 
-        with replacing(target) as temporary:
-            frames = write_bus_mf4(temporary, chain([first], tagged), dbc, source.name)
-        say_written(f"{frames} frames, as bus logging,")
-        return tuple(notes)
+
+def write_log(
+    target: Path,
+    tagged: Iterable[tuple[str, Frame]],
+    start_ns: int,
+    source: str = "",
+    dbc: Sequence[Path] = (),
+) -> tuple[int, tuple[str, ...]]:
+    """Write frames with their channels, in this order, as a CAN log; how many, and the notes.
+
+    ``start_ns``: the first stamp. ``source``: the file that they are from. The notes say which bus
+    has which number, where the format has no names.
+    """
+    suffix, channels, frames = target.suffix.lower(), ChannelNumbers(), 0
     with replacing(target) as temporary:
-        writer = log_writer(temporary, target.suffix.lower(), first[1].t_ns / _NS)
+        if suffix == ".mf4":
+            from eps_hil.recordings.mf4_bus import write_bus_mf4
+
+            frames = write_bus_mf4(temporary, tagged, channels, dbc, source)
+            return frames, channels.notes()
+        writer = _log_writer(temporary, suffix, start_ns / _NS)
         try:
-            for name, frame in chain([first], tagged):
-                writer.on_message_received(as_message(frame, name, source.suffix.lower()))
+            for name, frame in tagged:
+                # python-can's writers of numbered channels add the 1 again
+                named = channels.interface(name) if suffix == ".log" else channels.number(name) - 1
+                writer.on_message_received(_message(frame, named))
                 frames += 1
         finally:
             writer.stop()
-    say_written(f"{frames} frames")
-    return tuple(notes)
+    return frames, () if suffix == ".log" else channels.notes()
 
 
-def log_writer(path: Path, suffix: str, start_s: float) -> Any:
+def _log_writer(path: Path, suffix: str, start_s: float) -> Any:
     """python-can's writer of a log that begins at ``start_s``; its ``stop`` ends the file."""
     import can
 
@@ -169,12 +185,9 @@ def log_writer(path: Path, suffix: str, start_s: float) -> Any:
     return can.CanutilsLogWriter(path) if suffix == ".log" else can.ASCWriter(path)
 
 
-def as_message(frame: Frame, channel: str, suffix: str) -> Any:
-    """A frame for such a writer; ``suffix``: of the log that the channel's name is from."""
+def _message(frame: Frame, channel: int | str) -> Any:
     import can
 
-    from_one = channel.isdigit() and suffix in _NUMBERED_FROM_1
-    number = int(channel) - 1 if from_one else channel  # python-can's writers add the 1 again
     return can.Message(
         timestamp=frame.t_ns / _NS,
         arbitration_id=frame.can_id,
@@ -184,7 +197,7 @@ def as_message(frame: Frame, channel: str, suffix: str) -> Any:
         is_fd=frame.fd,
         bitrate_switch=frame.brs,
         is_rx=not frame.own,
-        channel=number,
+        channel=channel,
         data=frame.data,
         dlc=len(frame.data),
     )

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.bus.frame import Frame
+from eps_hil.recordings.channel_numbers import ChannelNumbers
 from eps_hil.recordings.files import needs_extra
 from eps_hil.recordings.mf4_file import about_file, epoch_of, quiet
 
@@ -26,12 +27,16 @@ Rows = npt.NDArray[np.void]
 
 
 def write_bus_mf4(
-    path: Path, frames: Iterable[tuple[str, Frame]], dbc: Sequence[Path] = (), source: str = ""
+    path: Path,
+    frames: Iterable[tuple[str, Frame]],
+    channels: ChannelNumbers,
+    dbc: Sequence[Path] = (),
+    source: str = "",
 ) -> int:
     """Frames with their channels, in the order of their stamps, to ``path``; how many there were.
 
-    A channel's number is that of its name (1 for ``1``, 1 for ``can0``); the group's comment says
-    which name it was. Data bytes are 64 wide from the first CAN FD frame's part of the log on.
+    ``channels`` numbers them; the group's comment says which name a number was. Data bytes are 64
+    wide from the first CAN FD frame's part of the log on.
     """
     with needs_extra(path, "mf4"):
         from asammdf import MDF
@@ -40,7 +45,6 @@ def write_bus_mf4(
     if first is None:
         return 0
     start_ns = epoch_of(first[1].t_ns)
-    channels = _Channels()
     count = 0
     with quiet(), MDF(version="4.10") as mdf:
         mdf.header.abs_time = start_ns
@@ -62,28 +66,6 @@ def write_bus_mf4(
     return count
 
 
-class _Channels:
-    """Numbers of buses by the names that a log gives them."""
-
-    def __init__(self) -> None:
-        self._numbers: dict[str, int] = {}
-
-    def number(self, name: str) -> int:
-        """From 1; ``can0`` is 1, as vendors number what Linux counts from 0."""
-        known = self._numbers.get(name)
-        if known is not None:
-            return known
-        digits = "".join(itertools.takewhile(str.isdigit, reversed(name)))[::-1]
-        wanted = min(int(digits), 254) + (not name.isdigit()) if digits else 1
-        taken = set(self._numbers.values())
-        number = next(k for k in (wanted, *range(1, 256)) if k not in taken)
-        self._numbers[name] = number
-        return number
-
-    def told(self) -> str:
-        return ", ".join(f"bus channel {k}: {name}" for name, k in self._numbers.items())
-
-
 def _parts(frames: Iterator[tuple[str, Frame]]) -> Iterator[list[tuple[str, Frame]]]:
     while part := list(itertools.islice(frames, _CHUNK)):
         yield part
@@ -103,7 +85,7 @@ def _by_kind(
 
 
 def _rows(
-    key: tuple[str, int], part: list[tuple[str, Frame]], start_ns: int, channels: _Channels
+    key: tuple[str, int], part: list[tuple[str, Frame]], start_ns: int, channels: ChannelNumbers
 ) -> tuple[npt.NDArray[np.float64], Rows]:
     kind, width = key
     frames = [frame for _, frame in part]

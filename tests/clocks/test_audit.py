@@ -11,6 +11,7 @@ from eps_hil.cli.main import main
 from eps_hil.clocks.audit import audit
 from eps_hil.clocks.cadence import cadence, resolution_ns
 from eps_hil.clocks.corrected import write_corrected
+from eps_hil.recordings.can_log import read_tagged_frames
 
 Write = Callable[..., Path]
 
@@ -115,6 +116,8 @@ def test_the_verb_says_writes_and_refuses(
     content = json.loads(out.read_text())
     assert content["schema"] == "eps-hil/clocks/1"
     assert {one["channel"] for one in content["channels"]} == {"can0", "can1"}
+    assert main(["clocks", str(log), "--out", str(tmp_path / "copy.blf")]) == 0
+    assert {name for name, _ in read_tagged_frames(tmp_path / "copy.blf")} == {"1", "2"}
     assert main(["clocks", str(log), "--out", str(tmp_path / "copy.csv")]) == 2
     assert "can be written; use .log, .blf, .asc, .mf4" in capsys.readouterr().err
     empty = tmp_path / "empty.log"

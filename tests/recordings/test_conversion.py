@@ -7,7 +7,7 @@ import pytest
 
 from eps_hil.bus.frame import Frame
 from eps_hil.errors import InputError
-from eps_hil.recordings.can_log import read_frames
+from eps_hil.recordings.can_log import read_frames, read_tagged_frames
 from eps_hil.recordings.conversion import convert
 from eps_hil.recordings.read import read_recording
 
@@ -98,6 +98,29 @@ def test_candump_survives_a_trip_through_blf(tmp_path: Path) -> None:
     convert(tmp_path / "a.log", tmp_path / "a.blf")
     convert(tmp_path / "a.blf", tmp_path / "b.log")
     assert (tmp_path / "b.log").read_text() == text
+
+
+@pytest.mark.parametrize("suffix", ["blf", "asc", "mf4"])
+def test_every_bus_has_its_own_number(tmp_path: Path, suffix: str) -> None:
+    names = ["can_eps", "can_body", "can0", "vcan0", "can1"]
+    text = "".join(f"({10 + k}.0) {name} 123#0{k} R\n" for k, name in enumerate(names * 2))
+    (tmp_path / "a.log").write_text(text)
+    notes = convert(tmp_path / "a.log", tmp_path / f"a.{suffix}")
+    read = [channel for channel, _ in read_tagged_frames(tmp_path / f"a.{suffix}")]
+    assert read == ["1", "2", "3", "4", "5"] * 2
+    assert "bus channel 1: can_eps, bus channel 2: can_body, bus channel 3: can0" in notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "expected"), [("blf", "35"), ("asc", "35"), ("mf4", "35"), ("log", "can2 can4")]
+)
+@pytest.mark.parametrize("through", ["mf4", "blf"])
+def test_numbers_of_buses_stay(tmp_path: Path, through: str, suffix: str, expected: str) -> None:
+    (tmp_path / "a.log").write_text("(10.0) can2 123#00 R\n(11.0) can4 123#00 R\n")
+    convert(tmp_path / "a.log", tmp_path / f"a.{through}")
+    assert convert(tmp_path / f"a.{through}", tmp_path / f"b.{suffix}") == ()
+    read = [channel for channel, _ in read_tagged_frames(tmp_path / f"b.{suffix}")]
+    assert read == (expected.split() if " " in expected else list(expected))
 
 
 def test_log_that_counts_from_zero_keeps_its_stamps_in_blf(tmp_path: Path) -> None:
