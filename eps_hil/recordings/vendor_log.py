@@ -6,7 +6,6 @@ there). python-can knows no error base for broken files and logs as it goes; bot
 """
 
 import contextlib
-import io
 import logging
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +13,9 @@ from typing import Any
 
 from eps_hil.bus.frame import Frame
 from eps_hil.errors import InputError
+from eps_hil.recordings.asc_lines import AscLines
 from eps_hil.recordings.files import needs_extra, refused_by_system
+from eps_hil.recordings.text_lines import TextLines
 
 _NS = 1_000_000_000
 _RELATIVE_S = 1e6  # smaller stamps count from the start and are exact to the nanosecond
@@ -69,12 +70,12 @@ class VendorLog:
         self._reader = reader
         first_channel = 1 if self._kind in (".blf", ".asc") else 0
         for message in reader:
-            if not self._frames:
-                self._check(reader)
             self._frames += 1
             number = message.channel
             channel = str(number + first_channel) if isinstance(number, int) else str(number)
             yield channel, _frame(message, start_ns)
+        if requests := getattr(self._file, "requests", 0):
+            self.notes.append(f"{requests} requests to send (TxRq) are left out")
 
     def _open(self) -> tuple[Any, int]:
         import can
@@ -89,14 +90,11 @@ class VendorLog:
             with needs_extra(self._path, "mf4"):
                 import asammdf  # noqa: F401  # python-can's reader needs it
             return can.MF4Reader(self._path), 0
-        self._file = _Lines(self._path)
-        return (can.ASCReader if self._kind == ".asc" else can.TRCReader)(self._file), 0
-
-    def _check(self, reader: Any) -> None:
-        """ASC may count from event to event; python-can reads it as if from the start."""
-        if getattr(reader, "timestamps_format", None) == "relative":
-            problem = "time stamps are relative to the event before"
-            raise InputError(self._path, "", problem, "export with absolute time stamps")
+        if self._kind == ".trc":
+            self._file = TextLines(self._path)
+            return can.TRCReader(self._file), 0
+        self._file = AscLines(self._path)
+        return can.ASCReader(self._file), 0
 
     def _position(self) -> int:
         if self._file is None or self._file.closed:
@@ -110,20 +108,11 @@ class VendorLog:
     def _broken(self, error: Exception) -> InputError:
         kind = self._kind.removeprefix(".").upper()
         problem = f"is not readable as {kind} ({type(error).__name__})"
+        if isinstance(self._file, AscLines) and self._file.has_names():
+            problem = "has a message's name in place of an id"
+            return InputError(self._path, self.place, problem, "export it with numeric ids")
         place = f"after {self.place}" if self._frames else ""
         return InputError(self._path, place, problem, "export or record it again")
-
-
-class _Lines(io.TextIOWrapper):
-    """A text file that knows its line; vendors write umlauts in whatever code page they have."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path.open("rb"), encoding="utf-8", errors="replace")
-        self.line = 0
-
-    def __next__(self) -> str:  # type: ignore[override]  # as typeshed does itself
-        self.line += 1
-        return super().__next__()
 
 
 def _frame(message: Any, start_ns: int) -> Frame:

@@ -133,6 +133,68 @@ def test_asc_with_relative_stamps_is_refused(write_log: LogWriter, rig_frames: l
     assert "relative to the event before; export with absolute" in _refused(path)
 
 
+_BODY = (
+    "Begin Triggerblock Tue Mar 5 10:00:00.000 am 2024\n"
+    "   0.000000 Start of measurement\n"
+    "   0.001000 1  291             Rx   d 2 10 11\n"
+    "   0.002000 1  292             Rx   d 2 12 13\n"
+)
+
+
+@pytest.mark.parametrize(
+    "date",
+    [
+        "date Tue Mar 5 10:00:00.000 am 2024",
+        "date 05.03.2024 10:00:00",
+        "date 2024-03-05T10:00:00",
+        "date Di. Mär 5 10:00:00.000 2024",
+        "\ufeffdate Tue Mar 5 10:00:00.000 am 2024",
+        "// exported",
+    ],
+)
+@pytest.mark.parametrize("events", ["internal events logged\n", ""])
+def test_asc_head_of_any_tool_is_understood(tmp_path: Path, date: str, events: str) -> None:
+    path = tmp_path / "a.asc"
+    path.write_text(f"{date}\nbase dec  timestamps absolute\n{events}{_BODY}", encoding="utf-8")
+    assert list(read_frames(path)) == [
+        Frame(1_000_000, 291, bytes([10, 11])),
+        Frame(2_000_000, 292, bytes([12, 13])),
+    ]
+    path.write_text(f"{date}\nbase hex  timestamps relative\n{events}{_BODY}", encoding="utf-8")
+    assert "a.asc: line 2: time stamps are relative to the event before" in _refused(path)
+    path.write_text(f"{date}\n{events}{_BODY}", encoding="utf-8")
+    assert "no line 'base hex' or 'base dec' stands before the first event" in _refused(path)
+
+
+def test_asc_without_the_line_of_internal_events_keeps_its_first_frame(tmp_path: Path) -> None:
+    path = tmp_path / "a.asc"
+    frames = "".join(_BODY.splitlines(keepends=True)[2:])
+    path.write_text(f"base hex  timestamps absolute\n{frames}")
+    assert [frame.can_id for frame in read_frames(path)] == [0x291, 0x292]
+
+
+def test_asc_requests_to_send_are_no_frames(tmp_path: Path) -> None:
+    path, notes = tmp_path / "a.asc", list[str]()
+    path.write_text(
+        "base hex  timestamps absolute\n"
+        "   0.001000 1  123             TxRq   d 2 10 11\n"
+        "   0.001250 1  123             Tx   d 2 10 11\n"
+        "   0.002000 CANFD   1 TxRq   124  0 0 2 2 10 11\n"
+        "   0.002250 CANFD   1 Tx   124  0 0 2 2 10 11\n"
+    )
+    frames = list(read_frames(path, notes=notes))
+    assert [(frame.t_ns, frame.own) for frame in frames] == [(1_250_000, True), (2_250_000, True)]
+    assert notes == ["2 requests to send (TxRq) are left out"]
+
+
+def test_asc_with_names_of_messages_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.asc"
+    head = "base hex  timestamps absolute\n   0.001000 1  123             Rx   d 1 10\n"
+    for line in ("1  EngineData      Rx   d 1 10", "CANFD   1 Rx   EngineData  0 0 1 1 10"):
+        path.write_text(f"{head}   0.002000 {line}\n   0.003000 {line}\n")
+        assert "a.asc: line 3: has a message's name in place of an id" in _refused(path)
+
+
 def test_slight_disorder_is_sorted_and_told(tmp_path: Path) -> None:
     notes: list[str] = []
     path = _candump(tmp_path, "(1.0) a 1F0#\n(1.2) a 1F1#\n(1.1) b 1F2#\n(1.3) a 1F3#\n")
