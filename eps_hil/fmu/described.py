@@ -16,7 +16,7 @@ _FLOATS = ("Real", "Float64")
 
 @dataclass(frozen=True, slots=True)
 class FmuVariable:
-    """One number of an FMU; ``to_si``: factor and offset to the SI unit, None where unknown."""
+    """One number of an FMU; ``to_si``: factor and offset to our unit, None where unknown."""
 
     name: str
     reference: int
@@ -103,24 +103,42 @@ def _variable(one: Any, known: Mapping[str, Any]) -> FmuVariable:
     )
 
 
+_SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _Powers = tuple[tuple[str, int], ...]
 _QUANTITIES: dict[_Powers, str] = {
-    tuple(sorted((k, v) for k, v in UNITS[unit][1].items() if k != "rad")): quantity
-    for unit, quantity in (("Nm", "torque"), ("N", "force"), ("m", "length"), ("rad", "angle"))
-} | {(("s", -1),): "angular speed", (("m", 1), ("s", -1)): "speed",
-     (("m", 1), ("s", -2)): "acceleration", (("K", 1),): "temperature"}  # fmt: skip
+    tuple(sorted(UNITS[unit][1].items())): quantity
+    for unit, quantity in (("Nm", "torque"), ("N", "force"), ("m", "length"), ("rad", "angle"),
+                           ("rad/s", "angular speed"))
+} | {(("m", 1), ("s", -1)): "speed", (("m", 1), ("s", -2)): "acceleration",
+     (("K", 1),): "temperature"}  # fmt: skip
+_WITHOUT_RAD: dict[_Powers, str] = {(): "angle", (("s", -1),): "angular speed"}
+"""What these powers may be where a tool leaves out the radian: then the unit's name decides."""
+_ENERGY = ("J", "kJ", "MJ")
+_KELVIN = 273.15
 
 
 def _measures(unit: str, known: Mapping[str, Any]) -> tuple[str | None, Any]:
-    """(quantity, (factor, offset) to SI); "something else" where it is known to be another."""
+    """(quantity, (factor, offset) to SI); "something else" where it is known to be another.
+
+    Temperatures are in degrees Celsius, as everywhere here.
+    """
     base = getattr(known.get(unit), "baseUnit", None)
-    if base is not None and unit not in ("", "1"):
-        powers = {name: int(getattr(base, name)) for name in
-                  ("kg", "m", "s", "A", "K", "mol", "cd") if int(getattr(base, name))}  # fmt: skip
-        quantity = _QUANTITIES.get(tuple(sorted(powers.items())), "something else")
-        return quantity, (float(base.factor), float(base.offset))
-    found = units.known(unit) or units.known(unit.replace(".", ""))
-    return (None, None) if found is None else (found[0], (found[1], 0.0))
+    named = units.known(unit) or units.known(unit.replace(".", ""))
+    if base is None or unit in ("", "1"):
+        if unit == "K":
+            return "temperature", (1.0, -_KELVIN)
+        return (None, None) if named is None else (named[0], (named[1], 0.0))
+    powers = tuple(sorted((si, int(getattr(base, si))) for si in _SI if int(getattr(base, si))))
+    factor, offset = float(base.factor), float(base.offset)
+    if maybe := _WITHOUT_RAD.get(powers):
+        if named is not None and named[0] == maybe:
+            return maybe, (named[1], 0.0)
+        says_nothing = unit in ("1/s", "s-1", "s^-1") if powers else factor == 1.0
+        return (None, None) if says_nothing else ("something else", (factor, offset))
+    quantity = "something else" if unit in _ENERGY else _QUANTITIES.get(powers, "something else")
+    if quantity == "temperature":
+        offset -= _KELVIN
+    return quantity, (factor, offset)
 
 
 def _is_number(text: object) -> bool:

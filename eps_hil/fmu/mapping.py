@@ -113,8 +113,6 @@ def _link(fmu: Described, name: str, one: FmuVariable, column: Column, why: str)
                          f"is in {one.unit}, {name} ({CANONICAL[name].unit}) was expected",
                          "choose another one")  # fmt: skip
     factor, shift = one.to_si or (1.0, 0.0)
-    if name == "motor_temperature_degc" and one.unit == "K":
-        shift -= 273.15
     return Link(name, one, column.scale * factor, column.scale * shift + column.offset, why)
 
 
@@ -123,7 +121,11 @@ def _guessed(
     taken: Iterable[str],
 ) -> dict[str, Link]:  # fmt: skip
     wanted = [name for name in wanted if name not in known]
-    free = {name: one for name, one in there.items() if name not in taken}
+    free = {
+        name: one
+        for name, one in there.items()
+        if name not in taken and (one.quantity is None or one.quantity in _UNIT)
+    }
     candidates, originals = [], {}
     for name, one in free.items():
         word = _WORD.get(one.quantity or "", "")

@@ -1,6 +1,7 @@
 """Somebody's FMU: its variables understood, driven by recordings, its parameters fitted."""
 
 import ctypes
+import math
 import subprocess
 import zipfile
 from collections.abc import Callable, Mapping
@@ -121,6 +122,47 @@ def test_units_are_those_that_the_fmu_declares(other: Callable[..., Path]) -> No
     base = '<Unit name="rad/s">\n      <BaseUnit rad="1" s="-1"'
     rpm = other({base: f'{base} factor="0.5"'})
     assert map_fmu(read_fmu(rpm)).outputs["motor_speed_rad_s"].scale == 0.5
+
+
+@pytest.mark.parametrize(
+    ("unit", "base", "expected"),
+    [
+        ("N.m", 'kg="1" m="2" s="-2"', ("torque", (1.0, 0.0))),
+        ("J", 'kg="1" m="2" s="-2"', ("something else", (1.0, 0.0))),
+        ("N.m/deg", 'kg="1" m="2" s="-2" rad="-1"', ("something else", (1.0, 0.0))),
+        ("deg", 'rad="1" factor="0.5"', ("angle", (0.5, 0.0))),
+        ("rad", "", ("angle", (1.0, 0.0))),
+        ("%", 'factor="0.01"', ("something else", (0.01, 0.0))),
+        ("-", "", (None, None)),
+        ("rad/s", 's="-1"', ("angular speed", (1.0, 0.0))),
+        ("rpm", 's="-1" factor="0.0166667"', ("angular speed", (math.pi / 30.0, 0.0))),
+        ("Hz", 's="-1"', ("something else", (1.0, 0.0))),
+        ("1/s", 's="-1"', (None, None)),
+        ("K", 'K="1"', ("temperature", (1.0, -273.15))),
+        ("degC", 'K="1" offset="273.15"', ("temperature", (1.0, 0.0))),
+        ("degF", 'K="1" factor="0.5" offset="255.0"', ("temperature", (0.5, 255.0 - 273.15))),
+    ],
+)
+def test_what_a_unit_measures(
+    other: Callable[..., Path], unit: str, base: str, expected: tuple[str | None, object]
+) -> None:
+    ours = '<Unit name="rad/m">\n      <BaseUnit rad="1" m="-1" />'
+    path = other(
+        {ours: f'<Unit name="{unit}"><BaseUnit {base}/>', 'unit="rad/m"': f'unit="{unit}"'}
+    )
+    one = read_fmu(path).variables["pinion_ratio_rad_per_m"]
+    assert (one.quantity, one.to_si) == expected
+
+
+def test_a_frequency_and_a_share_are_no_motion(other: Callable[..., Path]) -> None:
+    path = other({
+        '"motor_speed_rad_s"': '"f_pwm"', '"motor_angle_rad"': '"duty"', "start_motor": "first",
+        '<Unit name="rad/s">\n      <BaseUnit rad="1" s="-1"': '<Unit name="Hz"><BaseUnit s="-1"',
+        '<Unit name="rad">\n      <BaseUnit rad="1"': '<Unit name="%"><BaseUnit factor="0.01"',
+        'unit="rad/s"': 'unit="Hz"', 'unit="rad"': 'unit="%"',
+    })  # fmt: skip
+    with pytest.raises(InputError, match="no output is known as rotor speed or angle"):
+        map_fmu(read_fmu(path))
 
 
 def test_a_mapping_goes_before_guesses_and_turns_signs(drive: Path) -> None:
