@@ -103,7 +103,7 @@ def _run(
         from eps_hil.estimation.settings import EstimatorSettings
 
         yaml_file.load(settings, EstimatorSettings)
-    tasks = tasks_of(source.resolve())
+    tasks = tasks_of(source.resolve(), out)
     make_folder(out, "--out")
     asked = reading.arguments()
     named = {"dbc": [str(path.resolve()) for path in reading.dbc], "signals": None}

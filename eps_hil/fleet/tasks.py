@@ -8,6 +8,8 @@ from eps_hil.errors import InputError
 from eps_hil.recordings.read import SUFFIXES
 
 PATH, UNIT = "path", "unit"
+PLACES = ("rows", "estimates", "identifications", "diagnoses", "results.parquet", "values.parquet")
+"""What a batch writes recordings' results to, in its folder."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,23 +20,40 @@ class Task:
     unit: str
 
 
-def tasks_of(source: Path) -> list[Task]:
+def tasks_of(source: Path, out: Path | None = None) -> list[Task]:
     """Every recording below a folder, or every row of a CSV table, sorted by path.
 
-    In a folder the unit is the first folder below it, else the file's name. A table has the column
-    ``path`` (relative to itself) and may have ``unit``; other columns are left alone. A file that
-    is not there is a task too: it fails by itself. :class:`InputError` for a source without any.
+    In a folder the unit is the first folder below it, else the file's name; what begins with a dot
+    (files half written, too) and what a batch wrote to ``out`` is no recording. A table has the
+    column ``path`` (relative to itself) and may have ``unit``; other columns are left alone. A file
+    that is not there is a task too: it fails by itself. :class:`InputError` for a source without
+    any.
     """
-    tasks = _of_folder(source) if source.is_dir() else _of_table(source)
+    tasks = _of_folder(source, out) if source.is_dir() else _of_table(source)
     if not tasks:
         known = ", ".join(SUFFIXES)
         raise InputError(source, "", "holds no recording", f"known suffixes: {known}")
     return sorted(tasks, key=lambda task: str(task.path))
 
 
-def _of_folder(folder: Path) -> list[Task]:
-    found = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
-    return [Task(path, _unit(path.relative_to(folder))) for path in found if path.is_file()]
+def _of_folder(folder: Path, out: Path | None) -> list[Task]:
+    whole = folder.resolve()
+    results = set() if out is None else set(_results(whole, out.resolve()))
+    found = []
+    for path in folder.rglob("*"):
+        below = path.relative_to(folder)
+        hidden = any(part.startswith(".") for part in below.parts)
+        if path.suffix.lower() not in SUFFIXES or hidden or not path.is_file():
+            continue
+        if not results & {whole / below, *(whole / below).parents}:
+            found.append(Task(path, _unit(below)))
+    return found
+
+
+def _results(folder: Path, out: Path) -> list[Path]:
+    """What a batch of the folder writes: all of ``out``, unless the recordings lie in that."""
+    inside = folder == out or out in folder.parents
+    return [out / name for name in PLACES] if inside else [out]
 
 
 def _unit(path: Path) -> str:

@@ -72,6 +72,20 @@ def test_the_folders_and_the_tables_units(folder: Path) -> None:
     ]  # fmt: skip
 
 
+def test_what_a_batch_writes_is_no_recording(folder: Path) -> None:
+    recordings = tasks_of(folder)
+    recording(folder / "a" / ".4.csv")  # as a file is called while it is written
+    recording(folder / ".trash" / "5.csv")
+    recording(folder / "results" / "estimates" / "1.parquet")
+    recording(folder / "results.parquet")
+    assert tasks_of(folder, folder / "results") == [
+        *recordings, Task(folder / "results.parquet", "results"),
+    ]  # fmt: skip
+    recording(folder / "estimates" / "1.parquet")
+    (folder / "results" / "estimates" / "1.parquet").unlink()
+    assert tasks_of(folder, folder) == recordings
+
+
 @pytest.mark.parametrize(
     ("text", "said"), [(None, "no such file"), ("a,b\n", "column path"), ("path\n", "no recording")]
 )
