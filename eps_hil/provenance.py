@@ -43,7 +43,7 @@ def content() -> dict[str, Any]:
     return {
         "tool": "eps_hil",
         "version": VERSION,
-        "catalogue": _catalogue(),
+        "catalogue": catalogue(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": command,
         "files": [{"path": str(path), "sha256": _sha256(path)} for path in files],
@@ -57,7 +57,7 @@ def content() -> dict[str, Any]:
     }
 
 
-def _catalogue() -> str:
+def catalogue() -> str:
     """The catalogue's version: first digits of SHA-256 over the files of its effects."""
     digest = hashlib.sha256()
     for path in sorted((Path(__file__).parent / "physics" / "effects").glob("*.py")):

@@ -1,5 +1,6 @@
 """What is done with each recording of a batch, in whatever process or machine it happens."""
 
+import functools
 import hashlib
 import json
 import os
@@ -9,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from eps_hil import provenance
 from eps_hil.errors import EpsHilError
 from eps_hil.fleet.tasks import Task
 from eps_hil.version import VERSION
@@ -17,6 +19,8 @@ Verb = Literal["estimate", "identify", "diagnose"]
 Row = dict[str, Any]
 """JSON-ready: key, recording, unit, state ("done" or "failed"), error, seconds, start_s, output,
 and ``values``, a list of quantity, value, low, high, si (its unit)."""
+
+_catalogue = functools.cache(provenance.catalogue)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +38,11 @@ class Job:
     reading: Mapping[str, Any] = field(default_factory=dict)
 
     def key(self, task: Task) -> str:
-        """Names the result: of this recording as it is now, by this job and version.
+        """Names the result: of this recording as it is now, by this job, version and catalogue.
 
         A recording counts as the same while path, size and time of change are.
         """
-        digest = hashlib.sha256(f"{VERSION} {self.verb} {task.unit}".encode())
+        digest = hashlib.sha256(f"{VERSION} {_catalogue()} {self.verb} {task.unit}".encode())
         digest.update(json.dumps(self.reading, sort_keys=True, default=str).encode())
         files = [self.model, self.settings, self.reading.get("signals")]
         for path in [*files, *self.reading.get("dbc", ())]:

@@ -86,6 +86,14 @@ def test_what_a_batch_writes_is_no_recording(folder: Path) -> None:
     assert tasks_of(folder, folder) == recordings
 
 
+def test_a_row_is_of_its_catalogue(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one, task = job(folder), tasks_of(folder)[0]
+    before = one.key(task)
+    assert one.key(task) == before
+    monkeypatch.setattr("eps_hil.fleet.job._catalogue", lambda: "another")
+    assert one.key(task) != before
+
+
 @pytest.mark.parametrize(
     ("text", "said"), [(None, "no such file"), ("a,b\n", "column path"), ("path\n", "no recording")]
 )
