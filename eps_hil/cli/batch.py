@@ -116,10 +116,12 @@ def _run(
         job, tasks, processes=processes, dask=dask, on_row=_teller(), begin=say_if_it_compiles
     )
     report = population_page.write(batch, out / "population.html", f"{verb}: {source}")
-    failed = len(batch.failed)
+    failed, noted = len(batch.failed), sum(bool(row.get("notes")) for row in batch.rows)
     typer.echo(
-        f"{len(batch.rows)} recordings, {batch.before} of them known before, {failed} failed: "
-        f"{batch.results}, {batch.values}, {report}"
+        f"{len(batch.rows)} recordings, {batch.before} of them known before, {failed} failed, "
+        f"{noted} with notes of the reader: {batch.results}, {batch.values}, {report}"
+        + f"; to try failed ones again, delete {job.out / 'rows'}"
+        * bool(failed)
     )
     if failed == len(batch.rows):
         raise NothingDoneError(f"not one recording could be used: {batch.failed[0]['error']}")

@@ -17,8 +17,10 @@ from eps_hil.version import VERSION
 
 Verb = Literal["estimate", "identify", "diagnose"]
 Row = dict[str, Any]
-"""JSON-ready: key, recording, unit, state ("done" or "failed"), error, seconds, start_s, output,
-and ``values``, a list of quantity, value, low, high, si (its unit)."""
+"""JSON-ready: key, recording, unit, state ("done" or "failed"), error, seconds, start_s (null where
+the recording has no date), output, ``notes`` of the reader, and ``values``, a list of quantity,
+value, low, high, si (its unit)."""
+_NO_DATE_S = 1e8  # 1973: earlier stamps count from the start of a recording
 
 _catalogue = functools.cache(provenance.catalogue)
 
@@ -66,6 +68,7 @@ def run(job: Job, task: Task, key: str) -> Row:
         "error": "",
         "start_s": None,
         "output": "",
+        "notes": [],
         "values": [],
     }
     try:
@@ -82,7 +85,9 @@ def _fill(job: Job, task: Task, row: Row) -> None:
     from eps_hil.api import jobs
 
     recording = jobs.load(task.path, **job.reading)
-    row["start_s"] = min(int(one.t_ns[0]) for one in recording.series.values()) * 1e-9
+    row["notes"] = list(recording.notes)
+    start_s = min(int(one.t_ns[0]) for one in recording.series.values()) * 1e-9
+    row["start_s"] = start_s if start_s >= _NO_DATE_S else None
     stem = f"{task.path.stem}-{row['key'][:8]}"
     if job.verb == "estimate":
         from eps_hil.recordings.write import write_table

@@ -15,11 +15,14 @@ FEWEST = 5
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One recording's value of a quantity; ``low``, ``high``: its 95 % interval, or None."""
+    """One recording's value of a quantity; ``low``, ``high``: its 95 % interval, or None.
+
+    ``start_s``: since 1970; None where the recording has no date.
+    """
 
     recording: str
     unit: str
-    start_s: float
+    start_s: float | None
     value: float
     low: float | None
     high: float | None
@@ -53,7 +56,7 @@ def population(rows: Sequence[Row]) -> list[Quantity]:
     for row in rows:
         for one in row["values"]:
             point = Point(
-                row["recording"], row["unit"], float(row["start_s"]),
+                row["recording"], row["unit"], row["start_s"],
                 one["value"], one["low"], one["high"],
             )  # fmt: skip
             if np.isfinite(point.value):
@@ -65,7 +68,7 @@ def _quantity(name: str, si: str, points: list[Point]) -> Quantity:
     values = np.array([point.value for point in points])
     middle, spread = float(np.median(values)), _spread(values)
     judged = []
-    for point in sorted(points, key=lambda each: (each.unit, each.start_s)):
+    for point in sorted(points, key=_place):
         nearest = min(
             (abs(edge - middle) for edge in (point.low, point.high) if edge is not None),
             default=abs(point.value - middle),
@@ -87,6 +90,11 @@ def _quantity(name: str, si: str, points: list[Point]) -> Quantity:
         _spread(medians) if len(medians) >= FEWEST else None,
         _spread(left) if len(left) >= FEWEST else None,
     )  # fmt: skip
+
+
+def _place(point: Point) -> tuple[str, bool, float, str]:
+    """By unit and time; those without a date by their path, after the others."""
+    return point.unit, point.start_s is None, point.start_s or 0.0, point.recording
 
 
 def _spread(values: np.ndarray) -> float:

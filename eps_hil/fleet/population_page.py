@@ -5,11 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from eps_hil.fleet.batch import Batch
+from eps_hil.fleet.job import Row
 from eps_hil.fleet.population import FEWEST, Quantity, population
 from eps_hil.report import page
 from eps_hil.unit_words import of
 
 _MOST_LABELS = 40
+_MOST_NOTES = 100
 
 
 def write(batch: Batch, path: Path, title: str) -> Path:
@@ -28,11 +30,23 @@ def write(batch: Batch, path: Path, title: str) -> Path:
         units=len({row["unit"] for row in batch.rows}),
         failed=batch.failed,
         verdicts=verdicts,
+        notes=_notes(batch.rows),
+        noted=sum(bool(row.get("notes")) for row in batch.rows),
+        undated=sum(row["state"] == "done" and row["start_s"] is None for row in batch.rows),
         quantities=[(one, _figure(one)) for one in quantities],
         outliers=[(one, p) for one in quantities for p in one.points if p.outlier],
     )
     page.write(path, html)
     return path
+
+
+def _notes(rows: Sequence[Row]) -> list[tuple[str, list[str]]]:
+    """What the reader said, the most frequent first, and of which recordings."""
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        for note in row.get("notes", ()):
+            found.setdefault(note, []).append(row["recording"])
+    return sorted(found.items(), key=lambda item: -len(item[1]))[:_MOST_NOTES]
 
 
 def _figure(quantity: Quantity) -> str:

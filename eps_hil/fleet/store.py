@@ -8,7 +8,10 @@ from eps_hil import json_text
 from eps_hil.fleet.job import Row
 from eps_hil.recordings.files import needs_extra, replacing
 
-_HEAD = ("recording", "unit", "state", "error", "verdict", "start_s", "seconds", "output", "key")
+_HEAD = (
+    "recording", "unit", "state", "error", "verdict", "start_s", "seconds", "notes", "output",
+    "key",
+)  # fmt: skip
 _VALUE = ("quantity", "value", "low", "high", "si")
 
 
@@ -42,7 +45,10 @@ class Store:
             import pyarrow.parquet
         text, real = pyarrow.string(), pyarrow.float64()
         kinds = {"start_s": real, "seconds": real, "value": real, "low": real, "high": real}
-        heads = [{name: row.get(name) for name in _HEAD} for row in rows]
+        heads = [
+            {name: row.get(name) for name in _HEAD} | {"notes": "; ".join(row.get("notes", ()))}
+            for row in rows
+        ]
         long = [
             {"recording": row["recording"], "unit": row["unit"], "start_s": row["start_s"]}
             | {name: one[name] for name in _VALUE}

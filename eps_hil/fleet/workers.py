@@ -146,5 +146,5 @@ def _died(task: Task, key: str, why: str = "out of memory, or a crash") -> Row:
     return {
         "key": key, "recording": str(task.path), "unit": task.unit, "state": "failed",
         "error": f"its process died ({why})", "start_s": None, "output": "",
-        "values": [], "seconds": None,
+        "notes": [], "values": [], "seconds": None,
     }  # fmt: skip

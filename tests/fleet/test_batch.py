@@ -17,7 +17,7 @@ import pytest
 
 from eps_hil.cli.main import main
 from eps_hil.errors import InputError
-from eps_hil.fleet import workers
+from eps_hil.fleet import population_page, workers
 from eps_hil.fleet.batch import run_batch
 from eps_hil.fleet.job import Job, Row
 from eps_hil.fleet.population import population
@@ -94,6 +94,27 @@ def test_a_row_is_of_its_catalogue(folder: Path, monkeypatch: pytest.MonkeyPatch
     assert one.key(task) != before
 
 
+def test_the_readers_notes_and_a_recording_without_a_date(tmp_path: Path) -> None:
+    path = recording(tmp_path / "a" / "1.csv")
+    text = path.read_text()
+    lines = text.splitlines()
+    path.write_text("\n".join([lines[0] + ",mine", *(line + ",1" for line in lines[1:])]) + "\n")
+    dated = path.with_name("0.csv")
+    rows = [line.split(",", 1) for line in lines[1:]]
+    dated.write_text("\n".join([lines[0], *(f"{1.7e9 + float(t)!r},{x}" for t, x in rows)]) + "\n")
+    of = Job("estimate", MODEL, tmp_path / "out", reading={"ignore_unknown": True})
+    batch = run_batch(of, tasks_of(tmp_path / "a"), processes=1)
+    assert [row["start_s"] for row in batch.rows] == [pytest.approx(1_700_001_000.0), None]
+    assert [len(row["notes"]) for row in batch.rows] == [0, 1]
+    results = pyarrow.parquet.read_table(batch.results).to_pylist()
+    assert results[0]["notes"] == ""
+    assert "mine" in results[1]["notes"]
+    page = population_page.write(batch, tmp_path / "page.html", "mine").read_text()
+    assert "1 with notes of the reader" in page
+    assert "Recordings without a date (1) stand by path" in page
+    assert "mine" in page[page.index("Notes of the reader") :]
+
+
 @pytest.mark.parametrize(
     ("text", "said"), [(None, "no such file"), ("a,b\n", "column path"), ("path\n", "no recording")]
 )
@@ -113,7 +134,8 @@ def test_the_verb_goes_on_where_it_was(
     words = ["batch", "estimate", str(folder), "--model", str(MODEL), "--out", str(out)]
     assert main([*words, "--processes", "2"]) == 0
     said = capsys.readouterr()
-    assert "5 recordings, 0 of them known before, 1 failed" in said.out
+    assert "5 recordings, 0 of them known before, 1 failed, 0 with notes of the reader" in said.out
+    assert f"to try failed ones again, delete {out / 'rows'}" in said.out
     assert "broken.csv" in said.err
     results = pyarrow.parquet.read_table(out / "results.parquet").to_pylist()
     assert [row["state"] for row in results] == ["done"] * 4 + ["failed"]
