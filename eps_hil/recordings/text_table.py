@@ -30,7 +30,7 @@ from eps_hil.recordings.csv_file import (
     with_line_feeds,
 )
 from eps_hil.recordings.files import read_bytes
-from eps_hil.recordings.table import Floats, NamedColumns, check_once
+from eps_hil.recordings.table import Floats, NamedColumns, check_once, shown
 
 _UNIT_LINES = 3
 """At most so many lines of units stand between the names and the numbers."""
@@ -158,19 +158,47 @@ def _plain(path: Path, head: _Head, wanted: Sequence[str] | None) -> bytes:
     Its lines keep their numbers: as many blank ones stand before it as above the names.
     """
     body = head.body if head.body.endswith(b"\n") else head.body + b"\n"
+    used = {k for k, name in enumerate(head.names) if wanted and name in wanted}
     if b'"' in body:
-        used = {k for k, name in enumerate(head.names) if wanted and name in wanted}
         body = "".join(_unquoted(path, head, body, used)).encode("latin-1")
     elif head.sign != ",":
+        if b"," in body and b"." in body:
+            marks = _DecimalMarks(path, head.names, used)
+            for k, line in enumerate(io.BytesIO(body)):
+                marks.see(head.line + k + 1, line.decode("latin-1").split(head.sign))
         body = body.replace(b",", b".").replace(head.sign.encode(), b",")
     if body[:1] in (b" ", b"\t") or any(edge in body for edge in _EDGES):
         body = re.sub(rb"[ \t]*([,\n])[ \t]*", rb"\1", body.lstrip(b" \t"))
     return b"\n" * (head.line - 1) + body
 
 
+class _DecimalMarks:
+    """Refuses a table whose used numbers have commas and points: one sign parts thousands."""
+
+    def __init__(self, path: Path, names: Sequence[str], used: Collection[int]) -> None:
+        self._path, self._names, self._used = path, names, used
+        self._comma: tuple[int, str, str] | None = None
+        self._point = False
+
+    def see(self, number: int, cells: Sequence[str]) -> None:
+        """The cells of line ``number``."""
+        for k in self._used:
+            cell = cells[k].strip() if k < len(cells) else ""
+            if "." in cell:
+                self._point = self._point or _is_number(cell)
+            elif "," in cell and self._comma is None and _is_number(cell):
+                self._comma = (number, self._names[k], cell)
+        if self._comma is not None and self._point:
+            line, name, cell = self._comma
+            problem = f"'{cell}' has a comma where other numbers have points"
+            remedy = "export it with one decimal sign and nothing between thousands"
+            raise InputError(self._path, f"line {line}, column {shown(name)}", problem, remedy)
+
+
 def _unquoted(path: Path, head: _Head, body: bytes, used: Collection[int]) -> Iterator[str]:
     text = io.StringIO(body.decode("latin-1"), newline="")
     rows = csv.reader(text, delimiter=head.sign, skipinitialspace=True, strict=True)
+    marks = _DecimalMarks(path, head.names, () if head.sign == "," else used)
     before = 0
     try:
         for row in rows:
@@ -179,6 +207,7 @@ def _unquoted(path: Path, head: _Head, body: bytes, used: Collection[int]) -> It
                 for k, cell in enumerate(row):
                     if "," in cell and k in used:
                         refuse_cell(path, number, head.names[k], cell)
+            marks.see(number, row)
             yield ",".join(cell.replace(",", ".").replace("\n", " ") for cell in row)
             yield "\n" * (rows.line_num - before)
             before = rows.line_num

@@ -32,6 +32,8 @@ def read(
         PLAIN,
         GERMAN,
         PLAIN.replace(",", "\t"),
+        PLAIN.replace(",", "\t").replace("\t7", "\t1,007").replace("\t8", "\ta, b"),
+        GERMAN.replace("7", "7.1").replace("8", "1.2.2026"),
         PLAIN.replace("\n", "\r\n"),
         PLAIN.encode("utf-16"),
         PLAIN.encode("utf-16-be").join([b"\xfe\xff", b""]),
@@ -93,6 +95,15 @@ def test_as_tools_write_it(tmp_path: Path, content: str | bytes) -> None:
         (QUOTED.replace("2.5", "2,5"), "line 3, column trq: '2,5' has a decimal comma"),
         (QUOTED.replace('"2.5"', '"2.5'), "quotes do not match"),
         (GERMAN.replace("2,5", "1.002,5"), "line 3, column trq: '1.002.5' is not a number"),
+        (
+            PLAIN.replace(",", "\t").replace("2.5", "1,012"),
+            "line 3, column 'trq': '1,012' has a comma where other numbers have points; export",
+        ),
+        (
+            QUOTED.replace(",", ";").replace("2.5", "1,012"),
+            "line 3, column 'trq': '1,012' has a comma where other numbers have points",
+        ),
+        (GERMAN.replace("\n2;", "\n2.0;"), "line 2, column 'trq': '1,5' has a comma where other"),
         (PLAIN.replace("2.5", "nan"), "line 3, column motor_torque_nm: is NaN or infinite"),
         (
             PLAIN.replace("2.5", "") + "3,4.5,9\n4,5.5,9\n",
