@@ -293,7 +293,7 @@ def _mf4(
 
     clock, own = wanted.time.columns, wanted.time == Column(TIME)
     asked = [name for name in wanted.columns if not (own and name == TIME)]
-    found = read_channels(path, asked, events=events)
+    found = read_channels(path, asked, clock=() if own else clock, events=events)
     notes: Notes = ()
     if not own and not any(name in found.series for name in clock):
         notes += (f"time is the file's own, in seconds: no channel {shown(clock[0])} beside it",)

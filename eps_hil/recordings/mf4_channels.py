@@ -8,6 +8,7 @@ import numpy as np
 
 from eps_hil.errors import InputError
 from eps_hil.recordings.mf4_file import epoch_ns, opened_mf4, samples_of
+from eps_hil.recordings.mf4_values import check_time_axis, signal_of
 from eps_hil.recordings.table import check_once, shown
 from eps_hil.series import Series
 
@@ -27,9 +28,12 @@ class Channels:
     names: tuple[str, ...]
 
 
-def read_channels(path: Path, wanted: Sequence[str], *, events: bool = False) -> Channels:
+def read_channels(
+    path: Path, wanted: Sequence[str], *, clock: Sequence[str] = (), events: bool = False
+) -> Channels:
     """Those of ``wanted`` that the file has; :class:`InputError` for one that is there twice.
 
+    And for one that is not over time, unless a channel of ``clock`` in its group says the time.
     ``events``: of samples at the same instant the last one counts; else they are refused.
     """
     with opened_mf4(path) as mdf:
@@ -42,13 +46,16 @@ def read_channels(path: Path, wanted: Sequence[str], *, events: bool = False) ->
         ]
         names = [name for _, _, name in places]
         check_once(path, "", names, wanted, "channel")
+        timed = {group for group, _, name in places if name in clock}
         start_ns = epoch_ns(mdf.header.start_time)
         series: dict[str, Series] = {}
         groups: dict[str, int] = {}
         for group, index, name in places:
             if name not in wanted:
                 continue
-            signal = mdf.get(group=group, index=index, ignore_invalidation_bits=True)
+            if group not in timed:
+                check_time_axis(path, mdf, group, name)
+            signal = signal_of(mdf, group, index)
             if not len(signal.samples):
                 raise InputError(path, f"channel {shown(name)}", "has no sample", "record it again")
             if events:

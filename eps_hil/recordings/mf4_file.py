@@ -19,6 +19,7 @@ import numpy as np
 
 from eps_hil.errors import InputError
 from eps_hil.recordings.files import check_readable, needs_extra
+from eps_hil.recordings.mf4_values import check_time_axis, signal_of
 from eps_hil.recordings.table import (
     MARK_REMEDY,
     VALID,
@@ -66,7 +67,8 @@ def read_mf4(
             if name == TIME:
                 continue
             group, channel, _ = places[index - 1]
-            signal = mdf.get(group=group, index=channel, ignore_invalidation_bits=True)
+            check_time_axis(path, mdf, group, name)
+            signal = signal_of(mdf, group, channel)
             notes += other_unit(name, signal.unit or "")
             if len(signal.samples):
                 series[name], bad[name] = samples_of(path, name, signal, start_ns)

@@ -1,6 +1,7 @@
 """Mapped channels of a measurement MF4: each keeps its own stamps."""
 
 import re
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -113,6 +114,63 @@ def test_bad_samples_are_refused_or_marked(tmp_path: Path) -> None:
     bad = np.flatnonzero(np.isnan(found.series["motor_torque_nm"].value))
     assert bad.tolist() == [100, 101, 102, 103, 104, 200]
     assert "channel 'trq': 6 bad samples marked" in found.notes
+
+
+def changed(path: Path, change: Callable[[Any], None]) -> Path:
+    """The file with its first group changed."""
+    with asammdf.MDF(path) as mdf:
+        change(mdf.groups[0])
+        mdf.save(path.with_name("changed.mf4"), overwrite=True)
+    return path.with_name("changed.mf4")
+
+
+def test_samples_that_are_not_over_time_are_refused(tmp_path: Path) -> None:
+    mapping = "signals: {motor_speed_rad_s: {column: motor_speed_rad_s}}"
+    timed = "time: {column: clock}\n" + mapping
+    read(tmp_path, [[channel("motor_speed_rad_s", T, T), channel("clock", T, T)]], mapping)
+    (tmp_path / "timed.yaml").write_text(timed)
+
+    def over(axis: int) -> Callable[[Any], None]:
+        return lambda group: setattr(group.channels[0], "sync_type", axis)
+
+    for axis, said in ((2, "an angle"), (3, "a distance"), (4, "a count")):
+        path = changed(tmp_path / "rig.mf4", over(axis))
+        for options in ({"signals": tmp_path / "columns.yaml"}, {"ignore_unknown": True}):
+            with pytest.raises(InputError, match=f"speed_rad_s.: is recorded over {said}, not"):
+                read_recording(path, **options)
+        found = read_recording(path, signals=tmp_path / "timed.yaml").series
+        assert found["motor_speed_rad_s"].t_ns[-1] == 5_999_000_000
+
+    def without(group: Any) -> None:
+        group.channels[0].channel_type = group.channels[0].sync_type = 0
+
+    path = changed(tmp_path / "rig.mf4", without)
+    with pytest.raises(InputError, match="channel 'motor_speed_rad_s': has no time beside it"):
+        read_recording(path, ignore_unknown=True)
+
+
+@pytest.mark.parametrize(
+    ("conversion", "expected"),
+    [
+        ({"val_0": 255.0, "text_0": b"SNA"}, [0.0, 100.0, np.nan]),
+        ({"lower_0": 90.0, "upper_0": 255.0, "text_0": b"SNA"}, [0.0, np.nan, np.nan]),
+        (
+            {"val_0": 255.0, "text_0": b"SNA", "default_addr": {"a": 0.5, "b": -10.0}},
+            [-10.0, 40.0, np.nan],
+        ),
+        ({"val_0": 255.0, "text_0": b"SNA", "default_addr": b"other"}, [np.nan] * 3),
+    ],
+)
+def test_labels_are_bad_samples(
+    tmp_path: Path, conversion: dict[str, Any], expected: list[float]
+) -> None:
+    values = np.array([0, 100, 255], np.uint8)
+    speed = channel("motor_speed_rad_s", values, T[:3], conversion=conversion)
+    mapping = "signals: {motor_speed_rad_s: {column: motor_speed_rad_s}}"
+    found = read(tmp_path, [[speed]], mapping, gaps="mark").series["motor_speed_rad_s"]
+    np.testing.assert_array_equal(found.value, expected)
+    with pytest.raises(InputError, match="is NaN, infinite or marked invalid"):
+        read_recording(tmp_path / "rig.mf4")
 
 
 @pytest.mark.parametrize(
