@@ -77,11 +77,22 @@ def _columns(columns: Any, name: str) -> Iterator[tuple[str, Array]]:
     for column in columns if names is None else names:
         if not isinstance(column, str):
             raise InputError(name, "", f"has a column {column!r}", "name columns by words")
-        values = np.asarray(np.ma.filled(np.ma.asanyarray(columns[column]), np.nan))
+        values = _filled(columns[column])
         if values.ndim != 1:
             problem = f"has the shape {values.shape}"
             raise InputError(name, f"column {column}", problem, "give one value a row, (n,)")
         yield column, values
+
+
+def _filled(values: Any) -> Array:
+    """NaN (of times: NaT) where a value is masked, integers included."""
+    masked = np.ma.asanyarray(values)
+    if not np.ma.is_masked(masked):
+        return np.asarray(masked)
+    if masked.dtype.kind in "iub":
+        masked = masked.astype(np.float64)
+    missing = np.array("NaT", masked.dtype) if masked.dtype.kind in "mM" else np.nan
+    return np.asarray(masked.filled(missing))
 
 
 def _numbers(name: str, column: str, values: Array) -> npt.NDArray[np.float64]:

@@ -65,6 +65,16 @@ def test_a_signal_of_another_rate_has_samples_of_its_own() -> None:
     assert masked.series["motor_angle_rad"].value.tolist() == [1.0, 2.0, 3.0]
 
 
+def test_what_is_masked_is_missing_whatever_its_type() -> None:
+    mask = [False, True, False, True, False]
+    for numbers in (np.array([1, 0, 2, 0, 3]), np.array([1.0, 0.0, 2.0, 0.0, 3.0])):
+        made = from_arrays(table(motor_angle_rad=np.ma.array(numbers, mask=mask)))
+        assert made.series["motor_angle_rad"].value.tolist() == [1.0, 2.0, 3.0]
+    for clock in (np.arange(5), np.arange(5) * np.timedelta64(1, "s")):
+        with pytest.raises(InputError, match="drive: row 1, column time_"):
+            from_arrays({"time_ns": np.ma.array(clock, mask=mask), "rack_force_n": TORQUE}, "drive")
+
+
 def test_a_data_frame() -> None:
     frame = importlib.import_module("pandas").DataFrame(table(note=list("abcde")))
     with pytest.raises(InputError, match="drive: columns: column 'note' is not a canonical name"):
