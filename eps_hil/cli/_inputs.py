@@ -47,6 +47,10 @@ class Reading:
     ignore_unknown: bool = False
     channel: str | None = None
 
+    def files(self) -> tuple[Path | None, ...]:
+        """What is read beside the recordings."""
+        return *self.dbc, self.signals
+
     def arguments(self) -> dict[str, Any]:
         """As :mod:`eps_hil.recordings` takes them."""
         return {

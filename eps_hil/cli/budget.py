@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eps_hil.cli._files import check_places, write_json
+from eps_hil.cli._files import check_kept, write_json
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import ModelPath, progress
 from eps_hil.cli.estimate import Kind
@@ -81,7 +81,7 @@ def budget(
         page.check("--report", "matplotlib")
     if figure:
         figures.check(figure)
-    check_places(json, report)
+    check_kept((json, report), (model, uncertainty, Path(manoeuvre), chain, settings))
     rig = load_model(model)
     chosen = yaml_file.load(settings, EstimatorSettings) if settings else EstimatorSettings()
     if kind is not None:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from eps_hil.cli._files import check_places, write_json
+from eps_hil.cli._files import check_kept, write_json
 
 
 def register(app: typer.Typer) -> None:
@@ -29,7 +29,7 @@ def check(
         raise typer.BadParameter("a file is needed", param_hint="'FILE'")
     from eps_hil.check.check import check as checked
 
-    check_places(json)
+    check_kept((json,), files)
     found = [checked(path) for path in files]
     for each in found:
         errors = sum(one.level.value == "error" for one in each.remarks)

@@ -50,7 +50,7 @@ def compare(
     without dead zone and limiter. --live adds what a running service made of it.
     """
     import eps_hil
-    from eps_hil.cli._files import check_places, write_json
+    from eps_hil.cli._files import check_kept, write_json
     from eps_hil.estimation.settings import EstimatorSettings
     from eps_hil.physics.model import load_model
     from eps_hil.report import comparison, figures
@@ -59,7 +59,7 @@ def compare(
 
     if figure:
         figures.check(figure)
-    check_places(json)
+    check_kept((json,), (recording, model, live, settings, *reading.files()))
     zooms = [_zoom(text) for text in zoom or []]
     rig = load_model(model)
     chosen = load(settings, EstimatorSettings) if settings else EstimatorSettings()

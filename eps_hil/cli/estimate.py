@@ -91,7 +91,7 @@ def estimate(
     from eps_hil.physics.model import load_model
 
     targets = _targets(out, recordings) if out else []
-    check_kept([json, *targets], [model, *recordings])
+    check_kept([json, *targets], [model, settings, *recordings, *reading.files()])
     rig = load_model(model)
     chosen = _settings(settings, without or [], friction, kind)
     changes = _changes(friction_journal)

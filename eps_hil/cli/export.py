@@ -23,12 +23,12 @@ def export(
     Inputs are motor torque, torsion-bar torque and rack force; every number of the model is a
     parameter. Needs a C compiler here, and none where the FMU runs.
     """
-    from eps_hil.cli._files import check_places
+    from eps_hil.cli._files import check_kept
     from eps_hil.fmu.export import export_fmu
     from eps_hil.physics.model import load_model
 
     rig = load_model(model)
-    check_places(fmu)
+    check_kept((fmu,), (model,))
     made = export_fmu(rig, fmu, model, fmi_version)
     for note in made.notes:
         typer.echo(f"{model.name}: {note}", err=True)

@@ -68,7 +68,7 @@ def frequency_response(
     Several recordings are averaged. With --chain the recorded torque is run through the 1- to
     5-mass models, friction included, and their responses are compared with the measured ones.
     """
-    from eps_hil.cli._files import check_places, write_json
+    from eps_hil.cli._files import check_kept, write_json
     from eps_hil.errors import InputError
     from eps_hil.identification.frequency_response import (
         ESTIMATORS,
@@ -80,7 +80,7 @@ def frequency_response(
 
     if out:
         figures.check(out)
-    check_places(json)
+    check_kept((json,), (model, chain, *recordings, *reading.files()))
     if estimator not in ESTIMATORS:
         raise InputError("--estimator", estimator, "is none", f"use {', '.join(ESTIMATORS)}")
     if (load_stiffness is None) != (load_damping is None):

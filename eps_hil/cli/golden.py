@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from eps_hil.cli._files import check_places, write_json
+from eps_hil.cli._files import check_kept, write_json
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import waiting
 from eps_hil.errors import EpsHilError, InputError
@@ -57,7 +57,7 @@ def make(
         raise InputError(out, "--out", "is neither .csv nor .csv.gz", "name it so")
     if out.exists() and not overwrite:
         raise InputError(out, "--out", "exists already", "add --overwrite to replace it")
-    check_places(out)
+    check_kept((out,), (log, config))
     setup = oracle.load_pair(log, config)
     say_if_it_compiles()
     with waiting(f"playing {log.name} through the service"):
@@ -104,7 +104,7 @@ def check(
     for option, value in (("--log", log), ("--figure", figure)):
         if value is not None and len(goldens) > 1:
             raise InputError(option, "", "goes with one golden", f"not with {len(goldens)}")
-    check_places(json, figure)
+    check_kept((json, figure), (*goldens, log, config))
     if figure is not None:
         from eps_hil.report import figures
 

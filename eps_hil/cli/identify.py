@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eps_hil.cli._files import check_kept, check_model_place, check_places, write_json
+from eps_hil.cli._files import check_kept, check_model_place, write_json
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import (
     ModelPath,
@@ -87,7 +87,7 @@ def identify(
         from eps_hil.report import identification_page, page
 
         page.check("--report", "matplotlib")
-    check_kept((write_model, json, report), (model, *recordings))
+    check_kept((write_model, json, report), (model, *recordings, *reading.files()))
     check_model_place(write_model)
     rig = load_model(model)
     read = read_all(recordings, reading)
@@ -127,7 +127,8 @@ def _simulator(
         raise InputError(fmu, "", "only an FMU can be run with other parameters", "export one")
     if not free:
         raise InputError("--free", "", "names no parameter", "give --free NAME, once for each")
-    check_places(json)
+    read = (model, fmu, mapping, *recordings, *(holdout or ()), *reading.files())
+    check_kept((json,), read)
     rig = load_model(model)
     columns = load_columns(mapping) if mapping else None
     with opened(fmu, columns) as simulator:

@@ -54,7 +54,7 @@ def investigate(
     the motor. Finished steps outlive an interruption, kill -9 included; a second call goes on.
     """
     from eps_hil.bus.config import load_bus_setup
-    from eps_hil.cli._files import check_model_place, check_places, write_json
+    from eps_hil.cli._files import check_kept, check_model_place, write_json
     from eps_hil.cli._first_answer import say_if_it_compiles
     from eps_hil.cli._inputs import progress
     from eps_hil.investigate import story
@@ -67,7 +67,7 @@ def investigate(
     from eps_hil.rig.config import load_rig_setup
 
     budget_s = seconds(budget)
-    check_places(json, report, write_model)
+    check_kept((json, report, write_model), (config,))
     check_model_place(write_model)
     page.check("investigate")
     setup, limits = load_bus_setup(config), load_limits(config)

@@ -45,14 +45,14 @@ def programme(
     """
     from eps_hil.bus.config import load_bus_setup
     from eps_hil.cli._bus_options import stop_on_signals
-    from eps_hil.cli._files import check_model_place, check_places, write_json
+    from eps_hil.cli._files import check_kept, check_model_place, write_json
     from eps_hil.cli._inputs import progress
     from eps_hil.physics.model import load_model
     from eps_hil.programme.plan import load_plan
     from eps_hil.programme.run import ProgrammeRun, prepare_folder
     from eps_hil.programme.summary import content, identified, identify_logs, table_file
 
-    check_places(write_model, json)
+    check_kept((write_model, json), (file, config))
     check_model_place(write_model)
     setup = load_bus_setup(config)
     model = load_model(setup.model)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from eps_hil.cli._files import check_places, write_json
+from eps_hil.cli._files import check_kept, write_json
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import ModelPath, Reading, progress, read_recording, reads_recordings
 
@@ -57,7 +57,7 @@ def tune(
 
     if figure:
         figures.check(figure)
-    check_places(json)
+    check_kept((json,), (model, recording, settings, *reading.files()))
     rig = with_model_effects(load_model(model))
     chosen = yaml_file.load(settings, EstimatorSettings) if settings else EstimatorSettings()
     if chosen.quantity == "friction":

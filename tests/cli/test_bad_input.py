@@ -101,6 +101,25 @@ def test_outputs_never_replace_each_other_nor_what_is_read(
         "b/same.csv: is read by this command": [
             "changes", "--before", one, "--after", other, "--model", str(mine), "--json", other,
         ],
+        "a/same.csv: is read by this command; write": [
+            "compare", one, "--model", str(mine), "--json", one,
+        ],
+        "a/same.csv: is read by this command; write to": [
+            "identify", one, "--model", str(mine), "--simulation", f"{tmp_path}/s.fmu", "--free",
+            "x", "--json", one,
+        ],
+        "mine.yaml: is read by this command; write to": [
+            "tune", "--model", str(mine), "--json", str(mine),
+        ],
+        "mine.yaml: is read by this command; write to another": [
+            "budget", "--model", str(mine), "--report", str(mine),
+        ],
+        "mine.yaml: is read by this command; write to another file": [
+            "check", str(mine), "--json", str(mine),
+        ],
+        "b/same.csv: is read by this command; write": [
+            "frequency-response", one, other, "--model", str(mine), "--json", other,
+        ],
     }  # fmt: skip
     before = mine.read_bytes(), same[1].read_bytes()
     for words, arguments in cases.items():
