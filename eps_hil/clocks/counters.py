@@ -1,10 +1,11 @@
 """Counters in payloads, found without a database: they tell lost frames from a clock's step."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
+from eps_hil.clocks.payloads import Payloads
 
 Integers = npt.NDArray[np.int64]
 
@@ -29,14 +30,13 @@ class Counter:
         return int((self.values[after] - self.values[before] - 1) % self.modulus)
 
 
-def find_counter(data: Sequence[bytes]) -> Counter | None:
+def find_counter(data: Payloads) -> Counter | None:
     """The widest counter in a message's payloads; None where there is none."""
-    size = len(data[0]) if data else 0
-    if len(data) < FEWEST or not size or any(len(one) != size for one in data):
+    content = data.rows()
+    if content is None or len(content) < FEWEST:
         return None
-    content = np.frombuffer(b"".join(data), np.uint8).reshape(len(data), size)
     some = content[:_LOOKED_AT].astype(np.int64)
-    for place in range(size):
+    for place in range(content.shape[1]):
         for shift, mask in ((0, 255), (0, 15), (4, 15)):
             values = (some[:, place] >> shift) & mask
             modulus = int(np.max(values)) + 1

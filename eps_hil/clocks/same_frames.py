@@ -160,8 +160,8 @@ def _shared(one: Message, other: Message) -> _Shared:
     # the hash is of 64 bits: two payloads that share it do not occur
     by_time = np.argsort(one.t_ns, kind="stable")
     by_time = by_time[:: len(by_time) // _MOST + 1]
-    mine = np.fromiter((hash(one.data[k]) for k in by_time.tolist()), np.int64)
-    payload = np.fromiter(map(hash, other.data), np.int64)
+    mine = one.data.hashes()[by_time]
+    payload = other.data.hashes()
     order = np.lexsort((other.t_ns, payload))
     theirs, payload = other.t_ns[order], payload[order]
     begins = np.flatnonzero(np.diff(payload, prepend=payload[0] - 1))

@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from eps_hil.clocks.payloads import GatheredIntegers, GatheredPayloads, Payloads
 from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_unordered_frames
 
 Stamps = npt.NDArray[np.int64]
+_Key = tuple[str, int, bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +26,7 @@ class Message:
     can_id: int
     extended: bool
     t_ns: Stamps
-    data: tuple[bytes, ...]
+    data: Payloads
     frame: Stamps
 
     @property
@@ -51,31 +53,33 @@ def read_channels(
     path: str | Path, on_progress: Callable[[float], None] | None = None
 ) -> tuple[Channel, ...]:
     """The channels of a CAN log (LOG, BLF, ASC, TRC, MF4); :class:`InputError` for no frame."""
-    stamps: dict[str, list[int]] = {}
-    by_id: dict[tuple[str, int, bool], tuple[list[int], list[bytes]]] = {}
+    stamps: dict[str, GatheredIntegers] = {}
+    by_id: dict[_Key, tuple[GatheredIntegers, GatheredPayloads]] = {}
     for channel, frame in read_unordered_frames(path, on_progress):
-        all_of = stamps.setdefault(channel, [])
-        all_of.append(frame.t_ns)
+        if channel not in stamps:
+            stamps[channel] = GatheredIntegers()
+        all_of = stamps[channel]
+        all_of.add(frame.t_ns)
         if frame.error or frame.remote:
             continue
-        places, payloads = by_id.setdefault((channel, frame.can_id, frame.extended), ([], []))
-        places.append(len(all_of) - 1)
-        payloads.append(frame.data)
+        key = (channel, frame.can_id, frame.extended)
+        if key not in by_id:
+            by_id[key] = GatheredIntegers(), GatheredPayloads()
+        places, payloads = by_id[key]
+        places.add(len(all_of) - 1)
+        payloads.add(frame.data)
     if not stamps:
         raise InputError(path, "", "holds no CAN frame", "check that it is a CAN log")
-    return tuple(
-        _channel(name, np.array(all_ns, dtype=np.int64), by_id) for name, all_ns in stamps.items()
-    )
+    return tuple(_channel(name, all_ns.whole(), by_id) for name, all_ns in stamps.items())
 
 
 def _channel(
-    name: str,
-    t_ns: Stamps,
-    by_id: dict[tuple[str, int, bool], tuple[list[int], list[bytes]]],
+    name: str, t_ns: Stamps, by_id: dict[_Key, tuple[GatheredIntegers, GatheredPayloads]]
 ) -> Channel:
     messages = []
-    for (on, can_id, extended), (places, payloads) in sorted(by_id.items()):
-        if on == name:
-            frame = np.array(places, dtype=np.int64)
-            messages.append(Message(name, can_id, extended, t_ns[frame], tuple(payloads), frame))
+    for key in sorted(by_id):
+        if key[0] == name:
+            places, payloads = by_id[key]
+            frame = places.whole()
+            messages.append(Message(*key, t_ns[frame], payloads.whole(), frame))
     return Channel(name, t_ns, tuple(messages))

@@ -9,6 +9,7 @@ import pytest
 from eps_hil.clocks.audit import audit
 from eps_hil.clocks.between import between
 from eps_hil.clocks.corrected import corrected_stamps
+from eps_hil.clocks.payloads import Payloads
 from eps_hil.clocks.stamps import Channel, Message
 
 Write = Callable[..., Path]
@@ -93,7 +94,7 @@ def long(name: str, clock_ns: Callable[[np.ndarray], np.ndarray], seconds: int) 
     k = np.arange(1000 * seconds, dtype=np.int64)
     rng = np.random.default_rng(len(name))
     t_ns = clock_ns(k * 1_000_000 + rng.exponential(5e4, len(k)).astype(np.int64))
-    data = tuple(int(one).to_bytes(4, "little") for one in k)
+    data = Payloads.of([int(one).to_bytes(4, "little") for one in k])
     return Channel(name, t_ns, (Message(name, 0x100, False, t_ns, data, k),))
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from eps_hil.clocks.counters import find_counter
+from eps_hil.clocks.payloads import Payloads
 
 K = np.arange(3_000)
 NOISE = np.random.default_rng(0).integers(0, 256, (len(K), 3))
@@ -25,7 +26,7 @@ def payloads(*columns: np.ndarray) -> tuple[bytes, ...]:
     ],
 )
 def test_a_counter_is_found(data: tuple[bytes, ...], modulus: int) -> None:
-    found = find_counter(data)
+    found = find_counter(Payloads.of(data))
     assert found is not None
     assert found.modulus == modulus
     assert found.lost_between(10, 14) == 3
@@ -36,4 +37,4 @@ def test_a_counter_is_found(data: tuple[bytes, ...], modulus: int) -> None:
     [payloads(NOISE), payloads(K % 2, NOISE), (b"\x01",) * 100, (b"\x01", b"") * 50, ()],
 )
 def test_where_there_is_none_none_is_found(data: tuple[bytes, ...]) -> None:
-    assert find_counter(data) is None
+    assert find_counter(Payloads.of(data)) is None
