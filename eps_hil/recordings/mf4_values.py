@@ -10,11 +10,15 @@ from eps_hil.errors import InputError
 from eps_hil.recordings.table import shown
 
 _TO_TEXT, _RANGE_TO_TEXT = 7, 8  # ASAM MDF 4.1, kinds of conversion
+_TIME_ELSEWHERE = 1 << 3  # ASAM MDF 4.2, flags of a channel group: its time is another's
 _AXES = {2: "an angle", 3: "a distance", 4: "a count"}  # ASAM MDF 4.1, kinds of synchronisation
 
 
 def check_time_axis(path: Path, mdf: Any, group: int, name: str) -> None:
     """:class:`InputError` where a channel's samples are not over time."""
+    about = mdf.groups[group].channel_group
+    if getattr(about, "flags", 0) & _TIME_ELSEWHERE:
+        group = about.cg_master_index
     master = mdf.masters_db.get(group)
     if master is None:
         problem, remedy = "has no time beside it", "export it with its time"

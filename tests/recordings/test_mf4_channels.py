@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from eps_hil.errors import InputError
 from eps_hil.recordings.foreign import load_columns, read_foreign
+from eps_hil.recordings.mf4_values import check_time_axis
 from eps_hil.recordings.read import read_recording
 from eps_hil.recordings.recording import Recording
 
@@ -147,6 +149,24 @@ def test_samples_that_are_not_over_time_are_refused(tmp_path: Path) -> None:
     path = changed(tmp_path / "rig.mf4", without)
     with pytest.raises(InputError, match="channel 'motor_speed_rad_s': has no time beside it"):
         read_recording(path, ignore_unknown=True)
+
+
+def test_the_time_may_stand_in_another_group() -> None:
+    """MDF 4.2 by columns: asammdf reads such files and writes none."""
+    own = SimpleNamespace(flags=0, cg_master_index=None)
+    other = SimpleNamespace(flags=1 << 3, cg_master_index=0)
+    clock = SimpleNamespace(sync_type=1)
+    mdf = SimpleNamespace(
+        masters_db={0: 0},
+        groups=[
+            SimpleNamespace(channel_group=own, channels=[clock]),
+            SimpleNamespace(channel_group=other, channels=[SimpleNamespace()]),
+        ],
+    )
+    check_time_axis(Path("rig.mf4"), mdf, 1, "speed")
+    clock.sync_type = 2
+    with pytest.raises(InputError, match="channel 'speed': is recorded over an angle"):
+        check_time_axis(Path("rig.mf4"), mdf, 1, "speed")
 
 
 @pytest.mark.parametrize(
