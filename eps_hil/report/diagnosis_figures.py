@@ -1,6 +1,7 @@
 """The line plots of a diagnosis' page: worst spots, evidence of each finding, hold-outs."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,10 @@ def _spot(evidence: Evidence, rows: npt.NDArray[np.int64], sync: str) -> list[Pl
             200,
         )
     ]
+    assumed = any(one.load_is_assumed for one in evidence.problem.recordings)
     for name in ("motor_speed_rad_s", "rack_force_n", "motor_torque_nm"):
+        if name == "rack_force_n" and assumed:
+            continue
         last = name == "motor_torque_nm"
         line = Line("recorded", "recorded", evidence.signals[name][rows])
         plots.append(
@@ -172,7 +176,8 @@ def unknown(finding: Mapping[str, Any]) -> Plot | None:
 
 
 def holdouts(diagnosis: Diagnosis, evidence: Evidence) -> list[dict[str, Any]]:
-    """For each recording kept from the fit: torque residual, and rack force, before and after."""
+    """For each recording kept from the fit, before and after: torque residual, simulated speed,
+    and rack force where it was measured."""
     shown = list(zip(diagnosis.judged, evidence.parts(), strict=True))[:MOST_HOLDOUTS]
     most = MOST_ROWS // max(1, len(shown))
     result = []
@@ -189,9 +194,11 @@ def holdouts(diagnosis: Diagnosis, evidence: Evidence) -> list[dict[str, Any]]:
             sync,
             220,
         )
-        force = _force(diagnosis, one, evidence, part, sync, most // 2)
-        speed = _speed(diagnosis, evidence, one, sync, most // 2)
-        result.append({"name": one.prepared.name, "plots": [left, *speed, force]})
+        plots = [left, *_speed(diagnosis, evidence, one, sync, most // 2)]
+        if not one.prepared.load_is_assumed:  # else there is nothing to compare an estimate with
+            plots.append(_force(diagnosis, one, evidence, part, sync, most // 2))
+        plots[-1] = replace(plots[-1], x_label="time in s")
+        result.append({"name": one.prepared.name, "plots": plots})
     return result
 
 

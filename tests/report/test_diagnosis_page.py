@@ -400,6 +400,22 @@ def test_parts_of_one_recording_are_told_apart(
     )
 
 
+def test_a_load_that_nobody_measured_is_not_drawn_as_a_load_cell(explained: Diagnosis) -> None:
+    """It was, and a right model, which leaves that load out, looked as if it ruined the force."""
+    evidence = held_out(explained)
+    (measured, *_) = holdouts(explained, evidence)
+    assert [one.name for one in measured["plots"]][-1] == "holdout0-force"
+    judged = [
+        replace(one, prepared=one.prepared.changed(load_is_assumed=True))
+        for one in explained.judged
+    ]
+    (assumed, *_) = holdouts(replace(explained, judged=judged), evidence)
+    names = [one.name for one in assumed["plots"]]
+    assert names
+    assert "holdout0-force" not in names
+    assert assumed["plots"][-1].x_label == "time in s"
+
+
 def test_an_axis_reaches_to_where_a_term_acts() -> None:
     """A stop at the ends of the travel, where the rack hardly ever is."""
     x = np.sin(np.linspace(0.0, 60.0, 20_000)) ** 5

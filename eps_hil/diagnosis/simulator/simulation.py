@@ -210,7 +210,11 @@ def _timing(fitted: Delays, file: Delays, borrowed: bool) -> tuple[bool, Delays]
     )
     if not late:
         return False, file
-    own = {n: a for n, a, b in zip(names, mine, theirs, strict=True) if abs(a - b) > _SAME_TIME_S}
+    own = {
+        name: max(a, 0.0)  # no sensor is early: a model file has no place for that
+        for name, a, b in zip(names, mine, theirs, strict=True)
+        if abs(a - b) > _SAME_TIME_S
+    }
     return True, replace(file, **own)
 
 
