@@ -148,10 +148,15 @@ def read_each(paths: Sequence[Path], reading: Reading) -> "Iterator[tuple[Path, 
         yield path, read_recording(path, reading)
 
 
+def same_file(path: Path, others: Sequence[Path]) -> bool:
+    """Whether one of the others is this file, however it is spelt or linked."""
+    return path.resolve() in {other.resolve() for other in others}
+
+
 def read_all(paths: Sequence[Path], reading: Reading) -> "dict[str, Mapping[str, Series]]":
-    """All recordings' signals by path, as the user wrote it; the same path twice is refused."""
+    """All recordings' signals by path, as the user wrote it; the same file twice is refused."""
     for k, path in enumerate(paths):
-        if path in paths[:k]:
+        if same_file(path, paths[:k]):
             raise InputError(path, "", "is given twice", "name each recording once")
     if len(paths) < 2:
         return {str(path): one.series for path, one in read_each(paths, reading)}

@@ -7,7 +7,15 @@ from typing import Annotated, Any
 import typer
 
 from eps_hil.cli._files import check_kept, check_model_place, write_json
-from eps_hil.cli._inputs import ModelPath, Reading, progress, read_all, reads_recordings, stages
+from eps_hil.cli._inputs import (
+    ModelPath,
+    Reading,
+    progress,
+    read_all,
+    reads_recordings,
+    same_file,
+    stages,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -54,7 +62,7 @@ def changes(
         page.check("--report", "uplot")
     rig = load_model(model)
     for path in before:
-        if path in after:
+        if same_file(path, after):
             raise InputError(path, "", "is both --before and --after", "two states are compared")
     first, second = read_all(before, reading), read_all(after, reading)
     with stages("aligning the recordings") as say:
@@ -98,6 +106,8 @@ def _say(content: Mapping[str, Any]) -> None:
                        f"{one['next_experiment']}")  # fmt: skip
     for limit in content["limits"]:
         typer.echo(f"  note: {limit}")
+    if not content["findings"]:
+        return
     holdout = content["fit"]["holdout"]
     units = {"torque_nrmse": "", "speed_fit_percent": " %", "rack_force_rmse_n": " N"}
     for name, unit in units.items():

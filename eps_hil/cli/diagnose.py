@@ -14,6 +14,7 @@ from eps_hil.cli._inputs import (
     progress,
     read_all,
     reads_recordings,
+    same_file,
     say_notes,
     stages,
 )
@@ -138,10 +139,11 @@ def diagnose(
         page.check("--report", "uplot")
     rig = load_model(model)
     without = known_effects(without_effect or [], "--without-effect")
+    for path in holdout or []:
+        if same_file(path, recording):
+            raise InputError(path, "", "is recording and hold-out", "what is fitted proves nothing")
     fitted = read_all(recording, reading)
     judged = read_all(holdout or [], reading)
-    for name in fitted.keys() & judged.keys():
-        raise InputError(name, "", "is recording and hold-out", "what is fitted proves nothing")
     say_if_it_compiles()
     with stages("aligning the recordings") as say:
         traces = None

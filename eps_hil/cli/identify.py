@@ -79,6 +79,10 @@ def identify(
     from eps_hil.recordings.files import replacing
 
     if simulation:
+        if write_model or report:
+            name = "--write-model" if write_model else "--report"
+            problem, remedy = "does not go with --simulation", "its numbers are in --json"
+            raise InputError(name, "", problem, remedy)
         _simulator(recordings, model, simulation, free, simulation_signals, holdout, json, reading)
         return
     if free or simulation_signals or holdout:

@@ -73,3 +73,15 @@ def test_swapped_columns_end_with_status_2(
     assert len(said.err.splitlines()) == 1
     assert "speeds.csv: torque_sensor_nm" in said.err
     assert "swapped" in said.err
+
+
+@pytest.mark.parametrize("option", ["--write-model", "--report"])
+def test_what_an_fmu_cannot_give_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str
+) -> None:
+    """It was left out, with status 0."""
+    (tmp_path / "s.fmu").write_bytes(b"")
+    given = ["identify", "--model", MODEL, str(tmp_path / "r.csv")]
+    given += ["--simulation", str(tmp_path / "s.fmu"), option, str(tmp_path / "out")]
+    assert main(given) == 2
+    assert f"{option}: does not go with --simulation" in capsys.readouterr().err

@@ -52,6 +52,9 @@ def test_the_same_recording_twice_is_refused(tmp_path: Path) -> None:
     assert list(read_all([path], Reading())) == [str(path)]
     with pytest.raises(InputError, match="given twice"):
         read_all([path, path], Reading())
+    (tmp_path / "b.csv").symlink_to(path)
+    with pytest.raises(InputError, match="given twice"):
+        read_all([path, tmp_path / "b.csv"], Reading())
 
 
 def test_many_recordings_are_read_in_the_order_they_were_named(tmp_path: Path) -> None:
