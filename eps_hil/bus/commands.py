@@ -75,24 +75,34 @@ def of_database(
     return found
 
 
-def of_replay(database: Any | None, certain: Commands = OWN) -> Commands:
-    """What a replay leaves out: ``certain``, what looks like the command of a torque, and the
-    project's own ids wherever the database does not give them to another message."""
-    if database is None:
-        return dict(OWN)
-    known = {int(message.frame_id) for message in database.messages}
-    found = {can_id: own for can_id, own in OWN.items() if can_id not in known}
-    for message in database.messages:
+def of_replay(*known: tuple[Any, Commands]) -> Commands:
+    """What a replay leaves out, by (database, its certain commands) of each that is ``known``.
+
+    A command by one database is one, whatever another says. Beside the certain ones: what looks
+    like the command of a torque, and the project's own ids that no database knows.
+    """
+    messages = [message for database, _ in known for message in database.messages]
+    told = {int(message.frame_id) for message in messages}
+    found = {can_id: own for can_id, own in OWN.items() if can_id not in told}
+    for message in messages:
         can_id = int(message.frame_id)
         if _attribute(message) is None and _suspicious(message):
             found[can_id] = Command(can_id, message.name, Kind.SUSPECTED)
-    return found | dict(certain)
+    for _, certain in known:
+        found |= certain
+    return found
 
 
 def load_commands(
-    dbc: Sequence[str | Path], signals: str | Path | None, torque: Collection[str] = ()
+    dbc: Sequence[str | Path],
+    signals: str | Path | None,
+    torque: Collection[str] = (),
+    beside: Collection[str] = (),
 ) -> tuple[Any, Commands]:
-    """(database, its certain commands); :class:`InputError` where a file or a name is wrong."""
+    """(database, its certain commands); :class:`InputError` where a file or a name is wrong.
+
+    ``beside``: commands by another's mapping, which this database may have or not.
+    """
     from eps_hil.bus.mapping import load_mapping
 
     mapping = None if signals is None else load_mapping(signals)
@@ -104,7 +114,7 @@ def load_commands(
                 signals, "commands", f"{', '.join(map(str, dbc))} has no message {name}",
                 nearest(name, (each.name for each in database.messages)),
             )  # fmt: skip
-    return database, of_database(database, torque=torque, marked=marked)
+    return database, of_database(database, torque=torque, marked=(*marked, *beside))
 
 
 def refuse_command(commands: Commands, can_id: int, file: object, place: str) -> None:

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -189,23 +189,48 @@ def _refuse_beside_commands(**given: object) -> None:
 
 
 def _commands(config: Path | None, dbc: list[Path]) -> "Commands":
-    """What stays out, by the databases of ``--dbc`` and of the configuration."""
+    """What stays out, by the databases of ``--dbc`` and of the configuration together."""
     from eps_hil.bus.commands import load_commands, of_replay
 
-    signals, torque = None, []
+    known, names, marked = ([], [], ()) if config is None else _configured(config)
+    if dbc:
+        known.append(load_commands(dbc, None, names, marked))
     if config is not None:
-        from eps_hil.bus.config import block, load_bus_setup
-        from eps_hil.yaml_file import read
+        _refuse_unknown(names, known, config)
+    return of_replay(*known)
 
-        content = read(config)
-        override = block(config, "override").get("command_message")
-        torque = [override] if isinstance(override, str) else []
-        if not dbc and isinstance(content, dict) and "dbc" in content:
-            setup = load_bus_setup(config)
-            dbc, signals = list(setup.dbc), setup.signals
-    if not dbc:
-        return of_replay(None)
-    return of_replay(*load_commands(dbc, signals, torque))
+
+def _configured(config: Path) -> "tuple[list[tuple[Any, Commands]], list[str], tuple[str, ...]]":
+    """Of a configuration: database and commands (where it has one), the message of its override,
+    and the messages that its mapping calls commands."""
+    from eps_hil.bus.commands import TORQUE_MESSAGE, load_commands
+    from eps_hil.bus.config import block, load_bus_setup, resolved
+    from eps_hil.bus.mapping import load_mapping
+    from eps_hil.yaml_file import read
+
+    content = read(config)
+    override = block(config, "override")
+    names = [str(override.get("command_message", TORQUE_MESSAGE))] if override else []
+    signals = content.get("signals") if isinstance(content, dict) else None
+    marked = load_mapping(resolved(config, str(signals))).commands if signals else ()
+    if not (isinstance(content, dict) and "dbc" in content):
+        return [], names, marked
+    setup = load_bus_setup(config)
+    return [load_commands(setup.dbc, setup.signals, names)], names, marked
+
+
+def _refuse_unknown(names: list[str], known: "list[tuple[Any, Commands]]", config: Path) -> None:
+    """A command that no database knows could not be told from any other frame of the log."""
+    from eps_hil.bus.commands import OWN
+
+    found = [certain for _, certain in known] or [OWN]
+    told = {command.name for certain in found for command in certain.values()}
+    for name in names:
+        if name not in told:
+            raise InputError(
+                config, "override.command_message", f"no database has a message {name}",
+                "name the bench's database with --dbc: its commands must stay out",
+            )  # fmt: skip
 
 
 def _progress() -> "Callable[[int], None] | None":

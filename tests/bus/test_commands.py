@@ -163,15 +163,27 @@ def test_a_foreign_database_is_read_by_marks_mapping_and_suspicion(
         "Bench_Drive": Kind.TORQUE,
     }
     assert 0x18FEF65A in certain or 2566844570 & 0x1FFF_FFFF in certain
-    left_out = commands.of_replay(database, certain)
+    left_out = commands.of_replay((database, certain))
     names = {one.name for one in left_out.values()}
     # 0x80 is this database's Harmless, 0xA0 nobody's; the echo is marked as no command.
     assert names == {"Engine", "Lift", "Bench_Drive", "LKA_Steering", "RIG_Command"}
     assert left_out[512].kind is Kind.SUSPECTED
 
 
+def test_a_command_by_one_of_two_databases_is_one(foreign: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "bare.dbc"
+    bare.write_text(
+        'VERSION ""\nBU_: A\nBO_ 514 Lift: 8 A\n SG_ Height : 0|8@1+ (1,0) [0|9] "" A\n'
+    )
+    first = commands.load_commands([bare], None, beside=["Lift", "Bench_Drive"])
+    second = commands.load_commands([foreign], None, torque=["Engine"])
+    for known in ((first, second), (second, first)):
+        names = {one.name for one in commands.of_replay(*known).values()}
+        assert names == {"Lift", "Engine", "Bench_Drive", "LKA_Steering", "RIG_Command"}
+
+
 def test_without_a_database_the_projects_own_ids_are_left_out() -> None:
-    assert commands.of_replay(None) == commands.OWN
+    assert commands.of_replay() == commands.OWN
 
 
 def test_a_marked_message_that_does_not_exist_is_refused(foreign: Path, tmp_path: Path) -> None:

@@ -174,6 +174,44 @@ def test_a_command_under_another_id_stays_out_by_its_database(
     assert "0x18FF0080 EPSHIL_TorqueOverride" in told.stdout
 
 
+def bench_config(folder: Path, udp_port: int) -> Path:
+    """Of a bench whose torque command is ECU_Cmd, 0x90, by the override block alone."""
+    text = (ROOT / "dbc" / "eps_rig.dbc").read_text().replace("EPSHIL_TorqueOverride", "ECU_Cmd")
+    (folder / "bench.dbc").write_text(re.sub(r"\b(BO_|SG_|VAL_) 128\b", r"\1 144", text))
+    config = config_file(folder, udp_port, override=True)
+    said = config.read_text().replace(f"{ROOT}/dbc/eps_rig.dbc", "bench.dbc")
+    config.write_text(said.replace("override:\n", "override:\n  command_message: ECU_Cmd\n", 1))
+    return config
+
+
+VEHICLE = """VERSION ""
+BU_: A
+BO_ 1500 Vehicle: 8 A
+ SG_ Speed : 0|8@1+ (1,0) [0|255] "" A
+"""
+
+
+def test_a_database_beside_the_configuration_adds_to_what_stays_out(
+    log: Path, ear: Ear, udp_port: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With --dbc the torques of the bench's command went out as they stood in the log."""
+    log.write_text(candump([replace(f, can_id=0x90) for f in ramp_log()[:50]]))
+    config = bench_config(tmp_path, udp_port)
+    dbc = tmp_path / "vehicle.dbc"
+    dbc.write_text(VEHICLE)
+    words = [str(log), "--config", str(config), "--dbc", str(dbc)]
+    assert main(["replay", *words]) == 0
+    assert "commands left out: 0x90 ECU_Cmd (commands a torque) 50 x" in capsys.readouterr().out
+    assert ear.stop() == []
+    config.write_text(f"override: {{command_message: ECU_Cmd}}\nbus: {BUS.format(udp_port)}")
+    assert main(["replay", *words]) == 2
+    said = "override.command_message: no database has a message ECU_Cmd"
+    assert said in capsys.readouterr().err
+
+
+BUS = "{{interface: udp_multicast, channel: 239.74.163.2, options: {{port: {}, hop_limit: 0}}}}"
+
+
 def test_it_does_not_talk_over_a_live_sender(
     log: Path, ear: Ear, udp_port: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
