@@ -11,10 +11,13 @@ from eps_hil.errors import EpsHilError, InputError, SafetyStop
 
 
 def play_commands(
-    log: Path, config: Path | None, journal_file: Path, window: tuple[float, float | None],
-    *, alone: bool,
+    log: Path, channel: str | None, config: Path | None, journal_file: Path,
+    window: tuple[float, float | None], *, alone: bool,
 ) -> None:  # fmt: skip
-    """One override session whose source is the log; :class:`SafetyStop` if the guard ended it."""
+    """One override session whose source is the log (of several channels: ``channel``).
+
+    :class:`SafetyStop` if the guard ended it.
+    """
     import asyncio
 
     from eps_hil.bus.replay import offsets, read_log
@@ -33,7 +36,7 @@ def play_commands(
         )  # fmt: skip
     setup = load_config(config)
     parts = prepare_override(setup, config)
-    commands = read_commands(between(offsets(read_log(log)), *window), parts, log)
+    commands = read_commands(between(offsets(read_log(log, channel)), *window), parts, log)
     source = CommandReplay(commands)
     for line in _plan(parts, commands, log):
         typer.echo(line)

@@ -87,10 +87,15 @@ def replay(
     if to_s is not None and to_s <= from_s:
         raise InputError("--to", f"{to_s:g}", "is not after --from", "seconds into the log")
     if commands:
-        _refuse_beside_commands(speed=pace != 1.0, loop=loop, ids=ids, without=without)
+        _refuse_beside_commands(
+            speed=pace != 1.0, loop=loop, ids=ids, without=without, paused=paused,
+            listen=listen != LISTEN_S, interface=interface, channel=channel, option=option, fd=fd,
+            dbc=dbc,
+        )  # fmt: skip
         from eps_hil.cli._replay_commands import play_commands
 
-        play_commands(log, config, journal, (from_s, to_s), alone=yes_i_stand_clear)
+        window = from_s, to_s
+        play_commands(log, log_channel, config, journal, window, alone=yes_i_stand_clear)
         return
     controls = ReplayControls()
     controls.paused = paused
@@ -184,7 +189,7 @@ def _refuse_beside_commands(**given: object) -> None:
         if value:
             raise InputError(
                 f"--{name}", "", "does not go with --commands",
-                "the torques are asked for once, at their own pace",
+                "the torques are asked for once, at their own pace, on the configuration's bus",
             )  # fmt: skip
 
 

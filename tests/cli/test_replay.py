@@ -252,6 +252,9 @@ def test_a_part_of_a_log(log: Path, ear: Ear, udp_port: int) -> None:
         (["--commands", "--loop"], "--loop: does not go with --commands"),
         (["--commands", "--ids", "1"], "--ids: does not go with --commands"),
         (["--commands", "--speed", "2"], "--speed: does not go with --commands"),
+        (["--commands", "--dbc", "x.dbc"], "--dbc: does not go with --commands"),
+        (["--commands", "--paused"], "--paused: does not go with --commands"),
+        (["--commands", "--listen", "2"], "--listen: does not go with --commands"),
         (["--from", "2", "--to", "1"], "--to: 1: is not after --from"),
         (["--from", "99"], "--from: 99: is after the end of the log"),
         (["--without", "zz"], "--without: zz: is not a CAN id"),
@@ -261,11 +264,22 @@ def test_a_part_of_a_log(log: Path, ear: Ear, udp_port: int) -> None:
 def test_mistakes_are_one_line(
     words: list[str], said: str, log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bus = ["--interface", "virtual", "--channel", "1"]
+    bus = [] if "--commands" in words else ["--interface", "virtual", "--channel", "1"]
     assert main(["replay", str(log), *bus, *words]) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "words", [["--interface", "virtual"], ["--channel", "1"], ["--option", "a=1"], ["--fd"]]
+)
+def test_the_torques_of_a_log_go_to_the_configured_bus_alone(
+    words: list[str], log: Path, udp_port: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = config_file(tmp_path, udp_port, override=True)
+    assert main(["replay", str(log), "--config", str(config), "--commands", *words]) == 2
+    assert f"{words[0]}: does not go with --commands" in capsys.readouterr().err
 
 
 def test_commands_need_the_override_block(
