@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from eps_hil.bus.database import find_message, load_database, nearest
+from eps_hil.bus.units import torque_nm
 from eps_hil.errors import InputError
 
 ATTRIBUTE = "EpsHilCommand"
@@ -21,7 +22,6 @@ TORQUE_MESSAGE, RIG_MESSAGE = "EPSHIL_TorqueOverride", "RIG_Command"
 
 _WANTS = re.compile(r"(?<!f)req|cmd|command|demand|dmd|desired|set_?point|target|override", re.I)
 _TORQUE_NAME = re.compile(r"torque|trq|tq", re.I)
-_TORQUE_UNITS = frozenset({"nm", "n.m", "n*m", "n·m", "mnm", "n-m"})
 
 
 class Kind(StrEnum):
@@ -151,9 +151,6 @@ def _attribute(message: Any) -> int | str | None:
 def _suspicious(message: Any) -> bool:
     return any(
         _WANTS.search(signal.name)
-        and (
-            (signal.unit or "").replace(" ", "").lower() in _TORQUE_UNITS
-            or _TORQUE_NAME.search(signal.name)
-        )
+        and (torque_nm(signal.unit) is not None or _TORQUE_NAME.search(signal.name))
         for signal in message.signals
     )

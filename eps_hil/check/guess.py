@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from eps_hil.check import units
+from eps_hil.bus import units
 from eps_hil.signals import CANONICAL
 
 Floats = npt.NDArray[np.float64]

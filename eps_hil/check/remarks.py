@@ -7,10 +7,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from eps_hil.bus import units
 from eps_hil.bus.database import find_message
 from eps_hil.bus.mapping import SignalMapping
 from eps_hil.bus.protection import E2E_P01
-from eps_hil.check import units
 from eps_hil.physics.model import Model
 from eps_hil.service.config import ServiceConfig
 from eps_hil.signals import CANONICAL

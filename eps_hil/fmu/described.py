@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eps_hil.check import units
+from eps_hil.bus import units
 from eps_hil.errors import InputError
 from eps_hil.fmu.variables import UNITS
 from eps_hil.recordings.files import needs_extra, refused_by_system
@@ -123,7 +123,7 @@ def _measures(unit: str, known: Mapping[str, Any]) -> tuple[str | None, Any]:
     Temperatures are in degrees Celsius, as everywhere here.
     """
     base = getattr(known.get(unit), "baseUnit", None)
-    named = units.known(unit) or units.known(unit.replace(".", ""))
+    named = units.known(unit)
     if base is None or unit in ("", "1"):
         if unit == "K":
             return "temperature", (1.0, -_KELVIN)

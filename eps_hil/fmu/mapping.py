@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from eps_hil.check import units
+from eps_hil.bus import units
 from eps_hil.check.guess import LEAST, Candidate, guess
 from eps_hil.errors import InputError
 from eps_hil.fmu.described import Described, FmuVariable

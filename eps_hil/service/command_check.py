@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from eps_hil.bus import e2e
+from eps_hil.bus import e2e, units
 from eps_hil.bus.codec import rules_of
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.signal_codec import no_value_raws
@@ -26,7 +26,8 @@ _FRAMES = 20
 _OFF = re.compile(r"(?i)\b(off|release[ds]?|inactive|disabled?|no ?request|none|idle|passive)\b")
 _ON = re.compile(r"(?i)\b(on|enabled?|active|request(ed)?|override)\b")
 
-_UNITS = {"nm": 1.0, "n.m": 1.0, "n*m": 1.0, "mnm": 1e-3, "unm": 1e-6, "knm": 1e3, "cnm": 1e-2}
+OTHER_UNIT = "other"
+"""``torque_unit`` of a signal in no unit of torque: ``torque_scale`` is taken as it stands."""
 _SAME = 0.01
 """By so much a scale may differ from what unit and gear say."""
 
@@ -116,17 +117,43 @@ def _check_unit(
 ) -> None:
     """Nm are Nm at the rotor, or at the torsion bar: else the ECU would make more of the torque."""
     signal = message.get_signal_by_name(override.torque_signal)
-    unit = _UNITS.get(str(signal.unit or "").replace(" ", "").lower())
-    if unit is None:
+    stated = override.torque_unit
+    unit = _torque_unit(stated, signal, file)
+    if stated == OTHER_UNIT:
         return
     likely = unit, unit * abs(sensor_to_rotor)
     if all(abs(abs(override.torque_scale) - each) > _SAME * each for each in likely):
         raise InputError(
             file, "override.torque_scale",
-            f"{override.torque_scale:g} Nm at the rotor for 1 {signal.unit} of {signal.name}",
+            f"{override.torque_scale:g} Nm at the rotor for 1 {stated or signal.unit} of "
+            f"{signal.name}",
             f"{likely[0]:g} where that is torque at the rotor, {likely[1]:g} where it is at the "
             "steering wheel; mend the signal's unit if it is none of them",
         )  # fmt: skip
+
+
+def _torque_unit(stated: str | None, signal: Any, file: object) -> float:
+    """Nm of 1 of the torque signal's unit, by the database or else as ``stated``."""
+    by_database, by_file = units.torque_nm(signal.unit), units.torque_nm(stated)
+    if stated is not None and by_file is None and stated != OTHER_UNIT:
+        raise InputError(
+            file, "override.torque_unit", f"{stated} is no unit of torque that is known",
+            f"Nm, mNm, or '{OTHER_UNIT}' where torque_scale shall be taken as it stands",
+        )  # fmt: skip
+    if stated is not None and by_database is not None and by_database != by_file:
+        raise InputError(
+            file, "override.torque_unit", f"{signal.name} is in {signal.unit} by the database",
+            "leave it out, or mend the database",
+        )  # fmt: skip
+    found = by_database if stated is None else by_file
+    if found is None and stated is None:
+        raise InputError(
+            file, "override.torque_unit",
+            f"is missing, and '{signal.unit or ''}' of {signal.name} is no known unit of torque",
+            f"state it: Nm, mNm, or '{OTHER_UNIT}' (a current, say) where torque_scale shall be "
+            "taken as it stands",
+        )  # fmt: skip
+    return found or 0.0
 
 
 def _check_labels(override: OverrideConfig, message: Any, file: object) -> None:

@@ -76,17 +76,20 @@ class OverrideConfig:
     """The torque override. A file without this block can never command a torque.
 
     ``limits``: see :class:`~eps_hil.service.limits.Limits`, all of them. ``command_message``
-    carries ``torque_signal`` (in the DBC's unit times ``torque_scale`` = Nm at the rotor) and
-    ``request_signal`` (``enable_value``, ``release_value``). ``status_message`` (null: the ECU has
-    none) says by ``status_signal`` = ``status_active`` that the ECU obeys. ``state_message``
-    publishes the state machine (null: it does not). ``e2e``: an AUTOSAR profile for the command
-    where the ECU wants one; without it counter and CRC are the DBC's.
+    carries ``torque_signal`` (in the DBC's unit times ``torque_scale`` = Nm at the rotor;
+    ``torque_unit``: that unit where the DBC has no unit of torque, ``other`` where
+    ``torque_scale`` shall be taken as it stands) and ``request_signal`` (``enable_value``,
+    ``release_value``). ``status_message`` (null: the ECU has none) says by ``status_signal`` =
+    ``status_active`` that the ECU obeys. ``state_message`` publishes the state machine (null: it
+    does not). ``e2e``: an AUTOSAR profile for the command where the ECU wants one; without it
+    counter and CRC are the DBC's.
     """
 
     limits: Limits
     command_message: NAME = "EPSHIL_TorqueOverride"
     torque_signal: NAME = "RequestedMotorTorque"
     torque_scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
+    torque_unit: NAME | None = None
     request_signal: NAME = "OverrideRequest"
     enable_value: int = 1
     release_value: int = 0

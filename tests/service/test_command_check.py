@@ -28,7 +28,7 @@ def prepared(
     for line, other in (lines or {}).items():
         assert database.count(f"{line}\n") == 1
         database = database.replace(f"{line}\n", f"{other}\n")
-    (folder / "rig.dbc").write_text(database)
+    (folder / "rig.dbc").write_text(database, encoding="cp1252")
     config = yaml.safe_load(CONFIG.read_text())
     config |= {
         "dbc": [str(folder / "rig.dbc")],
@@ -60,10 +60,22 @@ def without_range(line: str) -> str:
         # beyond what the signal carries, where the database gives no range
         ({}, {TORQUE: without_range(TORQUE).replace("|24", "|16")}, "0.4 Nm at the rotor is 0.0"),
         ({}, {TORQUE: without_range(TORQUE).replace("@1-", "@1+")}, "-0.4 Nm at the rotor is 0 Nm"),
-        ({"torque_scale": 0.001}, {TORQUE: without_range(TORQUE).replace("Nm", "A")}, "0.00838861"),
+        (
+            {"torque_scale": 0.001, "torque_unit": "other"},
+            {TORQUE: without_range(TORQUE).replace("Nm", "A")},
+            "0.00838861",
+        ),
         # another shaft, another unit
         ({"torque_scale": 0.2}, {}, "override.torque_scale: 0.2 Nm at the rotor for 1 Nm"),
         ({"torque_scale": 1.0}, {TORQUE: TORQUE.replace("Nm", "mNm")}, "0.001 where that is"),
+        ({"torque_scale": 0.1}, {TORQUE: TORQUE.replace("Nm", "N·m")}, "for 1 N·m of Req"),
+        ({"torque_scale": 0.1}, {TORQUE: TORQUE.replace("Nm", "N-m")}, "for 1 N-m of Req"),
+        ({"torque_scale": 0.1, "torque_unit": "Nm"}, {TORQUE: TORQUE.replace("Nm", "")}, "1 Nm"),
+        # a unit that nobody knows
+        ({}, {TORQUE: TORQUE.replace("Nm", "")}, "override.torque_unit: is missing, and '' of"),
+        ({}, {TORQUE: TORQUE.replace("Nm", "%")}, "and '%' of RequestedMotorTorque is no known"),
+        ({"torque_unit": "A"}, {TORQUE: TORQUE.replace("Nm", "")}, "torque_unit: A is no unit of"),
+        ({"torque_unit": "mNm"}, {}, "torque_unit: RequestedMotorTorque is in Nm by the database"),
         # zero that is none, steps that are too coarse
         ({}, {TORQUE: TORQUE.replace("(1e-06,0)", "(0.01,0.005)")}, "0 Nm at the rotor is"),
         ({}, {TORQUE: TORQUE.replace("1e-06", "0.1")}, "one step of RequestedMotorTorque is 0.1"),
@@ -123,6 +135,9 @@ def test_an_e2e_header_over_torque_or_request_is_refused(
             1e3,
         ),
         ({}, {TORQUE: TORQUE.replace("16|24@1-", "23|24@0-")}, 1.0),
+        ({}, {TORQUE: TORQUE.replace("Nm", "N m")}, 1.0),
+        ({"torque_unit": "Nm"}, {TORQUE: TORQUE.replace("Nm", "")}, 1.0),
+        ({"torque_scale": 0.1, "torque_unit": "other"}, {TORQUE: TORQUE.replace("Nm", "A")}, 10.0),
         (
             {},
             {TORQUE: f"{TORQUE}\n SG_ Spare : 44|10@1+ (0.02,0) [0|20.46] \"Nm\" ECU"},

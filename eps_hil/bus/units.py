@@ -4,7 +4,9 @@ import math
 
 _DEGREE = math.pi / 180.0
 _TABLE: dict[str, tuple[str, float]] = {
-    "nm": ("torque", 1.0), "mnm": ("torque", 1e-3), "cnm": ("torque", 1e-2),
+    "nm": ("torque", 1.0), "n-m": ("torque", 1.0), "mnm": ("torque", 1e-3),
+    "mn-m": ("torque", 1e-3), "cnm": ("torque", 1e-2), "knm": ("torque", 1e3),
+    "unm": ("torque", 1e-6), "µnm": ("torque", 1e-6), "μnm": ("torque", 1e-6),
     "rad/s": ("angular speed", 1.0), "rpm": ("angular speed", math.pi / 30.0),
     "1/min": ("angular speed", math.pi / 30.0), "min-1": ("angular speed", math.pi / 30.0),
     "deg/s": ("angular speed", _DEGREE), "°/s": ("angular speed", _DEGREE),
@@ -19,6 +21,7 @@ _TABLE: dict[str, tuple[str, float]] = {
     "degc": ("temperature", 1.0), "°c": ("temperature", 1.0), "c": ("temperature", 1.0),
     "a": ("current", 1.0), "ma": ("current", 1e-3), "v": ("voltage", 1.0),
 }  # fmt: skip
+_TIMES = " .*·⋅∙•\t"
 _OF_CANONICAL = {
     "Nm": "torque", "rad/s": "angular speed", "rad": "angle", "N": "force", "m": "length",
     "m/s": "speed", "m/s^2": "acceleration", "degC": "temperature",
@@ -27,8 +30,13 @@ _OF_CANONICAL = {
 
 def known(unit: str | None) -> tuple[str, float] | None:
     """(quantity, factor to SI) of a unit as somebody wrote it; None if it is not known."""
-    text = (unit or "").strip().replace(" ", "").replace("·", "").replace("*", "").lower()
-    return _TABLE.get(text)
+    return _TABLE.get("".join(each for each in unit or "" if each not in _TIMES).lower())
+
+
+def torque_nm(unit: str | None) -> float | None:
+    """Nm of 1 of a unit of torque; None for every other unit."""
+    quantity, factor = known(unit) or ("", 0.0)
+    return factor if quantity == "torque" else None
 
 
 def quantity(canonical_unit: str) -> str:
