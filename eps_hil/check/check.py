@@ -115,7 +115,7 @@ def _config(path: Path) -> Iterator[Remark]:
     yield from problems
     if database is None:
         return
-    yield from remarks.of_mapping(config.signals, mapping, database)
+    yield from remarks.of_mapping(config.signals, mapping, database, model)
     parts, problems = _tried(lambda: prepare(config, path))
     yield from problems
     if parts is not None:

@@ -13,6 +13,7 @@ from eps_hil.bus.mapping import SignalMapping
 from eps_hil.bus.protection import E2E_P01
 from eps_hil.physics.model import Model
 from eps_hil.service.config import ServiceConfig
+from eps_hil.service.input_check import JUDGED, scale_problem
 from eps_hil.signals import CANONICAL
 
 SLOWEST_SYNC_MS = 20
@@ -112,14 +113,16 @@ def of_signals(path: Path, mapping: SignalMapping) -> Iterator[Remark]:
         )  # fmt: skip
 
 
-def of_mapping(path: Path, mapping: SignalMapping, database: Any) -> Iterator[Remark]:
+def of_mapping(path: Path, mapping: SignalMapping, database: Any, model: Model) -> Iterator[Remark]:
     """The mapping against the database: units, cycle times, counters and CRCs that are not used."""
     yield from of_signals(path, mapping)
     for name, source in mapping.signals.items():
         message = find_message(database, source.message) if source.message else None
         signal = None if message is None else _signal(message, source.signal)
         if signal is not None and source.torque_constant_nm_per_a is None:
-            yield from _unit(path, name, signal, source.scale)
+            problem = scale_problem(name, source, database, model)
+            said = () if problem is None else (_warning(path, f"signals.{name}", *problem),)
+            yield from said if name in JUDGED else _unit(path, name, signal, source.scale)
     sync = find_message(database, mapping.sync_message or "")
     cycle_s = None if sync is None else mapping.rules(sync.name).cycle_s(sync)
     if sync is not None and cycle_s is None:

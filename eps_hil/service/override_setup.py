@@ -19,6 +19,7 @@ from eps_hil.physics.model import Model, load_model
 from eps_hil.service.command_check import check_command
 from eps_hil.service.config import OverrideConfig, ServiceConfig
 from eps_hil.service.guard import Command
+from eps_hil.service.input_check import check_inputs
 from eps_hil.service.setup import GATING, commands_of, make_estimator, service_mapping
 
 _NEEDED = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s")
@@ -139,6 +140,7 @@ def prepare_override(config: ServiceConfig, file: str | Path) -> OverrideParts:
     if state:
         refuse_command(commands, state.can_id, file, "override.state_message")
     model = load_model(config.model)
+    check_inputs(mapping, database, model, config.signals)
     check_command(
         override,
         find_message(database, override.command_message),

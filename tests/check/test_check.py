@@ -101,7 +101,7 @@ def test_units_counters_and_crcs_of_the_database(tmp_path: Path) -> None:
     database.write_text(text.replace('"rad/s" ', '"rpm" '))
     change(signals, "messages", "EPS_MotorState", to={})
     lines = "\n".join(said(config))
-    assert "MotorSpeed is in rpm, scale is 1; to rad/s it is 0.1047198" in lines
+    assert "MotorSpeed is in rpm, scale is 1; to rad/s it is 0.1047198 or 2.09" in lines
     assert "no counter: a lost or repeated frame is not noticed" in lines
     assert "is not checked; 'crc: " in lines
     assert "and crc_profile, if it is not e2e_p01" in lines
@@ -112,9 +112,19 @@ def test_units_counters_and_crcs_of_the_database(tmp_path: Path) -> None:
         "motor_angle_rad",
         to={"message": "EPS_Torques", "signal": "MotorTorque"},
     )
-    assert "MotorTorque is in Nm, a torque; rad was expected: another signal?" in "\n".join(
+    assert "MotorTorque is in Nm (torque); rad was expected: another signal?" in "\n".join(
         said(config)
     )
+
+
+def test_a_scale_that_fits_no_shaft_is_warned_of_without_an_override_too(tmp_path: Path) -> None:
+    config = copied(tmp_path)
+    signals = tmp_path / "configs" / "eps_rig_signals.yaml"
+    change(signals, "signals", "torque_sensor_nm", "scale", to=0.05)
+    change(signals, "signals", "vehicle_speed_m_s", "scale", to=1.0)
+    lines = "\n".join(said(config))
+    assert "signals.torque_sensor_nm: TorsionBarTorque is in Nm, scale is 0.05; to Nm it" in lines
+    assert "signals.vehicle_speed_m_s: VehicleSpeed is in km/h, scale is 1; to m/s it is" in lines
 
 
 def test_the_verb_counts_writes_json_and_ends_with_2(
