@@ -24,6 +24,7 @@ _SPEED_SAMPLES = 5
 _SENSOR_GUARD = 0.9
 """Share of the torsion-bar gate at which a ramp ends by itself, before the gate would open."""
 _STUCK_SHARE = 0.1
+_AGAINST = "the rotor turns against the torque: a sign is wrong"
 
 
 class Phase(StrEnum):
@@ -211,7 +212,9 @@ class TorqueInjection:
         s = self.settings
         self._torque_nm += s.ramp_nm_per_s * dt_s
         seen = self._break_away()
-        if seen is not None:
+        if self._against():
+            self.abort(_AGAINST)
+        elif seen is not None:
             self._seen = seen
             self._detection_nm = self._record.torque_now_nm
             self._integral_nm = self._torque_nm
@@ -226,6 +229,11 @@ class TorqueInjection:
         if self._direction * self._filters.quick_rad_s > s.breakaway_speed_rad_s:
             return "speed"
         return "driver_torque" if self._driver_holds() else None
+
+    def _against(self) -> bool:
+        """Whether the rotor broke away the other way, where a ramp would drive it on and on."""
+        speed_rad_s = self._direction * self._filters.quick_rad_s
+        return speed_rad_s < -self.settings.breakaway_speed_rad_s
 
     def _driver_holds(self) -> bool:
         """Whether the hand takes up the torque: eq. 1a has it oppose the motor."""
@@ -245,7 +253,9 @@ class TorqueInjection:
         self._integral_nm = min(max(self._integral_nm, 0.0), s.max_torque_nm)
         self._torque_nm = min(max(self._integral_nm + stiff * error, 0.0), s.max_torque_nm)
         far = self._record.travel_now_rad - self._way_rad >= s.slide_rad
-        if far or self._driver_holds() or self._since_s > s.slide_timeout_s:
+        if self._against():
+            self.abort(_AGAINST)
+        elif far or self._driver_holds() or self._since_s > s.slide_timeout_s:
             self._enter(Phase.RETURN)
 
     def _return(self, dt_s: float) -> None:

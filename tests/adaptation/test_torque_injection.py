@@ -202,6 +202,36 @@ def test_a_rack_that_does_not_move_is_given_up(reference_model: Model, bench: An
     assert max(abs(command.torque_nm) for command in run.commands) < 0.031
 
 
+def test_a_rotor_that_turns_against_the_torque_ends_it(reference_model: Model, bench: Any) -> None:
+    """A speed or a command of the wrong sign: the ramp drove a rotor on that had broken away."""
+
+    def turned(_: int, inputs: InjectionInputs) -> InjectionInputs:
+        return inputs._replace(motor_speed_rad_s=-inputs.motor_speed_rad_s)
+
+    run = bench(reference_model).run(TorqueInjection(QUICK, reference_model), change=turned)
+    assert run.injection.phase is Phase.ABORTED
+    assert run.injection.reason == "the rotor turns against the torque: a sign is wrong"
+    ending = next(k for k, one in enumerate(run.commands) if one.phase is Phase.ABORTING)
+    assert run.commands[ending - 1].phase is Phase.RAMP
+    fastest = np.abs(run.column("motor_speed_rad_s")).max()
+    assert fastest < 3.0 * QUICK.breakaway_speed_rad_s
+
+
+def test_a_slide_that_turns_back_ends_the_run(reference_model: Model) -> None:
+    injection = TorqueInjection(QUICK, reference_model)
+    speed, told = 0.0, None
+    for k in range(4000):
+        inputs = run_inputs()._replace(motor_speed_rad_s=speed)
+        told = injection.step(k * 1_000_000, inputs)
+        if told.phase is Phase.RAMP and abs(told.torque_nm) > 0.05:
+            speed = told.direction * 3.0
+        elif told.phase is Phase.SLIDE:
+            speed = -told.direction * 3.0
+    assert told is not None
+    assert told.phase is Phase.ABORTED
+    assert "a sign is wrong" in injection.reason
+
+
 @pytest.mark.parametrize("step_ns", [0, -1_000_000, 30_000_000])
 def test_time_that_stops_or_jumps_ends_the_run(reference_model: Model, step_ns: int) -> None:
     injection = TorqueInjection(QUICK, reference_model)
