@@ -210,7 +210,7 @@ class TorqueInjection:
 
     def _ramp(self, dt_s: float) -> None:
         s = self.settings
-        self._torque_nm += s.ramp_nm_per_s * dt_s
+        self._torque_nm = min(self._torque_nm + s.ramp_nm_per_s * dt_s, s.max_torque_nm)
         seen = self._break_away()
         if self._against():
             self.abort(_AGAINST)
@@ -220,7 +220,7 @@ class TorqueInjection:
             self._integral_nm = self._torque_nm
             self._way_rad = self._record.travel_now_rad
             self._enter(Phase.SLIDE if seen == "speed" and s.slide_rad > 0 else Phase.RETURN)
-        elif self._torque_nm > s.max_torque_nm:
+        elif self._torque_nm >= s.max_torque_nm:
             self._failed(f"no break-away up to {s.max_torque_nm:g} Nm")
 
     def _break_away(self) -> Seen | None:
