@@ -88,6 +88,8 @@ class OverrideSession:
         self._ending = Ending(self._on_error)
         self._port: Port | None = None
         self._lost_frames = 0
+        self._only_listens = False
+        """Until nobody else is known to send our ids: a frame would end another's session."""
         self._why, self._abnormal = "done", False
         self._silence_s = silence_s
 
@@ -139,7 +141,8 @@ class OverrideSession:
     # Running.
 
     async def _listen_first(self) -> None:
-        """The bus, and whether somebody else already sends what we would."""
+        """The bus, and whether somebody else already sends what we would; nothing is sent yet."""
+        self._only_listens = True
         self._port = self._opener(self._parts, self._dry_run)
         self.core.start(time.monotonic_ns())
         self._port.start(self._loop, self._deliver, self._lost)
@@ -148,6 +151,7 @@ class OverrideSession:
         if self.core.foreign and not self._dry_run:
             ids = ", ".join(f"0x{can_id:X}" for can_id in self._parts.send_ids)
             raise BusError(f"{self._parts.config.bus}: somebody else sends our ids ({ids}); end it")
+        self._only_listens = self._ending.asked_for
 
     async def _serve(self, duration_s: float | None) -> None:
         if self._ending.asked_for:
@@ -202,7 +206,7 @@ class OverrideSession:
     def _send(self, frames: list[Frame], decided_ns: int) -> None:
         """One by one, now or never."""
         for frame in frames:
-            if self._port is None:
+            if self._port is None or self._only_listens:
                 return
             late_ns = time.monotonic_ns() - decided_ns
             if self.core.command.enable and late_ns > _LATE_NS:

@@ -18,7 +18,7 @@ import pytest
 
 from eps_hil.bus.config import BusConfig
 from eps_hil.bus.frame import Frame
-from eps_hil.bus.port import Port, open_port
+from eps_hil.bus.port import BusState, Port, PortCounts, open_port
 from eps_hil.errors import AbsentBusError, BusError, InputError
 from eps_hil.rig.config import load_rig_setup
 from eps_hil.rig.ecu import OverrideState
@@ -33,6 +33,7 @@ from eps_hil.service.override import State
 from eps_hil.service.override_session import OverrideSession, open_for
 from eps_hil.service.override_setup import OverrideParts
 
+from .conftest import TinyRig
 from .lockstep import CONFIG, Sawtooth, parts_of
 from .patience import PATIENT
 from .shared_clock import PromptOperator, SharedClock, StampedPort
@@ -344,6 +345,51 @@ class PortThatKeeps:
     def send(self, frame: Frame) -> bool:
         self.sent.append(frame)
         return True
+
+
+class PortThatHears(PortThatKeeps):
+    """The rig's frames, and one of ours that another session sent, where there is one."""
+
+    name, state, counts = "can0", BusState.ERROR_ACTIVE, PortCounts()
+
+    def __init__(self, other: Frame | None) -> None:
+        super().__init__()
+        self._other, self._rig = other, TinyRig()
+
+    def start(self, loop: Any, deliver: Callable[[list[Frame]], None], _lost: object) -> None:
+        def hear(k: int) -> None:
+            frames = self._rig.millisecond(k, time.time_ns())
+            deliver(frames + ([self._other] if self._other and k == 5 else []))
+            loop.call_later(0.01, hear, k + 1)
+
+        loop.call_soon(hear, 0)
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize("ended", ["by another session", "by a signal", "in good order"])
+def test_while_it_only_listens_it_sends_nothing(ended: str) -> None:
+    """It refused to start beside a calibration, and its state 'off' ended that calibration."""
+    config = load_config(CONFIG)
+    parts = parts_of(replace(config, service=RuntimeConfig(realtime="off")))
+    other = parts.command.frame(Command(0.0, False)) if "another" in ended else None
+    port: Any = PortThatHears(other)
+    session = OverrideSession(
+        parts, Sawtooth(), Unattended(), lambda _: None, opener=lambda *_: port
+    )
+    if "signal" in ended:
+        asyncio.run(ending_soon(session, "SIGTERM"))
+    elif other is not None:
+        with pytest.raises(BusError, match="somebody else sends our ids"):
+            asyncio.run(session.run(0.1))
+    else:
+        asyncio.run(session.run(0.1))
+    assert (port.sent == []) == ("good order" not in ended)
+
+
+async def ending_soon(session: OverrideSession, why: str) -> None:
+    asyncio.get_running_loop().call_later(0.05, session.finish, why)
+    await session.run(1.0)
 
 
 def test_a_command_that_was_late_is_thrown_away() -> None:
