@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from eps_hil.bus.config import BusSetup
     from eps_hil.investigate.run import OpenRig
     from eps_hil.physics.model import Model
+    from eps_hil.programme.conductor import Wanted
     from eps_hil.programme.link import Rig
 
 _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
@@ -58,6 +59,7 @@ def investigate(
     from eps_hil.cli._first_answer import say_if_it_compiles
     from eps_hil.cli._inputs import progress
     from eps_hil.investigate import story
+    from eps_hil.investigate.course import most_of
     from eps_hil.investigate.journal import Journal
     from eps_hil.investigate.run import Investigation, prepared_menu
     from eps_hil.physics.model import dump_model, load_model
@@ -75,7 +77,9 @@ def investigate(
     rig = load_rig_setup(config, "idle")
     say_if_it_compiles()
     stop = _Stop()
-    open_rig = _simulated(config, model, out) if simulated else _on_bus(setup, model)
+    open_rig = (
+        _simulated(config, model, out) if simulated else _on_bus(setup, model, most_of(limits))
+    )
     journal = Journal(out, model, limits, simulated)
     steps = journal.steps()
     if steps:
@@ -145,12 +149,12 @@ def _say(lines: list[str]) -> None:
         typer.echo(line)
 
 
-def _on_bus(setup: "BusSetup", model: "Model") -> "OpenRig":
-    """The rig on the bus, opened for each experiment and let go of after it."""
+def _on_bus(setup: "BusSetup", model: "Model", most: "Wanted") -> "OpenRig":
+    """The rig on the bus, opened for each experiment and let go of after it; ``most``: asked."""
     from eps_hil.investigate.run import InterruptedInvestigationError
     from eps_hil.programme.link import RigLink
 
-    link = RigLink(setup, model)
+    link = RigLink(setup, model, most)
 
     def stopped() -> Exception:
         return InterruptedInvestigationError("interrupted; call again to go on")

@@ -25,6 +25,11 @@ _OVERSHOOT = 1.3
 """Of the limits of speed and load, that the rig's own control may overshoot."""
 
 
+def most_of(limits: Limits) -> Wanted:
+    """The largest set-points of any experiment within the limits."""
+    return Wanted(limits.speed_rad_s + _KEEP_RAD_S, limits.load_n)
+
+
 class Phase(StrEnum):
     """Where an experiment is."""
 

@@ -24,6 +24,10 @@ _APPROACH_RAD_S = 60.0
 _REST_RAD_S = 1.0
 _OVERSHOOT = 1.5
 """Times the fastest set-point: on its torsion bar the rotor overshoots, by less than this."""
+_LOAD_OVERSHOOT, _LOAD_MORE_N = 1.3, 200.0
+"""Times the largest preload, and N, that the linear motor's own control may overshoot."""
+_FRICTION_OVERSHOOT, _BAR_MORE_NM = 2.0, 2.0
+"""Times the model's friction, which the programme is there to find, and Nm."""
 _BEYOND_M = 3e-3
 """Over the file's rack_travel_m: a pass may begin there, give or take ``_POSITION_M``."""
 
@@ -43,6 +47,25 @@ class Wanted(NamedTuple):
 
     speed_rad_s: float
     force_n: float
+
+
+def most_of(plan: Plan) -> Wanted:
+    """The largest set-points of a programme, its approaches included."""
+    fastest = max(_APPROACH_RAD_S, *plan.speeds_rad_s)
+    return Wanted(fastest, max(abs(one) for one in plan.preloads_n))
+
+
+def bar_limit_nm(plan: Plan, model: Model) -> float:
+    """What the torsion bar may carry: as the file says, else load and friction without a motor."""
+    if plan.sensor_torque_nm is not None:
+        return plan.sensor_torque_nm
+    most, known = most_of(plan), model.friction
+    offset_nm = max(known.offset_pos_nm, known.offset_neg_nm)
+    viscous = max(known.viscous_pos_nm_s_per_rad, known.viscous_neg_nm_s_per_rad)
+    by_load = max(known.load_pos_nm_per_n, known.load_neg_nm_per_n)
+    level_nm = offset_nm + viscous * most.speed_rad_s + by_load * most.force_n
+    load_nm = (_LOAD_OVERSHOOT * most.force_n + _LOAD_MORE_N) / abs(model.pinion_ratio_rad_per_m)
+    return load_nm + _FRICTION_OVERSHOOT * level_nm / abs(model.sensor_to_rotor) + _BAR_MORE_NM
 
 
 class Phase(StrEnum):
@@ -118,14 +141,17 @@ class Conductor:
             self._first_m = reading.position_m
         if self.phase is Phase.APPROACH:  # from wherever the rack was left, but no further out
             travel_m = max(travel_m, abs(self._first_m))
-        fastest = max(_APPROACH_RAD_S, *self.plan.speeds_rad_s)
+        most, bar_nm = most_of(self.plan), bar_limit_nm(self.plan, self.model)
+        load_n = _LOAD_OVERSHOOT * most.force_n + _LOAD_MORE_N
         told = (
             ("rack position", 1e3 * reading.position_m, 1e3 * (travel_m + _BEYOND_M), "mm"),
-            ("rotor speed", reading.speed_rad_s, _OVERSHOOT * fastest, "rad/s"),
+            ("rotor speed", reading.speed_rad_s, _OVERSHOOT * most.speed_rad_s, "rad/s"),
+            ("load", reading.force_n, load_n, "N"),
+            ("torsion-bar torque", reading.sensor_nm, bar_nm, "Nm"),
         )
-        for what, value, most, unit in told:
-            if not abs(value) <= most:  # also NaN
-                return f"{what} {value:.4g} {unit}, the limit is {most:.4g} {unit}"
+        for what, value, limit, unit in told:
+            if not abs(value) <= limit:  # also NaN
+                return f"{what} {value:.4g} {unit}, the limit is {limit:.4g} {unit}"
         return ""
 
     @property

@@ -17,7 +17,7 @@ from typing import Protocol
 from eps_hil.bus.codec import FrameDecoder, FrameEncoder
 from eps_hil.bus.commands import Kind, of_database
 from eps_hil.bus.config import BusSetup
-from eps_hil.bus.database import load_database
+from eps_hil.bus.database import find_message, load_database
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.live_senders import LISTEN_S
 from eps_hil.bus.mapping import load_mapping
@@ -28,6 +28,7 @@ from eps_hil.errors import BusError, InputError, SafetyStop
 from eps_hil.physics.model import Model
 from eps_hil.programme.cell_record import MEASURED
 from eps_hil.programme.conductor import TICK_S, Reading, Wanted
+from eps_hil.programme.set_points import check_set_points
 
 COMMAND = "RIG_Command"
 _FIRST_WAIT_S = 30.0
@@ -41,6 +42,7 @@ _LONGEST_PAUSE_S = 1.0
 _REFUSED_S = 0.05
 """Without a set-point that the bus took: half of the rig's own time-out."""
 _ENABLE, _RELEASE = 1.0, 0.0
+_NOTHING = Wanted(0.0, 0.0)
 _REST_RAD_S, _REST_N = 1.0, 50.0
 
 STALE_S = 0.05
@@ -83,6 +85,15 @@ def command_values(wanted: Wanted, model: Model, request: float = _ENABLE) -> di
         "MotorShare": 0.0,  # a torque of the motor is an armed override's to command
         "CommandRequest": request,
     }
+
+
+def _tried(most: Wanted) -> list[tuple[Wanted, float]]:
+    """Set-points and requests that stand for all that will be sent."""
+    speed, force = most
+    return [
+        (_NOTHING, _RELEASE), (_NOTHING, _ENABLE), (most, _ENABLE),
+        (Wanted(-speed, -force), _ENABLE), (Wanted(speed / 3, -force / 7), _ENABLE),
+    ]  # fmt: skip
 
 
 class Readings:
@@ -155,9 +166,12 @@ class Readings:
 
 
 class RigLink:
-    """The rig on the bus. Checked when made; :meth:`open` opens the port, :meth:`let_go` ends."""
+    """The rig on the bus. Checked when made; :meth:`open` opens the port, :meth:`let_go` ends.
 
-    def __init__(self, setup: BusSetup, model: Model) -> None:
+    ``most``: the largest set-points that will be asked for, which the database must carry.
+    """
+
+    def __init__(self, setup: BusSetup, model: Model, most: Wanted = _NOTHING) -> None:
         mapping = load_mapping(setup.signals)
         database = load_database(setup.dbc, strict=mapping.strict)
         dbc_file = ", ".join(path.name for path in setup.dbc)
@@ -167,6 +181,12 @@ class RigLink:
             database, mapping, mapping_file=setup.signals, dbc_file=dbc_file
         )
         self._encoder = FrameEncoder(database, COMMAND, dbc_file=dbc_file)
+        check_set_points(
+            find_message(database, COMMAND),
+            FrameEncoder(database, COMMAND, dbc_file=dbc_file).frame,
+            [command_values(one, model, request) for one, request in _tried(most)],
+            dbc_file,
+        )
         commands = of_database(database, marked=mapping.commands)
         self._torque_ids = [i for i, one in commands.items() if one.kind is Kind.TORQUE]
         check_cycles(setup, self._position, self._decoder.period_s)

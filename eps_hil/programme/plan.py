@@ -26,7 +26,9 @@ class Plan:
     order of its own (``random``, by ``seed``), so that warming up does not look like speed or load.
     A pass counts for ``run_s``, after ``settle_s`` plus the time for ``settle_rad`` of rotor: slow
     passes first have to wind up the torsion bar. The rack stays within ``rack_travel_m`` of its
-    centre. ``motor_share`` of earlier files is refused unless it is 0 (:func:`load_plan`).
+    centre. ``sensor_torque_nm``: the torsion-bar torque that ends it (null: what preload and
+    friction of the model make of it, with a margin). ``motor_share`` of earlier files is refused
+    unless it is 0 (:func:`load_plan`).
     """
 
     name: str
@@ -42,6 +44,7 @@ class Plan:
     motor_share: Annotated[float, Field(ge=0, le=1)] = 0.0
     rack_travel_m: Annotated[float, Field(gt=0, le=0.1)] = 0.05
     attempts: Annotated[int, Field(ge=1, le=10)] = 3
+    sensor_torque_nm: Annotated[float, Field(gt=0, le=100)] | None = None
 
     def settling_s(self, speed_rad_s: float) -> float:
         """Time at constant speed before a pass counts."""
@@ -70,6 +73,7 @@ class Plan:
         return {
             key: list(value) if isinstance(value, tuple) else value
             for key, value in asdict(self).items()
+            if value is not None
         }
 
 

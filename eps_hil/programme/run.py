@@ -15,7 +15,7 @@ from eps_hil.errors import EpsHilError, InputError, SafetyStop
 from eps_hil.physics.model import Model
 from eps_hil.programme import cell_record
 from eps_hil.programme.cell_record import CellResult, Collector
-from eps_hil.programme.conductor import Conductor, Phase
+from eps_hil.programme.conductor import Conductor, Phase, most_of
 from eps_hil.programme.link import OnSamples, RigLink
 from eps_hil.programme.plan import Plan, PlannedCell
 from eps_hil.recordings.files import make_folder, replacing
@@ -79,7 +79,7 @@ class ProgrammeRun:
 
     def __init__(self, setup: BusSetup, model: Model, plan: Plan, folder: Path) -> None:
         self._model, self._plan, self._folder = model, plan, folder
-        self._link = RigLink(setup, model)
+        self._link = RigLink(setup, model, most_of(plan))
         self._channel = setup.bus.channel
 
     def run(

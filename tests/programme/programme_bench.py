@@ -18,7 +18,7 @@ from eps_hil.rig.process import RigSimulation
 
 ROOT = Path(__file__).parents[2]
 MODEL = load_model(ROOT / "configs" / "reference_rig.yaml")
-PLAN = Plan("p", (20.0,), (0.0,), run_s=0.5, settle_s=0.3)
+PLAN = Plan("p", (20.0,), (0.0, 2000.0), run_s=0.5, settle_s=0.3)
 MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
 

@@ -1,6 +1,7 @@
 """One cell on the simulated rig without a bus, and a rig that does not follow."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,8 @@ from eps_hil.programme.conductor import Conductor, Phase, Reading, Wanted
 from eps_hil.programme.plan import PlannedCell
 
 from .programme_bench import MODEL, MS, PLAN, Bench
+
+LOADED = replace(PLAN, preloads_n=(0.0, -500.0))
 
 
 @pytest.mark.parametrize(
@@ -57,19 +60,34 @@ def test_a_rig_that_does_not_follow_is_said(tmp_path: Path) -> None:
         (Reading(0.0, -0.0531, 0.0), "rack position -53.1 mm, the limit is 53 mm"),
         (Reading(91.0, 0.0, 0.0), "rotor speed 91 rad/s, the limit is 90 rad/s"),
         (Reading(0.0, math.nan, 0.0), "rack position nan"),
+        (Reading(0.0, 0.0, 12_000.0), "load 1.2e+04 N, the limit is 850 N"),
+        (Reading(0.0, 0.0, -851.0), "load -851 N, the limit is 850 N"),
+        (Reading(0.0, 0.0, 500.0, 60.0), "torsion-bar torque 60 Nm, the limit is 15.8"),
+        (Reading(0.0, 0.0, 500.0, math.nan), "torsion-bar torque nan Nm"),
     ],
 )
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.MEASURE])
 def test_beyond_what_the_file_asks_for_it_ends_at_once(
     reading: Reading, what: str, phase: Phase
 ) -> None:
-    conductor = Conductor(PlannedCell(1, 20.0, 1000.0, 1), PLAN, MODEL)
+    conductor = Conductor(PlannedCell(1, 20.0, 500.0, 1), LOADED, MODEL)
     conductor.step(Reading(0.0, 0.0, 0.0))
     conductor._enter(phase)
     assert conductor.step(reading) == Wanted(0.0, 0.0)
     assert conductor.over
     assert conductor.phase is Phase.TRIPPED
     assert conductor.reason.startswith(what)
+
+
+def test_the_file_may_say_what_the_torsion_bar_may_carry() -> None:
+    plan = replace(LOADED, sensor_torque_nm=4.0)
+    conductor = Conductor(PlannedCell(1, 20.0, 500.0, 1), plan, MODEL)
+    conductor.step(Reading(0.0, 0.0, 0.0, -3.9))
+    assert not conductor.over
+    conductor.step(Reading(0.0, 0.0, 0.0, -4.1))
+    assert conductor.reason == "torsion-bar torque -4.1 Nm, the limit is 4 Nm"
+    assert plan.content()["sensor_torque_nm"] == 4.0
+    assert "sensor_torque_nm" not in LOADED.content(), "folders of earlier versions go on"
 
 
 def test_a_rack_that_was_left_outside_is_led_back_and_no_further_out() -> None:
