@@ -1,5 +1,6 @@
 """What ``eps-hil calibrate`` does with levels that it found: refuse, warn, write, reset."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +23,31 @@ def accept(
     note: dict[str, Any],
     insist: bool,
     shift: "Shift | None" = None,
+    said: Sequence[str] = (),
 ) -> None:
-    """Refuse, warn, or write; ``shift``: what torque injection saw of a force at the rack."""
+    """Refuse, warn, or write; ``shift``: what torque injection saw of a force at the rack.
+
+    Written first, and told (``said`` before all) afterwards: nobody may be there to read.
+    """
+    lines = list(said)
+    try:
+        _accept(levels, setup, settings, write_model, note, insist, shift, lines)
+    finally:
+        for line in lines:
+            typer.echo(line)
+
+
+def _accept(
+    levels: "Levels",
+    setup: "ServiceConfig",
+    settings: "CalibrationSettings",
+    write_model: Path | None,
+    note: dict[str, Any],
+    insist: bool,
+    shift: "Shift | None",
+    lines: list[str],
+) -> None:
+    """:func:`accept` without a word; what is to be told is put into ``lines``."""
     from eps_hil.adaptation.unknown_force import NOT_SEEN
     from eps_hil.physics.effects.effect import Slot
     from eps_hil.physics.model import load_model
@@ -42,25 +66,26 @@ def accept(
         ("k0-", levels.offset_neg_nm, old.offset_neg_nm, levels.neg_ci95_nm),
     ):
         interval = f"  (95 %: {ci[0]:.4f} to {ci[1]:.4f})" if ci else ""
-        typer.echo(f"{name}        {new:.4f} Nm{interval}, in the model {was:.4f} Nm")
+        lines.append(f"{name}        {new:.4f} Nm{interval}, in the model {was:.4f} Nm")
     beside = effects_in(rig, (Slot.LEVEL, Slot.LEVEL_FACTOR, Slot.MOTOR, Slot.SENSOR))
     if beside:
         note["measured_beside"] = list(beside)
-        typer.echo(
+        lines.append(
             f"note       the levels were measured with {', '.join(beside)} in them, which the "
             "model adds once more: look whether that counts twice"
         )
     if force_n:
-        _warn_of_force(force_n, known=bool(model.history) and not insist)
+        lines.append(_of_force(force_n, known=bool(model.history) and not insist))
     within = model.check(levels, settings.sanity_band, insist=insist)
     note["bus"] = str(setup.bus)
     note["within_band"] = within
     if write_model is not None:
         _write(write_model, model.calibrated(levels, note))
+        lines.append(f"model      written to {write_model}")
 
 
-def _warn_of_force(force_n: float, *, known: bool) -> None:
-    """``known``: the levels in the model were measured on this gear, so they tell."""
+def _of_force(force_n: float, *, known: bool) -> str:
+    """A note, or an :class:`EpsHilError` where the model's levels are this gear's (``known``)."""
     said = (
         "the levels moved apart and their sum stayed: an unknown rack force of about"
         f" {force_n:.0f} N would explain this"
@@ -69,9 +94,7 @@ def _warn_of_force(force_n: float, *, known: bool) -> None:
         raise EpsHilError(
             f"refused: {said}; free the rack, then repeat, or insist with --accept-outside-band"
         )
-    typer.echo(
-        f"note       {said}; the intervals are widened for it, look whether the rack is free"
-    )
+    return f"note       {said}; the intervals are widened for it, look whether the rack is free"
 
 
 def reset_levels(setup: "ServiceConfig", write_model: Path | None) -> None:
@@ -81,6 +104,7 @@ def reset_levels(setup: "ServiceConfig", write_model: Path | None) -> None:
     if write_model is None:
         raise InputError("--write-model", "", "is missing", "name the file that --reset writes")
     _write(write_model, CalibratedModel(setup.model).reset({"method": "reset"}))
+    typer.echo(f"model      written to {write_model}")
 
 
 def _write(path: Path, text: str) -> None:
@@ -88,4 +112,3 @@ def _write(path: Path, text: str) -> None:
 
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    typer.echo(f"model      written to {path}")

@@ -105,9 +105,9 @@ def torque_injection(
     if dry_run:
         typer.echo("dry run    nothing was sent")
         return
-    levels, shift = _found(source)
+    said, levels, shift = _found(source)
     note = {"method": "torque_injection", "repetitions": len(source.injection.repetitions)}
-    accept(levels, setup, settings, write_model, note, accept_outside_band, shift)
+    accept(levels, setup, settings, write_model, note, accept_outside_band, shift, said)
 
 
 def journal_place(journal: Path | None, write_model: Path | None) -> Path:
@@ -237,24 +237,29 @@ def _plan(parts: Any, settings: "CalibrationSettings", dry_run: bool) -> Iterabl
     yield "send       nothing (dry run)" if dry_run else f"send       {ids}"
 
 
-def _found(source: "TorqueInjectionSource") -> "tuple[Levels, Shift]":
-    """The levels of a complete run; :class:`EpsHilError` where something speaks against them."""
+def _found(source: "TorqueInjectionSource") -> "tuple[list[str], Levels, Shift]":
+    """Of a complete run: a line for each ramp, and the levels.
+
+    :class:`EpsHilError` where something speaks against them.
+    """
     from eps_hil.service.calibrated_model import Levels
 
     result = source.injection.result
     if result is None:
         raise EpsHilError("the run ended before both directions were measured; nothing is written")
-    for one in result.repetitions:
-        said = "  left out" if one.outlier else ""
-        typer.echo(
-            f"ramp {one.number:2d}    {'+' if one.direction > 0 else '-'}  "
-            f"k0 {one.offset_nm:.4f} Nm  (break-away seen by {one.seen}){said}"
-        )
+    said = [
+        f"ramp {one.number:2d}    {'+' if one.direction > 0 else '-'}  "
+        f"k0 {one.offset_nm:.4f} Nm  (break-away seen by {one.seen})"
+        f"{'  left out' if one.outlier else ''}"
+        for one in result.repetitions
+    ]
     if not result.accepted:
+        for line in said:
+            typer.echo(line)
         raise EpsHilError(f"not accepted: {'; '.join(result.problems)}")
     pos, neg = result.positive, result.negative
     levels = Levels(pos.offset_nm, neg.offset_nm, pos.ci95_nm, neg.ci95_nm)
-    return levels, result.shift
+    return said, levels, result.shift
 
 
 # What is shown.

@@ -94,12 +94,13 @@ def investigate(
     if write_model and outcome.found is not None:
         with replacing(write_model) as temporary:
             temporary.write_text(dump_model(outcome.found.model), encoding="utf-8")
-        typer.echo(f"model written to {write_model}")
-    elif write_model:
-        typer.echo(f"no model written to {write_model}: there is no verdict")
     story.write_page(outcome, report or out / "investigation.html", str(setup.model.name))
     if json:
         write_json(json, story.content_of(outcome))
+    if write_model and outcome.found is not None:
+        typer.echo(f"model written to {write_model}")
+    elif write_model:
+        typer.echo(f"no model written to {write_model}: there is no verdict")
     typer.echo(f"page: {report or out / 'investigation.html'}")
 
 

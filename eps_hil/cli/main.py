@@ -116,8 +116,8 @@ def _explain(error: BaseException, debug: bool) -> int:
     match error:
         case typer.Exit():
             return error.exit_code
-        case BrokenPipeError():
-            return 0
+        case BrokenPipeError():  # who read is gone; what would have come after is not done
+            return 1
         case typer.Abort() | KeyboardInterrupt():
             message, status = "interrupted", INTERRUPTED
         case EpsHilError():
@@ -156,10 +156,24 @@ def _goes_after(error: Any) -> str:
 def _say(message: str, status: int, debug: bool) -> int:
     if debug:
         traceback.print_exc()
-    typer.echo(f"eps-hil: {' '.join(message.split())}", err=True)
+    with contextlib.suppress(OSError):  # nobody reads it: the status says it all the same
+        typer.echo(f"eps-hil: {' '.join(message.split())}", err=True)
     return status
+
+
+def _let_go_of_pipes() -> None:
+    """What a reader that is gone did not take: Python would end with status 120 over it."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())
+            os.close(nowhere)
 
 
 def run() -> None:
     """Entry point of the installed script."""
-    sys.exit(main())
+    status = main()
+    _let_go_of_pipes()
+    sys.exit(status)

@@ -66,16 +66,21 @@ def programme(
     table_file(summary, out / "cells.csv")
     say_if_it_compiles()
     found = identified(summary, model)
-    _say(summary, model, found)
     whole = None
     if not cells_only:
         with progress("identifying from the logs") as bar:
             whole = identify_logs(summary, setup, model, out, bar)
-        _say_whole(whole)
-    if json:
-        write_json(json, content(plan, summary, found, whole))
+    try:  # written first: nobody may be there to read what is said
+        if json:
+            write_json(json, content(plan, summary, found, whole))
+        if write_model:
+            _write_model(write_model, model, found, whole)
+    finally:
+        _say(summary, model, found)
+        if whole is not None:
+            _say_whole(whole)
     if write_model:
-        _write_model(write_model, model, found, whole)
+        typer.echo(f"model written to {write_model}")
     typer.echo(f"logs and cells.csv: {out}")
 
 
@@ -181,4 +186,3 @@ def _write_model(path: Path, model: "Model", found: "Identified", whole: "Whole 
         raise EpsHilError(f"{path}: not written, {found.problem}")
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    typer.echo(f"model written to {path}")

@@ -312,6 +312,20 @@ def test_levels_that_moved_apart_since_the_last_calibration_are_refused(
     assert load_model(out).friction.offset_pos_nm == 0.074
 
 
+def test_the_model_is_written_though_nobody_reads_what_is_said(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*_: object, **__: object) -> None:
+        raise BrokenPipeError
+
+    setup, out = load_config(config), tmp_path / "m.yaml"
+    settings = calibration_settings(setup, config)
+    monkeypatch.setattr("typer.echo", gone)
+    with pytest.raises(BrokenPipeError):
+        accept(Levels(0.058, 0.1239), setup, settings, out, {}, insist=False)
+    assert load_model(out).friction.offset_pos_nm == 0.058
+
+
 @pytest.mark.parametrize("verb", ["torque-injection", "error-injection"])
 def test_reset_needs_something_to_reset_and_a_file(
     config: Path, capsys: pytest.CaptureFixture[str], verb: str, tmp_path: Path

@@ -1,6 +1,7 @@
 """The command itself: statuses, one line for every error, a traceback only on request."""
 
 import errno
+import os
 import subprocess
 import sys
 
@@ -29,7 +30,7 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
         (KeyboardInterrupt(), 130),
         (ZeroDivisionError("oh"), 1),
         (OSError(errno.ENOSPC, "No space left on device", "out.json"), 1),
-        (BrokenPipeError(), 0),
+        (BrokenPipeError(), 1),
     ],
 )
 def test_every_error_has_its_status(
@@ -46,7 +47,7 @@ def test_every_error_has_its_status(
     shown = capsys.readouterr().err
     assert "Traceback" not in shown
     assert shown.count("\n") == (0 if isinstance(error, BrokenPipeError) else 1)
-    if status not in (0, 130):
+    if status != 130 and not isinstance(error, BrokenPipeError):
         command.main(["--debug"])
         assert "Traceback" in capsys.readouterr().err
 
@@ -154,3 +155,27 @@ def test_several_files_may_follow_one_option() -> None:
         "--json", "x",
     ]  # fmt: skip
     assert command.spread(["estimate", "a", "b", "--model", "m"])[1:3] == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("error", "status"), [("SafetyStop('the torque guard')", 3), ("EpsHilError('refused')", 1)]
+)
+def test_a_reader_that_went_away_changes_no_status(error: str, status: int) -> None:
+    """Standard output and standard error are pipes that nobody reads; lines are left over."""
+    words = [
+        "from eps_hil.cli import main",
+        "from eps_hil.cli._lines import Lines",
+        "from eps_hil.errors import *",
+        "def app(**_):",
+        "    Lines().say('listening -> fault')",
+        f"    raise {error}",
+        "main.app = app",
+        "main.run()",
+    ]
+    reading, writing = os.pipe()
+    os.close(reading)
+    told = subprocess.run(
+        [sys.executable, "-c", "\n".join(words)], stdout=writing, stderr=writing, check=False
+    )
+    os.close(writing)
+    assert told.returncode == status
