@@ -7,6 +7,7 @@ by the program itself is no dead-man at all, which is why leaving it out has a l
 """
 
 import asyncio
+import contextlib
 import os
 import sys
 import termios
@@ -68,7 +69,9 @@ class KeyOperator:
         }
 
         def on_keys() -> None:
-            keys = os.read(self._fd, 256)
+            keys = b""
+            with contextlib.suppress(OSError):  # hung up
+                keys = os.read(self._fd, 256)
             if not keys:
                 loop.remove_reader(self._fd)
                 desk.finish("the operator's terminal is gone")
@@ -83,7 +86,8 @@ class KeyOperator:
             self._loop.remove_reader(self._fd)
         if self._before is not None:
             # not after what is still to be shown: a terminal that hangs shows nothing any more
-            termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
+            with contextlib.suppress(termios.error):  # nor is one that is gone set any more
+                termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
             self._before = None
 
 

@@ -268,6 +268,41 @@ def test_keys_of_the_operator() -> None:
     assert told == ["prepare", "arm", "beat", "beat", "the operator's terminal is gone"]
 
 
+def test_a_terminal_that_hangs_up_ends_the_session_and_is_no_error() -> None:
+    """What its mode cannot be given back to made an internal error of a trip of the guard."""
+    told: list[str] = []
+
+    class Desk(NobodysDesk):
+        def finish(self, why: str) -> None:
+            told.append(why)
+
+    async def hang_up() -> None:
+        master, slave = os.openpty()
+        operator = KeyOperator(slave)
+        operator.start(asyncio.get_running_loop(), Desk())
+        os.close(master)
+        await asyncio.sleep(0.05)
+        operator.stop()
+        os.close(slave)
+
+    asyncio.run(hang_up())
+    assert told == ["the operator's terminal is gone"]
+
+
+class NobodysDesk:
+    """Of a session that does nothing."""
+
+    def prepare(self) -> bool:
+        return False
+
+    def arm(self) -> bool:
+        return False
+
+    def heartbeat(self) -> None: ...
+
+    def finish(self, why: str) -> None: ...
+
+
 def test_an_error_while_nobody_is_at_the_keys_ends_the_session() -> None:
     """A full disk as it arms, say: it stayed armed for minutes, and nobody was told."""
 
