@@ -57,8 +57,15 @@ def play_commands(
         raise SafetyStop(f"the torque guard ended the run: {session.fault.why}")
     if not session.core.syncs:
         raise EpsHilError("no sync frame was received: is the rig on this bus?")
+    _say_done(source)
+
+
+def _say_done(source: Any) -> None:
+    """How much was asked for; :class:`EpsHilError` where that is not the whole log."""
     asked, whole = source.done
-    typer.echo(f"{'' if source.over else 'stopped: '}asked for {asked} of {whole} commands")
+    if not source.over:
+        raise EpsHilError(f"stopped: asked for {asked} of {whole} commands")
+    typer.echo(f"asked for {asked} of {whole} commands")
 
 
 def _plan(parts: Any, commands: Any, log: Path) -> list[str]:

@@ -10,6 +10,7 @@ import typer
 
 from eps_hil.board import Notice
 from eps_hil.cli._first_answer import say_if_it_compiles
+from eps_hil.errors import EpsHilError
 
 if TYPE_CHECKING:
     from eps_hil.physics.model import Model
@@ -82,6 +83,8 @@ def programme(
     if write_model:
         typer.echo(f"model written to {write_model}")
     typer.echo(f"logs and cells.csv: {out}")
+    if not summary.accepted:
+        raise EpsHilError(f"no cell of {len(summary.results)} may be used: nothing is identified")
 
 
 @contextlib.contextmanager
@@ -174,7 +177,6 @@ def _write_model(path: Path, model: "Model", found: "Identified", whole: "Whole 
     """The whole identification where there is one, else the friction from the cells."""
     from dataclasses import replace
 
-    from eps_hil.errors import EpsHilError
     from eps_hil.physics.model import dump_model
     from eps_hil.recordings.files import replacing
 

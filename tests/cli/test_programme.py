@@ -64,3 +64,13 @@ def test_results_are_written_before_anything_is_said(
     assert main([*words, "--write-model", str(out), "--json", str(json)]) == 1
     assert load_model(out).friction.offset_pos_nm == pytest.approx(0.056, rel=0.05)
     assert "friction" in json.read_text()
+
+
+def test_without_a_good_cell_it_is_not_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ran(tmp_path, monkeypatch, ("40 frames lost",))
+    assert main(words) == 1
+    said = capsys.readouterr()
+    assert "no cell of 16 may be used" in said.err
+    assert (tmp_path / "out" / "cells.csv").exists()

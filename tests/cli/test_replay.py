@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,8 +18,9 @@ from eps_hil.bus.codec import FrameEncoder
 from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.port import Port, open_port
+from eps_hil.cli._replay_commands import _say_done
 from eps_hil.cli.main import main
-from eps_hil.errors import InputError
+from eps_hil.errors import EpsHilError, InputError
 
 ROOT = Path(__file__).parents[2]
 GROUP = "239.74.163.83"
@@ -338,6 +340,20 @@ def test_commands_go_through_an_armed_session(
     assert max(one["RequestedMotorTorque"] for one in sent) == pytest.approx(0.03, abs=2e-4)
     assert [one["OverrideRequest"] for one in sent[-10:]] == [0] * 10
     assert "arming, second step" in journal.read_text()
+
+
+@pytest.mark.parametrize("over", [True, False])
+def test_torques_that_were_not_asked_for_are_no_success(
+    over: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ended by a key or SIGTERM before anything was armed, it was status 0."""
+    source = SimpleNamespace(done=(600 if over else 0, 600), over=over)
+    if over:
+        _say_done(source)
+        assert "asked for 600 of 600 commands" in capsys.readouterr().out
+    else:
+        with pytest.raises(EpsHilError, match="stopped: asked for 0 of 600 commands"):
+            _say_done(source)
 
 
 def test_a_signal_while_the_log_is_read_is_kept(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
