@@ -71,6 +71,19 @@ def levels_in_use(model: Model) -> Levels:
     return Levels(friction.offset_pos_nm, friction.offset_neg_nm)
 
 
+def _without_block(text: str) -> str:
+    """A model file's text without its history; what stands after that stays."""
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    for key, value in root.value:
+        if key.value == _BLOCK:
+            begin, end = key.start_mark.index, value.end_mark.index
+            lines = text[begin:end].splitlines(keepends=True)
+            while len(lines) > 1 and lines[-1].strip()[:1] in ("", "#"):
+                end -= len(lines.pop())  # a comment of what comes next
+            return text[:begin] + text[end:]
+    return text
+
+
 class CalibratedModel:
     """A model file with its history of calibrations.
 
@@ -156,11 +169,27 @@ class CalibratedModel:
         first = self.history[0]["before"]
         return self._written({side: float(first[side]) for side in _SIDES}, note)
 
+    def try_writing(self, out: Path) -> None:
+        """:class:`InputError` where a calibration could not be written, or would lose others.
+
+        Asked before anything moves: the levels of the file itself stand for those to come.
+        """
+        self._written({side: getattr(self.present, side) for side in _SIDES}, {})
+        if not out.is_file():
+            return
+        known = yaml_file.read(out)
+        there = list(known.get(_BLOCK) or []) if isinstance(known, dict) else []
+        if there != self.history[: len(there)]:
+            raise InputError(
+                out, _BLOCK, f"holds calibrations that {self._path} does not",
+                f"go on from it (model: {out} in the configuration), or write to another file",
+            )  # fmt: skip
+
     def _written(self, after: dict[str, Any], note: dict[str, Any]) -> str:
         before = {side: getattr(self.present, side) for side in _SIDES}
         utc = datetime.now(UTC).isoformat(timespec="seconds")
         entry = {"utc": utc, **note, "before": before, "after": after}
-        text = re.sub(rf"^{_BLOCK}:.*\Z", "", self._text, flags=re.MULTILINE | re.DOTALL)
+        text = _without_block(self._text)
         for side in _SIDES:
             text, found = re.subn(
                 rf"^(\s*{side}:\s*)[^\s#,}}]+", rf"\g<1>{after[side]!r}", text, flags=re.MULTILINE

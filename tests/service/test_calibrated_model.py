@@ -48,6 +48,32 @@ def test_a_second_one_and_the_way_back(tmp_path: Path) -> None:
     assert yaml.safe_load((tmp_path / "m.yaml").read_text())["model"]["inertia_kg_m2"] == 2.0e-4
 
 
+@pytest.mark.parametrize("flow", [False, True])
+def test_what_stands_after_the_history_stays(tmp_path: Path, flow: bool) -> None:
+    first = yaml.safe_load(CalibratedModel(REFERENCE).calibrated(NEW, {"method": "a"}))
+    history = yaml.safe_dump(first["calibrations"], default_flow_style=flow, width=999)
+    block = f"calibrations: {history}" if flow else f"calibrations:\n{history}"
+    tail = "\n# what the plant says\nplant:\n  name: north   # of two\n"
+    model = written(tmp_path / "m.yaml", REFERENCE.read_text() + block + tail)
+    text = model.calibrated(Levels(0.07, 0.13), {"method": "b"})
+    assert tail in text
+    assert text.count("calibrations:") == 1
+    again = written(tmp_path / "m.yaml", text)
+    assert [entry["method"] for entry in again.history] == ["a", "b"]
+
+
+def test_calibrations_of_the_output_are_not_lost(tmp_path: Path) -> None:
+    """The configuration still named the first model: yesterday's calibration was replaced."""
+    out, source = tmp_path / "m.yaml", CalibratedModel(REFERENCE)
+    source.try_writing(out)
+    first = written(out, source.calibrated(NEW, {"method": "a"}))
+    with pytest.raises(InputError, match=r"m\.yaml: calibrations: holds calibrations that .* not"):
+        source.try_writing(out)
+    first.try_writing(out)
+    out.write_text(REFERENCE.read_text())
+    first.try_writing(out)
+
+
 def test_nothing_to_reset() -> None:
     with pytest.raises(InputError, match="no calibration that could be reset"):
         CalibratedModel(REFERENCE).reset({})
