@@ -97,6 +97,16 @@ def _of_force(force_n: float, *, known: bool) -> str:
     return f"note       {said}; the intervals are widened for it, look whether the rack is free"
 
 
+def check_calibrated_place(setup: "ServiceConfig", write_model: Path | None) -> None:
+    """:class:`InputError`, before anything moves, where levels could not be written there."""
+    from eps_hil.cli._files import check_model_place
+    from eps_hil.service.calibrated_model import CalibratedModel
+
+    check_model_place(write_model)
+    if write_model is not None:
+        CalibratedModel(setup.model).try_writing(write_model)
+
+
 def reset_levels(setup: "ServiceConfig", write_model: Path | None) -> None:
     """The levels from before the first calibration, written."""
     from eps_hil.service.calibrated_model import CalibratedModel

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.board import Notice
-from eps_hil.cli._files import check_model_place
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import reads_recordings
-from eps_hil.cli._levels import accept, reset_levels
+from eps_hil.cli._levels import accept, check_calibrated_place, reset_levels
 from eps_hil.cli._lines import Lines
 from eps_hil.cli._reversals import reversals
 from eps_hil.errors import EpsHilError, InputError, SafetyStop
@@ -86,7 +85,7 @@ def torque_injection(
     from eps_hil.service.override_setup import prepare_override
 
     setup = load_config(config)
-    check_model_place(write_model)
+    check_calibrated_place(setup, write_model)
     if reset:
         reset_levels(setup, write_model)
         return
@@ -134,7 +133,7 @@ def error_injection(
     from eps_hil.service.online_methods import warm_up_error_injection
 
     setup = load_config(config)
-    check_model_place(write_model)
+    check_calibrated_place(setup, write_model)
     if reset:
         reset_levels(setup, write_model)
         return

@@ -327,6 +327,19 @@ def test_the_model_is_written_though_nobody_reads_what_is_said(
 
 
 @pytest.mark.parametrize("verb", ["torque-injection", "error-injection"])
+def test_a_model_that_cannot_be_changed_is_refused_before_anything_moves(
+    config: Path, capsys: pytest.CaptureFixture[str], verb: str, tmp_path: Path
+) -> None:
+    content = yaml.safe_load((ROOT / "configs" / "reference_rig.yaml").read_text())
+    model = tmp_path / "flow.yaml"
+    model.write_text(yaml.safe_dump(content, default_flow_style=True))
+    config.write_text(config.read_text().replace(f"{ROOT}/configs/reference_rig.yaml", str(model)))
+    words = ["calibrate", verb, "--config", str(config), "--duration", "0.3"]
+    assert main([*words, "--write-model", str(tmp_path / "m.yaml")]) == 2
+    assert "offset_pos_nm: is not on one line of its own" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["torque-injection", "error-injection"])
 def test_reset_needs_something_to_reset_and_a_file(
     config: Path, capsys: pytest.CaptureFixture[str], verb: str, tmp_path: Path
 ) -> None:
