@@ -63,6 +63,7 @@ def investigate(
     from eps_hil.investigate.journal import Journal
     from eps_hil.investigate.run import Investigation, prepared_menu
     from eps_hil.physics.model import dump_model, load_model
+    from eps_hil.programme.fingerprint import fingerprint
     from eps_hil.programme.limits import load_limits
     from eps_hil.recordings.files import replacing
     from eps_hil.report import page
@@ -80,7 +81,7 @@ def investigate(
     open_rig = (
         _simulated(config, model, out) if simulated else _on_bus(setup, model, most_of(limits))
     )
-    journal = Journal(out, model, limits, simulated)
+    journal = Journal(out, model, limits, simulated, fingerprint(setup, model))
     steps = journal.steps()
     if steps:
         rig_min = sum(one.rig_s for one in steps) / 60.0

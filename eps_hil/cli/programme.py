@@ -49,6 +49,7 @@ def programme(
     from eps_hil.cli._files import check_kept, check_model_place, write_json
     from eps_hil.cli._inputs import progress
     from eps_hil.physics.model import load_model
+    from eps_hil.programme.fingerprint import fingerprint
     from eps_hil.programme.plan import load_plan
     from eps_hil.programme.run import ProgrammeRun, prepare_folder
     from eps_hil.programme.summary import content, identified, identify_logs, table_file
@@ -59,9 +60,9 @@ def programme(
     model = load_model(setup.model)
     plan = load_plan(file, model)
     run = ProgrammeRun(setup, model, plan, out)
-    finished = prepare_folder(out, plan, resume=resume)
+    finished = prepare_folder(out, plan, fingerprint(setup, model), resume=resume)
     if finished:
-        typer.echo(f"{len(finished)} of {len(plan.cells())} cells are there already")
+        typer.echo(f"{len(finished)} of {len(plan.cells())} cells are there already, and good")
     with _progress(str(setup.bus), file.name) as on_progress:
         summary = run.run(finished, stop=stop_on_signals(), on_progress=on_progress)
     table_file(summary, out / "cells.csv")

@@ -6,7 +6,7 @@ killed at any moment, an investigation loses at most the experiment that was run
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,22 +33,31 @@ class Step:
     problem: str = ""
 
 
-class Journal:
-    """The folder of one investigation."""
+def next_number(steps: Sequence[Step]) -> int:
+    """Of the step after these, one of which may be missing: no log is written over."""
+    return 1 + max((one.number for one in steps), default=0)
 
-    def __init__(self, folder: Path, model: Model, limits: Limits, simulated: bool) -> None:
+
+class Journal:
+    """The folder of one investigation.
+
+    ``rig``: :func:`~eps_hil.programme.fingerprint.fingerprint` of model, database, mapping, bus.
+    """
+
+    def __init__(
+        self, folder: Path, model: Model, limits: Limits, simulated: bool, rig: str = ""
+    ) -> None:
         self.folder = folder
         told = dump_model(model) + repr(limits)
         head = {
             "schema": SCHEMA,
             "of": hashlib.sha256(told.encode()).hexdigest(),
             "simulated": simulated,
+            "rig": rig,
         }
         file = folder / HEAD
         if file.exists():
-            if _read(file) != head:
-                problem = "was made with another model file, other limits, or the other kind of rig"
-                raise InputError(file, "", problem, "use another folder")
+            _check_same(file, head)
             return
         make_folder(folder, "--out")
         _write(file, head)
@@ -90,6 +99,21 @@ class Journal:
     def write_round(self, content: Mapping[str, Any]) -> None:
         """Thought, and decided what comes next."""
         _write(self.folder / f"round_{content['round']:02d}.json", content)
+
+
+def _check_same(file: Path, head: Mapping[str, Any]) -> None:
+    """:class:`InputError` where the folder is another investigation's."""
+    found = _read(file)
+    rig = found.pop("rig", None)
+    if found != {key: value for key, value in head.items() if key != "rig"}:
+        problem = "was made with another model file, other limits, or the other kind of rig"
+    elif rig is None:
+        problem = "does not say with which database, mapping and bus (an earlier version's)"
+    elif rig != head["rig"]:
+        problem = "was made with another database, mapping or bus"
+    else:
+        return
+    raise InputError(file, "", problem, "use another folder")
 
 
 def _read(path: Path) -> dict[str, Any]:

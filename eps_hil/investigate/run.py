@@ -22,7 +22,7 @@ from eps_hil.investigate.course import Course, Phase
 from eps_hil.investigate.decide import Decision, Stop, decide
 from eps_hil.investigate.experiment import TICK_S, Experiment, menu
 from eps_hil.investigate.foreseen import foresee
-from eps_hil.investigate.journal import Journal, Step
+from eps_hil.investigate.journal import Journal, Step, next_number
 from eps_hil.investigate.possible import Menu, Possible
 from eps_hil.investigate.worth import FITTED, Prospect, friction_level_nm, prospect, shapes
 from eps_hil.physics.chain_parameters import ChainParameters
@@ -136,7 +136,7 @@ class Investigation:
                 raise self._interrupted()
             if not chosen:
                 raise SafetyStop("every experiment that would tell more went beyond a limit before")
-            steps = [*steps, self._led(len(steps) + 1, chosen[0].experiment, stop)]
+            steps = [*steps, self._led(next_number(steps), chosen[0].experiment, stop)]
 
     def _led(self, number: int, experiment: Experiment, stop: Stopped) -> Step:
         """Run one experiment; its log and its step are then kept."""

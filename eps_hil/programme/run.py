@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from eps_hil import json_text
 from eps_hil.bus.config import BusSetup
@@ -47,31 +48,49 @@ class Summary:
         return [one for one in self.results if one.accepted]
 
 
-def prepare_folder(folder: Path, plan: Plan, *, resume: bool) -> list[CellResult]:
-    """Make or check the folder of a programme; the cells that are finished already.
+def prepare_folder(folder: Path, plan: Plan, rig: str, *, resume: bool) -> list[CellResult]:
+    """Make or check the folder of a programme; the cells that are finished and may be used.
 
-    :class:`InputError` where it holds finished cells and ``resume`` is not asked for, or cells of
-    another programme.
+    ``rig``: :func:`~eps_hil.programme.fingerprint.fingerprint`. :class:`InputError` where the
+    folder holds finished cells and ``resume`` is not asked for, cells of another programme or
+    another rig, or nothing that could be resumed.
     """
     file = folder / PLAN_FILE
     if not resume and any(folder.glob("cell_*.json")):
         remedy = "add --resume to go on, or choose another folder"
         raise InputError(folder, "--out", "holds finished cells of a programme", remedy)
-    content = {"schema": SCHEMA, "programme": plan.content()}
-    if resume and file.exists():
-        try:
-            same = json_text.parse(file.read_text(encoding="utf-8")) == content
-        except (OSError, ValueError) as error:
-            raise InputError(file, "", f"cannot be read: {error}", "use another folder") from None
-        if not same:
-            problem = "was made by another programme, or by an earlier state of this one"
-            raise InputError(file, "", problem, "use another folder")
+    content = {"schema": SCHEMA, "programme": plan.content(), "rig": rig}
+    if resume:
+        _check_same(file, content)
     else:
         make_folder(folder, "--out")
         with replacing(file) as temporary:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     found = (cell_record.read(cell, folder) for cell in plan.cells())
-    return [one for one in found if one is not None]
+    return [one for one in found if one is not None and one.accepted]
+
+
+def _check_same(file: Path, content: dict[str, Any]) -> None:
+    """:class:`InputError` where the folder is not of this programme on this rig."""
+    if not file.exists():
+        raise InputError(
+            file.parent, "--resume", "holds no programme to go on with",
+            "name its folder, or leave out --resume to begin",
+        )  # fmt: skip
+    try:
+        found = dict(json_text.parse(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(file, "", f"cannot be read: {error}", "use another folder") from None
+    rig = found.pop("rig", None)
+    if found != {key: value for key, value in content.items() if key != "rig"}:
+        problem = "was made by another programme, or by an earlier state of this one"
+    elif rig is None:
+        problem = "does not say with which model, database, mapping and bus (an earlier version's)"
+    elif rig != content["rig"]:
+        problem = "was made with another model, database, mapping or bus"
+    else:
+        return
+    raise InputError(file, "", problem, "use another folder")
 
 
 class ProgrammeRun:

@@ -8,7 +8,7 @@ import pytest
 
 from eps_hil.errors import InputError
 from eps_hil.investigate.experiment import Experiment, Kind
-from eps_hil.investigate.journal import Journal, Step
+from eps_hil.investigate.journal import Journal, Step, next_number
 from eps_hil.physics.model import load_model
 from eps_hil.programme.limits import Limits
 
@@ -43,6 +43,25 @@ def test_another_rig_or_model_or_other_limits_are_refused(tmp_path: Path) -> Non
     for model, limits, simulated in others:
         with pytest.raises(InputError, match="another model file, other limits"):
             Journal(tmp_path, model, limits, simulated)
+
+
+def test_another_database_mapping_or_bus_is_refused(tmp_path: Path) -> None:
+    Journal(tmp_path, MODEL, Limits(), True, "one")
+    Journal(tmp_path, MODEL, Limits(), True, "one")
+    with pytest.raises(InputError, match="made with another database, mapping or bus"):
+        Journal(tmp_path, MODEL, Limits(), True, "other")
+    head = json.loads((tmp_path / "investigation.json").read_text())
+    del head["rig"]
+    (tmp_path / "investigation.json").write_text(json.dumps(head))
+    with pytest.raises(InputError, match="does not say with which database"):
+        Journal(tmp_path, MODEL, Limits(), True, "one")
+
+
+def test_a_step_that_was_deleted_gives_its_number_to_no_other(tmp_path: Path) -> None:
+    """The second of three is gone: the next was the third again, and its log written over."""
+    steps = [Step(k, EXPERIMENT, 1.0, tmp_path / f"{k}.log") for k in (1, 3)]
+    assert next_number(steps) == 4
+    assert next_number([]) == 1
 
 
 def test_a_damaged_step_is_said(tmp_path: Path) -> None:
