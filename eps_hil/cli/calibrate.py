@@ -156,15 +156,16 @@ def error_injection(
     state = source.state
     if state is None:
         raise EpsHilError("no sync frame was received: is the rig on this bus?")
-    typer.echo(f"slid       {state.time_pos_s:.1f} s forth, {state.time_neg_s:.1f} s back")
+    slid = f"slid       {state.time_pos_s:.1f} s forth, {state.time_neg_s:.1f} s back"
     if not source.over or state.at_limit:
+        typer.echo(slid)
         why = "a level stands at its limit" if source.over else "not enough sliding with gates met"
         raise EpsHilError(f"no levels: {why} (wanted {settings.error_sliding_s:g} s each way)")
     from eps_hil.service.calibrated_model import Levels
 
     levels = Levels(state.levels.positive_nm, state.levels.negative_nm)
     note = {"method": "error_injection", "sliding_s": [state.time_pos_s, state.time_neg_s]}
-    accept(levels, setup, settings, write_model, note, accept_outside_band)
+    accept(levels, setup, settings, write_model, note, accept_outside_band, said=[slid])
 
 
 # The run.

@@ -74,7 +74,7 @@ def levels_in_use(model: Model) -> Levels:
 def _without_block(text: str) -> str:
     """A model file's text without its history; what stands after that stays."""
     root = yaml.compose(text, Loader=yaml.SafeLoader)
-    for key, value in root.value:
+    for key, value in root.value if isinstance(root, yaml.MappingNode) else ():
         if key.value == _BLOCK:
             begin, end = key.start_mark.index, value.end_mark.index
             lines = text[begin:end].splitlines(keepends=True)
