@@ -157,11 +157,11 @@ class OverrideSession:
         if self._ending.asked_for:
             return
         runtime = self._parts.config.service
-        self._say(f"run        {realtime.hurry(runtime.realtime, runtime.priority)}")
+        self._tell(f"run        {realtime.hurry(runtime.realtime, runtime.priority)}")
         tasks = [self._ending.task(self._loop, job) for job in (self._time(), self._look())]
         if self._operator is not None:
             self._operator.start(self._loop, self)
-        self._say("READY")
+        self._tell("READY")
         try:
             await self._ending.wait(duration_s)
         finally:
@@ -228,7 +228,12 @@ class OverrideSession:
                 self.fault = transition
         self._write()
         for transition in transitions:
-            self._say(f"override   {transition}")
+            self._tell(f"override   {transition}")
+
+    def _tell(self, line: str) -> None:
+        """To a person, who may be gone: what ended a session must come out all the same."""
+        with contextlib.suppress(OSError):
+            self._say(line)
 
     def _write(self) -> None:
         """Into the journal, in order; a disk that refuses ends the session, but loses nothing."""
@@ -268,7 +273,7 @@ class OverrideSession:
             self._record()
             if self._unwritten:
                 lacking = ", ".join(str(each) for each, _ in self._unwritten)
-                self._say(f"override   the journal could not be written and lacks: {lacking}")
+                self._tell(f"override   the journal could not be written and lacks: {lacking}")
 
     def _on_error(self, error: BaseException) -> None:
         self._why = f"{type(error).__name__}: {error}"

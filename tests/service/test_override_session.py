@@ -502,6 +502,27 @@ def test_a_trip_outlives_a_line_that_the_disk_refused() -> None:
     assert not [line for line in said if "lacks" in line]
 
 
+def test_a_trip_outlives_a_reader_that_is_gone() -> None:
+    """The pipe's error came out in place of the trip: status 1 where 3 was due."""
+
+    def gone(_: str) -> None:
+        raise BrokenPipeError
+
+    session = quiet_session()
+    session._say = gone
+
+    async def first() -> None:
+        session.core.override.listen(1)
+        session.core.override.state = State.INJECTING
+        session.core.override.trip(2, Trip.DRIVER)
+        session._record()
+
+    session._listen_first = first  # type: ignore[method-assign]
+    asyncio.run(session.run(0.05))
+    assert session.fault is not None
+    assert session.fault.trips == Trip.DRIVER
+
+
 def test_a_journal_without_the_trip_is_told_as_such() -> None:
     session, disk, said = tripping_session(lambda disk: None)
     assert session.fault is not None
