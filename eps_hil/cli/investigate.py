@@ -61,6 +61,7 @@ def investigate(
     from eps_hil.investigate import story
     from eps_hil.investigate.course import most_of
     from eps_hil.investigate.journal import Journal
+    from eps_hil.investigate.lockstep import simulated_rig
     from eps_hil.investigate.run import Investigation, prepared_menu
     from eps_hil.physics.model import dump_model, load_model
     from eps_hil.programme.fingerprint import fingerprint
@@ -74,6 +75,7 @@ def investigate(
     check_model_place(write_model)
     page.check("investigate")
     setup, limits = load_bus_setup(config), load_limits(config)
+    check_kept((json, report, write_model), (setup.model, setup.signals, *setup.dbc))
     model = load_model(setup.model)
     rig = load_rig_setup(config, "idle")
     say_if_it_compiles()
@@ -81,7 +83,8 @@ def investigate(
     open_rig = (
         _simulated(config, model, out) if simulated else _on_bus(setup, model, most_of(limits))
     )
-    journal = Journal(out, model, limits, simulated, fingerprint(setup, model))
+    known_by = fingerprint(setup, model) + (simulated_rig(config) if simulated else "")
+    journal = Journal(out, model, limits, simulated, known_by)
     steps = journal.steps()
     if steps:
         rig_min = sum(one.rig_s for one in steps) / 60.0
@@ -177,6 +180,7 @@ def _simulated(config: Path, model: "Model", out: Path) -> "OpenRig":
     from eps_hil.investigate.lockstep import START_NS, LockstepRig
     from eps_hil.investigate.run import letting_go
 
-    before = len(list(out.glob("step_*.json")))
+    numbers = [path.stem.removeprefix("step_") for path in out.glob("step_*.json")]
+    before = max((int(each) for each in numbers if each.isdigit()), default=0)
     rig = LockstepRig(config, model, START_NS + before * 3_600_000_000_000)
     return lambda _: letting_go(rig)

@@ -10,7 +10,7 @@ import typer
 
 from eps_hil.board import Notice
 from eps_hil.cli._first_answer import say_if_it_compiles
-from eps_hil.errors import EpsHilError
+from eps_hil.errors import EpsHilError, InputError
 
 if TYPE_CHECKING:
     from eps_hil.physics.model import Model
@@ -52,13 +52,21 @@ def programme(
     from eps_hil.programme.fingerprint import fingerprint
     from eps_hil.programme.plan import load_plan
     from eps_hil.programme.run import ProgrammeRun, prepare_folder
-    from eps_hil.programme.summary import content, identified, identify_logs, table_file
+    from eps_hil.programme.summary import (
+        content,
+        counted_twice,
+        identified,
+        identify_logs,
+        table_file,
+    )
 
     check_kept((write_model, json), (file, config))
     check_model_place(write_model)
     setup = load_bus_setup(config)
     model = load_model(setup.model)
     plan = load_plan(file, model)
+    if write_model and cells_only and (twice := counted_twice(model)):
+        raise InputError(setup.model, "effects", twice, "leave --cells-only out, or take them off")
     run = ProgrammeRun(setup, model, plan, out)
     finished = prepare_folder(out, plan, fingerprint(setup, model), resume=resume)
     if finished:
@@ -179,10 +187,13 @@ def _write_model(path: Path, model: "Model", found: "Identified", whole: "Whole 
     from dataclasses import replace
 
     from eps_hil.physics.model import dump_model
+    from eps_hil.programme.summary import counted_twice
     from eps_hil.recordings.files import replacing
 
     if whole is not None and whole.text:
         text = whole.text
+    elif found.friction is not None and (twice := counted_twice(model)):
+        raise EpsHilError(f"{path}: not written, {twice}")
     elif found.friction is not None:
         text = dump_model(replace(model, friction=found.friction))
     else:

@@ -41,7 +41,8 @@ def next_number(steps: Sequence[Step]) -> int:
 class Journal:
     """The folder of one investigation.
 
-    ``rig``: :func:`~eps_hil.programme.fingerprint.fingerprint` of model, database, mapping, bus.
+    ``rig``: :func:`~eps_hil.programme.fingerprint.fingerprint` of model, database, mapping, bus,
+    and of a simulated rig all that it is.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class Journal:
     def steps(self) -> list[Step]:
         """All finished steps in their order."""
         found = []
-        for path in sorted(self.folder.glob("step_*.json")):
+        for path in self.folder.glob("step_*.json"):
             content = _read(path)
             try:
                 given = {**content["experiment"], "kind": Kind(content["experiment"]["kind"])}
@@ -75,7 +76,7 @@ class Journal:
             except (KeyError, TypeError, ValueError) as error:
                 problem = f"is no step of an investigation: {error}"
                 raise InputError(path, "", problem, "use another folder") from None
-        return found
+        return sorted(found, key=lambda one: one.number)
 
     def log_of(self, number: int, experiment: Experiment) -> Path:
         """Where the step's log goes when it is whole."""
@@ -94,7 +95,8 @@ class Journal:
 
     def rounds(self) -> list[dict[str, Any]]:
         """What was thought after each step, in order; the first before any."""
-        return [_read(path) for path in sorted(self.folder.glob("round_*.json"))]
+        found = [_read(path) for path in self.folder.glob("round_*.json")]
+        return sorted(found, key=lambda one: int(one["round"]))
 
     def write_round(self, content: Mapping[str, Any]) -> None:
         """Thought, and decided what comes next."""
@@ -110,7 +112,7 @@ def _check_same(file: Path, head: Mapping[str, Any]) -> None:
     elif rig is None:
         problem = "does not say with which database, mapping and bus (an earlier version's)"
     elif rig != head["rig"]:
-        problem = "was made with another database, mapping or bus"
+        problem = "was made with another database, mapping, bus or simulated rig"
     else:
         return
     raise InputError(file, "", problem, "use another folder")

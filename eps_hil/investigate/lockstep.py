@@ -3,6 +3,7 @@
 The frames are those that the rig process would send, and the commands those that it would get.
 """
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from eps_hil.bus.codec import FrameDecoder, FrameEncoder
 from eps_hil.bus.database import load_database
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.bus.record import LogFile
-from eps_hil.physics.model import Model
+from eps_hil.physics.model import Model, dump_model
 from eps_hil.programme.conductor import TICK_S, Wanted
 from eps_hil.programme.link import (
     COMMAND,
@@ -27,6 +28,13 @@ from eps_hil.rig.process import RigSimulation
 START_NS = 1_700_000_000_000_000_000
 _ENABLE, _RELEASE = 1.0, 0.0
 _LONGEST_STOP = 300
+
+
+def simulated_rig(config: str | Path) -> str:
+    """By what a folder knows the rig of a configuration: physics, chain, sensors, seed."""
+    setup = load_rig_setup(config, "idle")
+    parts = (dump_model(setup.model), setup.chain, setup.reported, setup.rig)
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
 class LockstepRig:

@@ -131,7 +131,8 @@ class Conductor:
                 self._held(abs(reading.speed_rad_s) < _REST_RAD_S, Phase.DONE, 0.05)
             case _:
                 pass
-        if not self.over and self._in_phase_s > _PHASE_LIMIT_S + self.plan.run_s:
+        own_s = self.plan.run_s + self.plan.settling_s(self.cell.speed_rad_s)
+        if not self.over and self._in_phase_s > _PHASE_LIMIT_S + own_s:
             self._fail(reading)
         return self._wanted(reading)
 

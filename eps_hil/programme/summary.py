@@ -16,6 +16,8 @@ from eps_hil.identification.constant_speed import Cell, enough, fitted
 from eps_hil.identification.identify import identify
 from eps_hil.identification.result import Identification
 from eps_hil.identification.write_model import model_file
+from eps_hil.physics.effects.added import added, in_use
+from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Friction, Model
 from eps_hil.programme.plan import Plan
 from eps_hil.programme.recordings import joined
@@ -86,6 +88,18 @@ def identified(summary: Summary, model: Model) -> Identified:
             return Identified(None, {}, problem)
     friction, widths = fitted(cells, model.friction)
     return Identified(friction, widths)
+
+
+def counted_twice(model: Model) -> str:
+    """Why levels of the cells cannot stand in this model's file; empty if they can.
+
+    The friction of a cell is all that there is, what the file's effects add to eq. 3 among it.
+    """
+    use = in_use(added(with_model_effects(model)))
+    if not (use.level or use.torque or use.load):
+        return ""
+    names = ", ".join(str(entry["effect"]) for entry in model.effects)
+    return f"the cells' friction holds what the effects of the model file ({names}) make of it, too"
 
 
 def table_file(summary: Summary, path: Path) -> None:

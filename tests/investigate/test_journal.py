@@ -9,8 +9,11 @@ import pytest
 from eps_hil.errors import InputError
 from eps_hil.investigate.experiment import Experiment, Kind
 from eps_hil.investigate.journal import Journal, Step, next_number
+from eps_hil.investigate.lockstep import simulated_rig
 from eps_hil.physics.model import load_model
 from eps_hil.programme.limits import Limits
+
+from .bench import written
 
 MODEL = load_model(Path(__file__).parents[2] / "configs" / "reference_rig.yaml")
 EXPERIMENT = Experiment(Kind.LOAD_SINE, 20.0, 1000.0, 0.5, 0.3)
@@ -48,7 +51,7 @@ def test_another_rig_or_model_or_other_limits_are_refused(tmp_path: Path) -> Non
 def test_another_database_mapping_or_bus_is_refused(tmp_path: Path) -> None:
     Journal(tmp_path, MODEL, Limits(), True, "one")
     Journal(tmp_path, MODEL, Limits(), True, "one")
-    with pytest.raises(InputError, match="made with another database, mapping or bus"):
+    with pytest.raises(InputError, match="made with another database, mapping, bus or"):
         Journal(tmp_path, MODEL, Limits(), True, "other")
     head = json.loads((tmp_path / "investigation.json").read_text())
     del head["rig"]
@@ -72,3 +75,26 @@ def test_a_damaged_step_is_said(tmp_path: Path) -> None:
     (tmp_path / "step_01.json").write_text("{")
     with pytest.raises(InputError, match="cannot be read"):
         journal.steps()
+
+
+def test_a_hundredth_step_comes_after_the_eleventh(tmp_path: Path) -> None:
+    """By their names it came after the tenth, and the last round was not the last."""
+    journal = Journal(tmp_path, MODEL, Limits(), simulated=True)
+    for number in (9, 10, 11, 99, 100):
+        journal.write_step(Step(number, EXPERIMENT, 1.0, journal.log_of(number, EXPERIMENT)))
+        journal.write_round({"round": number})
+    assert [one.number for one in journal.steps()] == [9, 10, 11, 99, 100]
+    assert [one["round"] for one in journal.rounds()] == [9, 10, 11, 99, 100]
+
+
+def test_another_simulated_rig_is_known_as_one(tmp_path: Path) -> None:
+    """Its hidden physics is in no model file that the head has: old logs were its own."""
+    config = written(tmp_path)
+    before = simulated_rig(config)
+    assert simulated_rig(config) == before
+    config.write_text(config.read_text().replace("order: 2", "order: 3"))
+    assert simulated_rig(config) != before
+    config.write_text(config.read_text().replace("order: 3", "order: 2"))
+    hidden = tmp_path / "rig.yaml"
+    hidden.write_text(hidden.read_text().replace("level_nm: 0.05", "level_nm: 0.06"))
+    assert simulated_rig(config) != before

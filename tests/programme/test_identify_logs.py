@@ -11,7 +11,7 @@ from eps_hil.physics.model import load_model
 from eps_hil.programme.cell_record import CellResult
 from eps_hil.programme.plan import PlannedCell
 from eps_hil.programme.run import Summary
-from eps_hil.programme.summary import identified, identify_logs
+from eps_hil.programme.summary import counted_twice, identified, identify_logs
 
 from .programme_bench import MODEL, PLAN, Bench
 
@@ -60,3 +60,11 @@ class TestIdentify:
         whole = identify_logs(missing, load_bus_setup(folder / "c.yaml"), MODEL, folder)
         assert whole.found is None
         assert whole.problem
+
+
+def test_levels_that_effects_of_the_file_raise_again_are_refused() -> None:
+    """The measured friction was written beside the effect that makes a part of it."""
+    stribeck = {"effect": "stribeck", "level_nm": 0.05, "speed_rad_s": 6.0}
+    assert counted_twice(MODEL) == ""
+    assert counted_twice(replace(MODEL, effects=({"effect": "inertia", "scale": 2.0},))) == ""
+    assert "stribeck" in counted_twice(replace(MODEL, effects=(stribeck,)))
