@@ -116,7 +116,8 @@ class StreamEstimator:
     """Rack force from stamped samples, live or recorded.
 
     ``periods_s`` names the signals that will come, with their sample periods: torque and speed
-    (or the angle, from which the speed is then derived) are the least.
+    (or the angle, from which the speed is then derived) are the least. A torsion bar that is named
+    is waited for; one that is not is absent.
     """
 
     def __init__(

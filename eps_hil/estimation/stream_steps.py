@@ -191,8 +191,6 @@ def gather(m: Memory, timing: Timing, at: int) -> tuple[Inputs, int, bool, bool]
             m.stamps, m.values, m.filled, i, at + timing.delay[i], timing.stale[i], _LOST[i],
             m.learnt[i],
         )  # fmt: skip
-        if i == SENSOR and m.filled[i] == 0:  # never there: absent, not lost (CONTRACT 2)
-            continue
         if i <= SENSOR and apart > timing.missing[i]:
             seen = False
         if why & _BAD:

@@ -18,7 +18,7 @@ class Reason(IntFlag):
     MOTOR_TORQUE = 2
     """Motor torque is missing or too old."""
     TORQUE_SENSOR = 4
-    """Torsion-bar torque, once there, is missing or too old."""
+    """Torsion-bar torque, mapped or in the recording, is missing or too old."""
     MOTOR_SPEED = 8
     """Rotor speed (or the angle it is derived from) is missing or too old."""
     RACK_FORCE = 16

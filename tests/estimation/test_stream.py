@@ -217,10 +217,32 @@ def test_a_bad_sample_is_named_and_comes_back(reference_model: Model, bad: float
 def test_a_torque_sensor_that_never_was_is_absent_not_lost(reference_model: Model) -> None:
     series = {k: v for k, v in moving().items() if k in (NAMES[0], NAMES[2])}
     assert np.mean(stream_run(reference_model, series).valid) > 0.9
-    # announced by the DBC, but nobody sends it
+
+
+def test_a_torque_sensor_that_is_mapped_and_never_comes_is_missing(reference_model: Model) -> None:
+    """A live stream knows that it should come: nobody can tell what the driver does meanwhile."""
+    series = {k: v for k, v in moving(1.0).items() if k in (NAMES[0], NAMES[2])}
     periods = dict.fromkeys(NAMES[:3], 1e-3)
-    stream = StreamEstimator(reference_model, EstimatorSettings(), periods)
-    assert np.mean(stream.run(lanes(series)).valid) > 0.9
+    trace = StreamEstimator(reference_model, EstimatorSettings(), periods).run(lanes(series))
+    assert not np.any(trace.valid)
+    assert np.all(trace.reason & int(Reason.TORQUE_SENSOR))
+
+
+@pytest.mark.parametrize("hole_ms", [900, 1200])
+def test_a_torque_sensor_that_does_not_return_from_an_outage_is_missing(
+    reference_model: Model, hole_ms: int
+) -> None:
+    """An outage of over a second begins anew; the torsion bar was taken as absent from then on."""
+    series, end = {}, 1000 + hole_ms
+    for name, one in moving(3.5).items():
+        keep = one.t_ns < 1000 * MS
+        if name != "torque_sensor_nm":
+            keep |= one.t_ns >= end * MS
+        series[name] = Series(one.t_ns[keep], one.value[keep])
+    trace = stream_run(reference_model, series)
+    after = trace.t_ns > (end + 50) * MS
+    assert np.sum(after) > 1000
+    assert np.all(trace.reason[after] & int(Reason.TORQUE_SENSOR))
 
 
 @pytest.mark.parametrize("jump_s", [-100, 3600])
