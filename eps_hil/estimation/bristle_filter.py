@@ -218,10 +218,11 @@ def _law_in_use(law: FrictionLaw, r: Rig) -> FrictionLaw:
 
 @kernel
 def _extra_level_nm(x: Physics, i: Instant, mean: Floats) -> float:
-    """What added effects make of T_fs (Nm) at this state, beyond eq. 3."""
+    """What added effects make of T_fs (Nm) at this state, beyond eq. 3, the way the bristle is."""
     if not x.use.level:
         return 0.0
-    level = static_level_nm(mean[BRISTLE], mean[FORCE], x.law)
+    speed = math.copysign(mean[OMEGA], mean[BRISTLE])
+    level = static_level_nm(speed, mean[FORCE], x.law)
     now = moved(i, mean[OMEGA], i.position_m, i.rack_force_n)
     return acting.level_nm(x.effects, now, level) - level
 

@@ -31,6 +31,8 @@ from eps_hil.physics.friction import friction_law
 from eps_hil.physics.model import Delays, Friction, Model
 from eps_hil.series import Series
 
+from .prescribed import SPEED_ONLY, Prescribed, at, friction_nm, ramp
+
 BASE = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s")
 ANGLE = (*BASE, "motor_angle_rad")
 FILTER, SMOOTHER = EstimatorSettings(kind="bristle_filter"), EstimatorSettings(kind="smoother")
@@ -400,6 +402,22 @@ def test_it_starts_again_from_the_impossible(reference_model: Model, weave_truth
     assert np.any(trace.reason & int(Reason.DIVERGED))
     assert np.all(trace.valid[-800:])
     assert np.max(np.abs(trace.rack_force_n[-800:])) < 3000
+
+
+@pytest.mark.parametrize("speed", [-120.0, 120.0])
+def test_an_effect_that_scales_friction_scales_its_viscous_part(
+    reference_model: Model, speed: float
+) -> None:
+    """The bristle's deflection stood where eq. 3 asks for the speed: 54 N off at 120 rad/s."""
+    warm = {"effect": "friction_warmup", "amplitude": 0.5, "time_s": 3000.0}
+    way, force = ramp(2.0, speed), np.full(2000, 500.0)
+    friction = friction_nm(reference_model, way, force, lambda nm: 1.5 * nm)
+    rig = Prescribed(reference_model, way, force, friction)
+    model = replace(rig.model, effects=(warm,))
+    trace = rig.estimate((*SPEED_ONLY, "motor_angle_rad"), model, kind="bristle_filter")
+    late = at(trace, 1.2, 1.9)
+    assert np.all(trace.valid[late])
+    assert abs(np.mean(rig.error_n(trace)[late])) < 3.0
 
 
 @pytest.mark.parametrize(
