@@ -143,9 +143,9 @@ def estimator_step(c: Constants, x: Physics, e: Carried, u: Inputs, reason: int)
 @kernel
 def verdict(c: Constants, s: Moment, r: Rig) -> int:
     """Whether the observer has settled and the friction is known: reason bits of the step."""
-    reason = 0
+    reason = c.always
     if r.memory_n > 0.0:
-        reason = _FRICTION_UNKNOWN if r.memory_n > c.unknown_limit_n else 0
+        reason |= _FRICTION_UNKNOWN if r.memory_n > c.unknown_limit_n else 0
         r.memory_n *= c.memory_keep
     if c.compensate and s.unknown_n > c.unknown_limit_n:
         reason |= _FRICTION_UNKNOWN

@@ -6,7 +6,9 @@ from typing import NamedTuple
 from eps_hil.estimation import observer_design
 from eps_hil.estimation.acting import table_of
 from eps_hil.estimation.bristle_setup import filter_constants
+from eps_hil.estimation.places import effects_of_places
 from eps_hil.estimation.settings import EstimatorSettings
+from eps_hil.estimation.validity import Reason
 from eps_hil.physics.effects.added import Added, InUse, added, in_use
 from eps_hil.physics.friction import FrictionLaw, friction_law
 from eps_hil.physics.model import Model
@@ -65,6 +67,7 @@ class Constants(NamedTuple):
     angle_measured: bool
     known_force: bool
     memory_keep: float
+    always: int
 
 
 class Physics(NamedTuple):
@@ -109,7 +112,8 @@ def constants(
 ) -> Constants:
     """Observer gain, filters and thresholds for a model (reads nothing, remembers nothing).
 
-    ``speed_seen``: the speed is measured, not derived from the angle.
+    ``speed_seen``: the speed is measured, not derived from the angle. ``always``: reason bits that
+    hold at every step.
     """
     measured, step_s = settings.position == "measured", settings.step_s
     obs = observer_design.design(model, settings, angle=measured, speed=True, dt=step_s)
@@ -165,7 +169,14 @@ def constants(
         angle_measured=measured,
         known_force=settings.quantity == "friction",
         memory_keep=_memory_keep(model, step_s),
+        always=_always(model, angle_seen),
     )
+
+
+def _always(model: Model, angle_seen: bool) -> int:
+    """Nothing is known of the range that an effect of places is in where no angle is measured."""
+    blind = not angle_seen and effects_of_places(model)
+    return int(Reason.OUT_OF_RANGE if blind else Reason.FINE)
 
 
 def _memory_keep(model: Model, step_s: float) -> float:

@@ -22,6 +22,7 @@ from eps_hil.estimation.bristle_setup import new_belief
 from eps_hil.estimation.lanes import Lanes, run
 from eps_hil.estimation.levels import FrictionLevels, LevelChange
 from eps_hil.estimation.memory import memory_of_a_start
+from eps_hil.estimation.places import effects_of_places
 from eps_hil.estimation.plain import plain
 from eps_hil.estimation.settings import EstimatorSettings, problem
 from eps_hil.estimation.stream_steps import (
@@ -130,6 +131,8 @@ class StreamEstimator:
         angle_seen = "motor_angle_rad" in periods_s
         speed_seen = "motor_speed_rad_s" in periods_s
         self.constants = setup.constants(model, settings, angle_seen, speed_seen)
+        self.effects_without_angle = () if angle_seen else effects_of_places(model)
+        """Ids of effects that need the angle, where none will come: nothing is valid then."""
         self.physics = setup.physics_of(model)
         if settings.kind == "bristle_filter":
             self.physics = physics_inside(model, settings, self.physics, angle_seen)

@@ -38,7 +38,8 @@ class Reason(IntFlag):
     OTHER_TRANSMITTER = 2048
     """Somebody else sends the estimate's id too; nobody can tell whose a frame is."""
     OUT_OF_RANGE = 4096
-    """An effect that was found in recordings is asked beyond the range that they covered."""
+    """An effect that was found in recordings is asked beyond the range that they covered; or it
+    depends on the rotor's or rack's place, and no angle is measured."""
     STALE = 8192
     """The estimate is older than its look-back and a limit: it, or the service, was held up."""
     FRICTION_UNKNOWN = 16384

@@ -317,6 +317,8 @@ def describe(parts: Parts) -> Iterator[str]:
     for name, source in mapping.signals.items():
         if source.derived:
             yield f"derive     {name} from {source.derive_from}"
+    if blind := parts.estimator.effects_without_angle:
+        yield f"invalid    at all times: {', '.join(blind)} needs motor_angle_rad, not mapped"
     if unknown_s := parts.estimator.memory_unknown_s:
         yield (
             f"friction   unknown for {unknown_s:.0f} s: the model remembers (a motor's heat, say) "
