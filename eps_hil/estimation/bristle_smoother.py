@@ -1,9 +1,9 @@
 """The bristle filter over a whole recording, forth and back: what an estimate can know afterwards.
 
-Forward the filter of ``bristle_filter.py``; backward the modified Bryson-Frazier recursion, which
-needs no inverse of a covariance that sliding makes singular. A stretch that begins with a start
-(first samples, a gap) is smoothed by itself. Done in blocks that look ``AHEAD_STEPS`` beyond their
-end, so memory does not grow with the recording.
+Forward the filter of ``bristle_filter.py``, without what it refuses live; backward the modified
+Bryson-Frazier recursion, which needs no inverse of a covariance that sliding makes singular. A
+stretch that begins with a start (first samples, a gap) is smoothed by itself. Done in blocks that
+look ``AHEAD_STEPS`` beyond their end, so memory does not grow with the recording.
 """
 
 import itertools
@@ -33,10 +33,12 @@ AHEAD_STEPS = 5_000
 Floats = npt.NDArray[np.float64]
 Int64 = npt.NDArray[np.int64]
 
-_NOT_STARTED, _TIME = int(Reason.NOT_STARTED), int(Reason.TIME)
+_TIME, _NOT_FROM_INPUTS = int(Reason.TIME), int(Reason.NOT_STARTED | Reason.TIME)
+_REFUSED = int(Reason.INCONSISTENT | Reason.FROZEN)
+"""Doubts in which nothing is taken from the signals."""
+_IMPLAUSIBLE = int(Reason.IMPLAUSIBLE)
 _SETTLING, _DIVERGED = int(Reason.SETTLING), int(Reason.DIVERGED)
 _UNKNOWN = int(Reason.FRICTION_UNKNOWN)
-_JUMP_NS = 1_000_000_000
 _START, _HELD, _STEP = 0, 1, 2
 
 
@@ -72,32 +74,30 @@ def _room(steps: int) -> Forward:
 def _gather(
     m: steps.Memory,
     timing: Timing,
+    c: Constants,
+    x: PhysicsInside,
     signal: npt.NDArray[np.int8],
     t_ns: Int64,
     value: Floats,
     out_t: Int64,
     out: Floats,
-    out_reason: Int64,
+    out_wrong: Int64,
+    out_doubt: Int64,
 ) -> int:
-    """All inputs on the grid of the stream, as :func:`steps.advance` reads them; rows written."""
-    rows, grid, first = 0, 0, True
+    """All inputs on the grid of the stream, what is wrong with them, and what the filter, which
+    runs beside, has of doubts; rows written."""
+    rows, lag = 0, int(round(c.output_lag_s * 1e9))
     for k in range(len(signal)):
         if signal[k] >= 0:
             steps.push(m, timing, signal[k], t_ns[k], value[k])
             continue
-        t, extra = t_ns[k], 0
-        if first:
-            grid, first, extra = t, False, _NOT_STARTED
-        elif abs(t - grid) > _JUMP_NS:
-            grid, extra = t, _TIME
-            m.filled[:] = 0
-        while grid <= t + timing.step_ns // 2 and rows < len(out_t):
-            at = grid - timing.lookback
+        for n in range(min(steps.advance(m, timing, c, x, t_ns[k]), len(out_t) - rows)):
+            at = m.t_ns[n] + lag
             inputs, reason, _, _ = steps.gather(m, timing, at)
-            out_t[rows], out_reason[rows] = at, reason | extra
+            out_t[rows], out_doubt[rows] = at, m.doubt[n]
+            out_wrong[rows] = reason | m.reason[n] & _NOT_FROM_INPUTS | m.doubt[n] & _REFUSED
             out[rows, 0], out[rows, 1], out[rows, 2] = inputs[0], inputs[1], inputs[2]
             out[rows, 3] = inputs[3]
-            grid += timing.step_ns
             rows += 1
     return rows
 
@@ -186,15 +186,18 @@ def smooth(
 
     ``ValueError`` for settings or signals that will not do.
     """
-    like = StreamEstimator(model, replace(settings, kind="bristle_filter"), periods_s)
+    chosen = replace(settings, kind="bristle_filter")
+    beside, like = (StreamEstimator(model, chosen, periods_s) for _ in range(2))
     c, x, e = like.constants, like.physics, new_carried()
     assert isinstance(x, PhysicsInside)
     b = x.belief
     kind, t_ns, _ = events
     rows = int((t_ns[-1] - t_ns[0]) // settings.step_ns) + 2 * int(np.count_nonzero(kind < 0)) + 2
     t, inputs, wrong = np.empty(rows, np.int64), np.empty((rows, 4)), np.empty(rows, np.int64)
-    n = int(_gather(like.memory, like.timing, *events, t, inputs, wrong))
-    t, inputs, wrong = t[:n], inputs[:n], wrong[:n]
+    doubt = np.empty(rows, np.int64)
+    n = int(_gather(beside.memory, beside.timing, c, beside.physics, *events,
+                    t, inputs, wrong, doubt))  # fmt: skip
+    t, inputs, wrong, doubt = t[:n], inputs[:n], _foreseen(wrong[:n], c.keep_steps), doubt[:n]
     began = np.zeros(n, np.bool_)
     out, reason, nis = np.empty((n, 2)), np.empty(n, np.int64), np.full((n, 2), np.nan)
     room = _room(min(n, BLOCK_STEPS + AHEAD_STEPS))
@@ -213,7 +216,18 @@ def smooth(
         began[since : since + own] = room.kind[:own] == _START
         stepped = room.kind[:own] != _HELD
         nis[since : since + own][stepped] = (room.innovation**2 / room.spread)[:own][stepped]
-    return Smoothed(t, out[:, 0], out[:, 1], _hindsight(reason, began), nis)
+    reason = _hindsight(reason, began) | doubt
+    if like.timing.limits.on:
+        reason |= np.where(np.abs(out[:, 0]) > like.timing.limits.estimate_n, _IMPLAUSIBLE, 0)
+    return Smoothed(t, out[:, 0], out[:, 1], reason, nis)
+
+
+def _foreseen(wrong: Int64, before: int) -> Int64:
+    """What is refused, from so many steps ``before`` it was: a doubt comes some steps late."""
+    told, bits = wrong.copy(), wrong & _REFUSED
+    for k in np.flatnonzero((bits[1:] != 0) & (bits[:-1] == 0)) + 1:
+        told[max(k - before, 0) : k] |= bits[k]
+    return told
 
 
 def _hindsight(reason: Int64, began: npt.NDArray[np.bool_]) -> Int64:

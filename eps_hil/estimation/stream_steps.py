@@ -71,7 +71,11 @@ Float64 = npt.NDArray[np.float64]
 
 
 class Memory(NamedTuple):
-    """Everything that the stream remembers; arrays only, so that compiled code can hold it."""
+    """Everything that the stream remembers; arrays only, so that compiled code can hold it.
+
+    ``t_ns``, ``estimate``, ``reason`` are what :func:`advance` writes, a row a step; ``doubt`` the
+    part of ``reason`` that signals which do not fit each other make.
+    """
 
     stamps: Int64
     values: Float64
@@ -81,6 +85,7 @@ class Memory(NamedTuple):
     t_ns: Int64
     estimate: Float64
     reason: Int64
+    doubt: Int64
     levels: levels.Queue
     watch: Records
     kept: Kept
@@ -100,6 +105,7 @@ def new_memory() -> Memory:
         np.zeros(BATCH_ROWS, np.int64),
         np.zeros((BATCH_ROWS, 2)),
         np.full(BATCH_ROWS, _NOT_STARTED, np.int64),
+        np.zeros(BATCH_ROWS, np.int64),
         levels.new_queue(),
         new_watch(),
         new_kept(),
@@ -340,6 +346,7 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         reason |= extra
         turns = turns and extra == 0
         doubt, now_seen = judge_step(m.watch, timing.limits, inputs, seen, reason, turns)
+        m.t_ns[n], m.doubt[n] = at - lag, doubt
         _go_back(m, c, x, inputs, now_seen)
         missing = reason != 0
         _be_wary(m, x, doubt & _INCONSISTENT != 0)
@@ -347,7 +354,6 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
         seen_since = m.watch[0].unsure == 0 or m.watch[0].started != 0
         sound = (reason | doubt) & ~_SOUND == 0 and seen_since
         keep(m.carried, m.kept, sound, c.keep_steps)
-        m.t_ns[n] = at - lag
         now = m.carried.moment[0]
         _slid(m, c, x, inputs, missing)
         if timing.limits.on and abs(now.out_force) > timing.limits.estimate_n:

@@ -404,6 +404,25 @@ def test_it_starts_again_from_the_impossible(reference_model: Model, weave_truth
     assert np.max(np.abs(trace.rack_force_n[-800:])) < 3000
 
 
+@pytest.mark.parametrize("kind", ["bristle_filter", "smoother"])
+def test_a_torque_that_nothing_follows_is_not_believed(reference_model: Model, kind: str) -> None:
+    """0.15 Nm too much for a while: the smoother, which looked at no plausibility, was 400 N off
+    and valid."""
+    t = np.arange(4000) * 1e-3
+    speed, force = 20.0 * np.sin(np.pi * t), 300.0 * np.sin(0.6 * np.pi * t)
+    rig = Prescribed(reference_model, speed, force, friction_nm(reference_model, speed, force))
+    rig.signals["motor_torque_nm"][1400:2600] += 0.15
+    trace = rig.estimate((*SPEED_ONLY, "motor_angle_rad"), kind=kind)
+    wrong = at(trace, 1.42, 2.58)
+    assert not np.any(trace.valid[wrong])
+    assert np.all(trace.reason[wrong] & int(Reason.INCONSISTENT))
+    before, after = at(trace, 0.8, 1.35), at(trace, 3.4, 3.9)
+    assert np.mean(trace.valid[before | after]) > 0.95
+    assert rms(rig.error_n(trace)[before | after]) < 15.0
+    valid = trace.valid & at(trace, 0.8, 3.9)
+    assert np.mean(np.abs(rig.error_n(trace)[valid]) > 100.0) < 0.005
+
+
 @pytest.mark.parametrize("speed", [-120.0, 120.0])
 def test_an_effect_that_scales_friction_scales_its_viscous_part(
     reference_model: Model, speed: float
