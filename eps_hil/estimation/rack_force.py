@@ -161,10 +161,13 @@ def verdict(c: Constants, s: Moment, r: Rig) -> int:
 
 @kernel
 def publish(c: Constants, s: Moment, friction: float) -> None:
-    """Outputs of one instant: the friction waits for as long as the force was filtered."""
+    """Outputs of one instant: the friction waits for as long as the force was filtered.
+
+    A rack force that is known is not estimated: NaN.
+    """
     s.friction = friction
     if c.known_force:
-        s.out_force, s.out_friction = 0.0, s.filtered / c.ratio
+        s.out_force, s.out_friction = math.nan, s.filtered / c.ratio
         return
     head = s.head
     s.line[head] = friction

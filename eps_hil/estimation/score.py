@@ -55,7 +55,8 @@ def variant(settings: EstimatorSettings, name: str) -> EstimatorSettings:
 
 
 def score(trace: Trace, series: Mapping[str, Series], model: Model) -> Score | None:
-    """Compare with ``rack_force_n`` of the recording; None where it has none.
+    """Compare with ``rack_force_n`` of the recording; None where it has none, or the estimate has
+    none, as it was given that force.
 
     The load cell and the speed that tells movement are read at the estimate's own instants, their
     reporting delays taken out.
@@ -68,9 +69,11 @@ def score(trace: Trace, series: Mapping[str, Series], model: Model) -> Score | N
         keep = (trace.reason[at] == 0) & _inside(t_ns, series["rack_force_n"])
         if not keep.any():
             continue
-        t_ns = t_ns[keep]
+        t_ns, estimate = t_ns[keep], trace.rack_force_n[at][keep]
+        if np.isnan(estimate).any():
+            return None
         force = _at(t_ns, series["rack_force_n"], model.delays_s.of("rack_force_n"))
-        error = trace.rack_force_n[at][keep] - force
+        error = estimate - force
         moves = np.abs(_speed(t_ns, series, model)) > MOVING_RAD_S
         for kept, values in (
             (overall, error), (moving, error[moves]), (resting, error[~moves]), (load, force)

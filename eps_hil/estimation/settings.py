@@ -100,7 +100,8 @@ class EstimatorSettings:
     low_pass: bool = True
     """The output filter of fig. 8."""
     quantity: Literal["rack_force", "friction"] = "rack_force"
-    """What the observer is asked for; 'friction' needs the rack force as an input (fig. 9)."""
+    """What the observer is asked for; 'friction' needs the rack force as an input (fig. 9), gives
+    NaN for it, and is not run live."""
     position: Literal["integrated", "measured"] = "integrated"
     """Whether the observer also corrects on a measured rotor angle (y of eq. 5 to 9)."""
 

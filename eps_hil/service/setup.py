@@ -280,6 +280,11 @@ def make_estimator(
         settings = replace(settings, memory_at_start="unknown")
     if wrong := problem(settings):
         raise InputError(file, "estimator.kind", wrong)
+    if settings.quantity == "friction":
+        raise InputError(
+            file, "estimator.quantity", "'friction' gives no rack force, which is published",
+            "record, and run eps-hil estimate --friction",
+        )  # fmt: skip
     try:
         return StreamEstimator(model, settings, decoder.period_s)
     except ValueError as error:

@@ -88,10 +88,14 @@ def test_blocks_can_be_switched_off(
 
 
 def test_friction_from_a_known_rack_force(tmp_path: Path, weave: Path) -> None:
-    out = tmp_path / "f.csv"
-    assert main(["estimate", str(weave), "--model", MODEL, "--friction", "--out", str(out)]) == 0
-    level = read(out)["friction_torque_nm"]
-    assert 0.05 < np.std(level) < 0.3
+    out, summary = tmp_path / "f.csv", tmp_path / "f.json"
+    words = ["estimate", str(weave), "--model", MODEL, "--friction", "--out", str(out)]
+    assert main([*words, "--json", str(summary)]) == 0
+    table = read(out)
+    assert 0.05 < np.std(table["friction_torque_nm"]) < 0.3
+    assert np.all(np.isnan(table["rack_force_estimate_n"][1000:]))
+    (one,) = json.loads(summary.read_text(encoding="utf-8"))["recordings"]
+    assert one.get("rack_force_error_n") is None, "it was given"
 
 
 def test_several_recordings_and_formats(tmp_path: Path, weave: Path, weave_truth: Any) -> None:

@@ -56,3 +56,11 @@ def test_without_a_load_cell_there_is_none(reference_model: Model) -> None:
     trace, series = compared()
     del series["rack_force_n"]
     assert score(trace, series, reference_model) is None
+
+
+def test_a_force_that_was_given_is_not_compared_with_itself(reference_model: Model) -> None:
+    trace, series = compared()
+    given = Trace(
+        trace.t_ns, np.full(len(trace.t_ns), np.nan), trace.friction_torque_nm, trace.reason
+    )
+    assert score(given, series, reference_model) is None

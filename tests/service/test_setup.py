@@ -56,6 +56,12 @@ def test_listen_only(config_file: Path, config_text: str) -> None:
     assert "send       nothing" in "\n".join(describe(parts))
 
 
+def test_what_gives_no_rack_force_is_not_run(tmp_path: Path, config_text: str) -> None:
+    said = refused(tmp_path, config_text + "estimator: {quantity: friction}\n")
+    assert "estimator.quantity" in said
+    assert "estimate --friction" in said
+
+
 def test_publish_message_must_be_in_the_dbc(tmp_path: Path, config_text: str) -> None:
     said = refused(tmp_path, config_text + "publish: {message: EPSHIL_Estimat}\n")
     assert "c.yaml: publish.message: eps_rig.dbc has no message EPSHIL_Estimat" in said
