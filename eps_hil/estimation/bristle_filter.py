@@ -29,7 +29,7 @@ from eps_hil.estimation.bristle_setup import (
     new_belief,
 )
 from eps_hil.estimation.compensation import drive_torque_nm, instant_of, moved
-from eps_hil.estimation.gap import another_time, bridge, rests, still_unknown
+from eps_hil.estimation.gap import another_time, bridge, creep_unseen, rests, still_unknown
 from eps_hil.estimation.levels import approach, tell
 from eps_hil.estimation.memory import LONG_S, end_hold, hold_memory
 from eps_hil.estimation.rack_force import publish, verdict
@@ -142,7 +142,7 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
     s.phi, s.omega, s.bristle = b.mean[PHI], b.mean[OMEGA], b.mean[BRISTLE]
     s.bristle_rms = math.sqrt(b.cov[BRISTLE, BRISTLE])
     s.force, s.slope = b.mean[FORCE], 0.0
-    _follow_unknown(f, law, b, s, u)
+    _follow_unknown(c, f, law, b, s, u)
     s.drive = torque
     size = f.lag + 1
     s.filtered = b.ring[b.place[0] % size] if b.place[0] >= size else b.ring[0]
@@ -153,8 +153,11 @@ def filter_step(c: Constants, x: PhysicsInside, e: Carried, u: Inputs, reason: i
 
 
 @kernel
-def _follow_unknown(f: FilterConstants, law: FrictionLaw, b: Belief, s: Moment, u: Inputs) -> None:
-    """The unknown part of the friction: what sliding, or what was learned, left of it."""
+def _follow_unknown(
+    c: Constants, f: FilterConstants, law: FrictionLaw, b: Belief, s: Moment, u: Inputs
+) -> None:
+    """The unknown part of the friction: what sliding, or what was learned, left of it; and what
+    creep may have made of it that no angle shows."""
     sigma0 = law.sigma0_nm_per_rad
     speed = b.mean[OMEGA]
     level = static_level_nm(speed if speed != 0.0 else b.mean[BRISTLE], b.mean[FORCE], law)
@@ -163,7 +166,13 @@ def _follow_unknown(f: FilterConstants, law: FrictionLaw, b: Belief, s: Moment, 
     slip = abs(speed) * f.drive.step_s if slides else 0.0
     learned = sigma0 / _RELAXED * math.sqrt(b.cov[BRISTLE, BRISTLE])
     s.unknown_nm = min(still_unknown(s.unknown_nm, slip, level, sigma0), learned)
-    s.unknown_n = s.unknown_nm * f.drive.ratio * s.local
+    s.unseen_nm = still_unknown(s.unseen_nm, slip, level, sigma0)
+    if not slides and not f.angle:
+        noise = u.speed_noise if u.speed_noise >= 0.0 else f.speed_variance
+        other = static_level_nm(-b.mean[BRISTLE], b.mean[FORCE], law) + b.extra[0]
+        s.unseen_nm = creep_unseen(c, s, noise, max(level, other), sigma0)
+    s.unseen_nm = min(s.unseen_nm, learned)
+    s.unknown_n = (s.unknown_nm + s.unseen_nm) * f.drive.ratio * s.local
     s.speed, s.last_angle = u.motor_speed_rad_s, u.motor_angle_rad
 
 

@@ -4,7 +4,7 @@ import math
 
 from eps_hil.compiled import kernel
 from eps_hil.estimation import acting
-from eps_hil.estimation.gap import NOISE_SIGMA, still_unknown
+from eps_hil.estimation.gap import NOISE_SIGMA, creep_unseen, still_unknown
 from eps_hil.estimation.levels import approach, level_in_use_nm, tell
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import Moment, Rig
@@ -96,7 +96,11 @@ def friction_step(
     if x.use.memory:
         acting.advance(x.effects, now, c.step_s)
     s.unknown_nm = still_unknown(s.unknown_nm, slip, level, x.law.sigma0_nm_per_rad)
-    s.unknown_n = s.unknown_nm * c.ratio * s.local
+    s.unseen_nm = still_unknown(s.unseen_nm, slip, level, x.law.sigma0_nm_per_rad)
+    if resting and not c.angle_seen:
+        most = max(level, level_in_use_nm(x, r, -direction, now))
+        s.unseen_nm = creep_unseen(c, s, s.speed_noise, most, x.law.sigma0_nm_per_rad)
+    s.unknown_n = (s.unknown_nm + s.unseen_nm) * c.ratio * s.local
     if s.bias_slid != s.bias:
         _count_bias(c, s, slip, level, x.law.sigma0_nm_per_rad)
     before = abs(s.bristle)

@@ -31,6 +31,21 @@ def still_unknown(unknown_nm: float, slip_rad: float, level_nm: float, sigma0: f
 
 
 @kernel
+def creep_unseen(c: Constants, s: Moment, noise: float, most_nm: float, sigma0: float) -> float:
+    """By how much (Nm) the friction may be off since a rotor rests, after one more step of that,
+    where no angle is measured.
+
+    Creep is told from rest by the mean of the speeds alone, of which ``noise`` is the variance
+    ((rad/s)²; a speed in steps seems to have none, so it is ``dead_zone_rad_s`` squared at least).
+    What it makes of the way adds up as noise does, to no more than the bristle's bend and T_fs
+    (``most_nm``, Nm).
+    """
+    more = sigma0 * sigma0 * max(noise, c.dead_zone * c.dead_zone) * c.way_per_noise
+    anything, before = sigma0 * abs(s.bristle) + most_nm, s.unseen_nm
+    return max(min(math.sqrt(before * before + more), anything), before)
+
+
+@kernel
 def lose_way(x: Physics, s: Moment, r: Rig, way_rad: float) -> None:
     """The rotor went ``way_rad`` out and back again, nobody knows how far each way."""
     sigma0, i = x.law.sigma0_nm_per_rad, told_last(s, 0.0, s.local * s.force)

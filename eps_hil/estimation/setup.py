@@ -68,6 +68,7 @@ class Constants(NamedTuple):
     known_force: bool
     memory_keep: float
     always: int
+    way_per_noise: float
 
 
 class Physics(NamedTuple):
@@ -108,12 +109,17 @@ class Inputs(NamedTuple):
 
 
 def constants(
-    model: Model, settings: EstimatorSettings, angle_seen: bool = False, speed_seen: bool = True
+    model: Model,
+    settings: EstimatorSettings,
+    angle_seen: bool = False,
+    speed_seen: bool = True,
+    speed_period_s: float = 0.0,
 ) -> Constants:
     """Observer gain, filters and thresholds for a model (reads nothing, remembers nothing).
 
-    ``speed_seen``: the speed is measured, not derived from the angle. ``always``: reason bits that
-    hold at every step.
+    ``speed_seen``: the speed is measured, not derived from the angle, every ``speed_period_s``, or
+    at each step if that is less. ``always``: reason bits that hold at every step;
+    ``way_per_noise``: variance (s²) that a step's way has for noise of variance 1.
     """
     measured, step_s = settings.position == "measured", settings.step_s
     obs = observer_design.design(model, settings, angle=measured, speed=True, dt=step_s)
@@ -170,6 +176,7 @@ def constants(
         known_force=settings.quantity == "friction",
         memory_keep=_memory_keep(model, step_s),
         always=_always(model, angle_seen),
+        way_per_noise=step_s * max(step_s, speed_period_s),
     )
 
 

@@ -48,9 +48,11 @@ class Moment:
     bristle_rms: float
     # The same before the limiter of eq. 4a, which follows the torque and not the motion.
     unlimited: float
-    # By how much the friction may be off (Nm), what that is at the rack (N), and for how many
-    # steps more the output holds something of it.
+    # By how much the friction may be off (Nm), and by how much more since the rotor may have crept
+    # and no angle shows it; what both are at the rack (N), and for how many steps more the output
+    # holds something of it.
     unknown_nm: float
+    unseen_nm: float
     unknown_n: float
     unknown_steps: int
     # Across held steps: the last measured angle, how many there were, and whether speed and angle

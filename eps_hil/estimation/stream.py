@@ -130,7 +130,9 @@ class StreamEstimator:
         model = with_model_effects(model)
         angle_seen = "motor_angle_rad" in periods_s
         speed_seen = "motor_speed_rad_s" in periods_s
-        self.constants = setup.constants(model, settings, angle_seen, speed_seen)
+        self.constants = setup.constants(
+            model, settings, angle_seen, speed_seen, periods_s.get("motor_speed_rad_s", 0.0)
+        )
         self.effects_without_angle = () if angle_seen else effects_of_places(model)
         """Ids of effects that need the angle, where none will come: nothing is valid then."""
         self.physics = setup.physics_of(model)

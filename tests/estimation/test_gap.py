@@ -17,6 +17,8 @@ from eps_hil.estimation.validity import Reason
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
+from .prescribed import SPEED_ONLY, Prescribed, at, friction_nm
+
 MS = 1_000_000
 NAMES = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "motor_angle_rad")
 UNKNOWN = int(Reason.FRICTION_UNKNOWN)
@@ -336,3 +338,67 @@ def test_an_angle_that_stood_while_the_load_changed_tells_no_way(
     holed = cut(series, lambda t: (t > 1000 * MS) & (t < 1500 * MS))
     trace = estimate(holed, reference_model, EstimatorSettings(kind=kind))
     assert np.all(within(trace, 2.4, 2.9) & UNKNOWN == 0) == known
+
+
+def resting(model: Model) -> Prescribed:
+    """A rotor that slides, rests from 1.5 s on, and slides again from 4 s to 5 s.
+
+    Meanwhile the load grows by 390 N, the motor torque is held, and the rotor creeps back by
+    0.04 rad, from 2 s to 3 s: less than any noise of its speed.
+    """
+    t, force, ratio = np.arange(6000) * 1e-3, np.full(6000, 300.0), 2513.0
+    speed = np.where(t < 1.5, 8.0 * np.sin(np.pi * t / 1.5) ** 2, 0.0)
+    speed[2000:3000] = -0.04
+    speed[4000:5000] = 8.0 * np.sin(np.pi * (t[4000:5000] - 4.0)) ** 2
+    for _ in range(6):
+        friction = friction_nm(model, speed, force)
+        held = force[1500] / ratio + friction[1500]
+        force = np.where((t > 1.5) & (t < 4.0), ratio * (held - friction), 300.0)
+        force[4000:4500] = np.linspace(force[3999], 300.0, 500)
+    return Prescribed(model, speed, force, friction)
+
+
+@pytest.mark.parametrize("kind", ["observer", "bristle_filter"])
+def test_a_rest_that_no_angle_shows_ends_as_friction_unknown(
+    reference_model: Model, kind: str
+) -> None:
+    """It stayed valid, 390 N off, for as long as the rotor rested."""
+    rig = resting(reference_model)
+    trace = rig.estimate(SPEED_ONLY, kind=kind)
+    rest, again = at(trace, 1.6, 4.0), at(trace, 4.6, 4.9)
+    assert np.mean(trace.valid[rest]) < 0.1
+    assert not np.any(trace.valid[at(trace, 2.5, 4.0)])
+    assert set(trace.reason[rest].tolist()) <= {0, int(Reason.FRICTION_UNKNOWN)}
+    assert np.all(trace.valid[again])
+    assert np.max(np.abs(rig.error_n(trace)[trace.valid & at(trace, 1.0, 5.0)])) < 60.0
+    assert np.sqrt(np.mean(rig.error_n(trace)[again] ** 2)) < 10.0
+
+
+def test_a_rest_that_an_angle_shows_is_known(reference_model: Model) -> None:
+    rig = resting(reference_model)
+    trace = rig.estimate((*SPEED_ONLY, "motor_angle_rad"))
+    assert np.all(trace.valid[at(trace, 1.0, 4.9)])
+    assert np.max(np.abs(rig.error_n(trace)[at(trace, 1.6, 3.9)])) < 60.0
+
+
+@pytest.mark.parametrize(("noise", "seconds"), [(0.25, 0.15), (0.02, 0.6)])
+def test_how_long_a_rest_without_an_angle_is_known(
+    reference_model: Model, noise: float, seconds: float
+) -> None:
+    """25 N are as much as the mean of the speeds leaves after that time."""
+    estimator = RackForceEstimator(reference_model)
+    for _ in range(1000):
+        estimator.step(Inputs(0.3, 0.0, 20.0, speed_noise=noise**2))
+    rested = [
+        estimator.step(Inputs(0.3, 0.0, 0.0, speed_noise=noise**2)).reason for _ in range(1000)
+    ]
+    known = rested.index(Reason.FRICTION_UNKNOWN)
+    assert 0.5 * seconds < known * 1e-3 < seconds
+
+
+def test_turning_round_is_no_rest(reference_model: Model) -> None:
+    t = np.arange(4000) * 1e-3
+    speed, force = 10.0 * np.sin(2.0 * np.pi * t), np.full(4000, 300.0)
+    rig = Prescribed(reference_model, speed, force, friction_nm(reference_model, speed, force))
+    trace = rig.estimate(SPEED_ONLY)
+    assert np.all(trace.valid[at(trace, 1.0, 3.9)])
