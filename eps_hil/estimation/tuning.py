@@ -2,8 +2,9 @@
 
 With the friction compensated and the rotor moving, the estimator is linear: observer (eq. 5 to 11)
 and the two poles of the low-pass. Its noise is then the solution of a Lyapunov equation for white
-noise on speed and torque, its delay and its bandwidth (−3 dB) follow from its frequency response.
-:func:`simulated_noise_n` runs the estimator itself over such noise, for comparison.
+noise on speed and torque, drawn straight between samples that are slower than its steps; its delay
+and its bandwidth (−3 dB) follow from its frequency response. :func:`simulated_noise_n` runs the
+estimator itself over such noise, for comparison.
 """
 
 import math
@@ -18,7 +19,7 @@ from eps_hil.estimation.observer_design import design, force_response
 from eps_hil.estimation.phases import phases
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.physics.model import Model
-from eps_hil.series import Series
+from eps_hil.series import Series, usual_step_ns
 
 Floats = npt.NDArray[np.float64]
 
@@ -31,11 +32,16 @@ _EDGE_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """White noise of one sample (rms): rotor speed (rad/s), and T_1m at the rotor (Nm)."""
+    """White noise of one sample (rms): rotor speed (rad/s), and T_1m at the rotor (Nm).
+
+    ``speed_period_s``, ``torque_period_s``: how often they are sampled; 0: at every step.
+    """
 
     speed_rad_s: float
     torque_nm: float
     origin: str
+    speed_period_s: float = 0.0
+    torque_period_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +71,9 @@ def point(model: Model, settings: EstimatorSettings, noise: Noise) -> Point:
     weight = 1.0 - pole if settings.low_pass else 1.0
     # The torque of a step is the mean of its ends: white noise enters it twice, half each time.
     torque = (keep @ found.input)[part]
-    speed_n = noise.speed_rad_s * _rms(closed, into, None, weight)
-    torque_n = noise.torque_nm * _rms(closed, 0.5 * torque, 0.5 * torque, weight)
+    every = _steps(noise.speed_period_s, settings), _steps(noise.torque_period_s, settings)
+    speed_n = noise.speed_rad_s * _rms(closed, into, None, weight, every[0])
+    torque_n = noise.torque_nm * _rms(closed, 0.5 * torque, 0.5 * torque, weight, every[1])
     ratio = model.rack_to_rotor_ratio_rad_per_m
     a = found.transition.copy()
     if not angle:
@@ -90,9 +97,16 @@ def point(model: Model, settings: EstimatorSettings, noise: Noise) -> Point:
     )
 
 
-def _rms(closed: Floats, now: Floats, before: Floats | None, weight: float) -> float:
+def _steps(period_s: float, settings: EstimatorSettings) -> int:
+    """Steps from one sample to the next."""
+    return max(round(period_s / settings.step_s), 1)
+
+
+def _rms(
+    closed: Floats, now: Floats, before: Floats | None, weight: float, every: int = 1
+) -> float:
     """Standard deviation of the filtered force for unit white noise through ``now`` (and
-    ``before``, the sample of a step ago)."""
+    ``before``, the sample of a step ago), of samples that come ``every`` so many steps."""
     from scipy.linalg import solve_discrete_lyapunov
 
     n = len(closed)
@@ -108,7 +122,16 @@ def _rms(closed: Floats, now: Floats, before: Floats | None, weight: float) -> f
     a[n + 2] = weight * a[n + 1]
     b[n + 2] = weight * b[n + 1]
     a[n + 2, n + 2] = kept
-    return float(np.sqrt(solve_discrete_lyapunov(a, np.outer(b, b))[-1, -1]))
+    later = solve_discrete_lyapunov(a, np.outer(b, b))[:, -1]
+    # What is drawn straight between samples is a triangle of each: its correlation with itself
+    # weighs that of the force, and there is one of them ``every`` so many steps.
+    triangle = 1.0 - np.abs(np.arange(1 - every, every)) / every
+    shares = np.correlate(triangle, triangle, "full")[len(triangle) - 1 :]
+    square = shares[0] * later[-1]
+    for share in shares[1:]:
+        later = a @ later
+        square += 2.0 * share * later[-1]
+    return float(np.sqrt(square / every))
 
 
 def curve(
@@ -157,11 +180,16 @@ def simulated_noise_n(
     force, speed = 500.0, 20.0
     level = f.offset_pos_nm + f.viscous_pos_nm_s_per_rad * speed + f.load_pos_nm_per_n * force
     t_ns = np.arange(n, dtype=np.int64) * round(settings.step_s * 1e9)
+
+    def sampled(value: float, rms: float, period_s: float) -> Series:
+        every = _steps(period_s, settings)
+        noisy = value + rms * rng.standard_normal(n)
+        return Series(t_ns[::every].copy(), noisy[::every].copy())
+
+    torque = force / ratio + level
     series = {
-        "motor_torque_nm": Series(
-            t_ns, force / ratio + level + noise.torque_nm * rng.standard_normal(n)
-        ),
-        "motor_speed_rad_s": Series(t_ns, speed + noise.speed_rad_s * rng.standard_normal(n)),
+        "motor_torque_nm": sampled(torque, noise.torque_nm, noise.torque_period_s),
+        "motor_speed_rad_s": sampled(speed, noise.speed_rad_s, noise.speed_period_s),
     }
     plain = replace(model, effects=())
     unjudged = replace(settings.plausibility, enabled=False)  # a torque without noise stands still
@@ -209,7 +237,19 @@ def dwell_noise(series: Mapping[str, Series], model: Model) -> Noise | None:
         rms["motor_torque_nm"], model.sensor_to_rotor * rms.get("torque_sensor_nm", 0.0)
     )
     seconds = sum(until - since for since, until in spans)
-    return Noise(rms["motor_speed_rad_s"], torque, f"{seconds:.1f} s of rest in the recording")
+    return Noise(
+        rms["motor_speed_rad_s"],
+        torque,
+        f"{seconds:.1f} s of rest in the recording",
+        usual_step_ns(speed.t_ns) * 1e-9,
+        usual_step_ns(series[_louder(rms, model)].t_ns) * 1e-9,
+    )
+
+
+def _louder(rms: Mapping[str, float], model: Model) -> str:
+    """The torque whose noise is more at the rotor: its sample period is taken for both."""
+    sensor = model.sensor_to_rotor * rms.get("torque_sensor_nm", 0.0)
+    return "torque_sensor_nm" if sensor > rms["motor_torque_nm"] else "motor_torque_nm"
 
 
 def _white(one: Series, origin_ns: int, spans: Sequence[tuple[float, float]]) -> float:
