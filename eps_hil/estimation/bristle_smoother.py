@@ -43,9 +43,13 @@ _START, _HELD, _STEP = 0, 1, 2
 
 
 class Forward(NamedTuple):
-    """What the backward pass needs of each step; ``kind`` says start, held or step."""
+    """What the backward pass needs of each step; ``kind`` says start, held or step.
+
+    ``crept``: 1 where the rotor may have crept at rest, and no angle shows it.
+    """
 
     kind: npt.NDArray[np.int8]
+    crept: npt.NDArray[np.int8]
     reason: Int64
     mean: Floats
     cov: Floats
@@ -58,6 +62,7 @@ class Forward(NamedTuple):
 
 def _room(steps: int) -> Forward:
     return Forward(
+        np.zeros(steps, np.int8),
         np.zeros(steps, np.int8),
         np.zeros(steps, np.int64),
         np.zeros((steps, SIZE)),
@@ -97,7 +102,7 @@ def _gather(
             out_t[rows], out_doubt[rows] = at, m.doubt[n]
             out_wrong[rows] = reason | m.reason[n] & _NOT_FROM_INPUTS | m.doubt[n] & _REFUSED
             out[rows, 0], out[rows, 1], out[rows, 2] = inputs[0], inputs[1], inputs[2]
-            out[rows, 3] = inputs[3]
+            out[rows, 3], out[rows, 4] = inputs[3], inputs.speed_noise
             rows += 1
     return rows
 
@@ -113,16 +118,20 @@ def _forward(
     since: int,
     until: int,
 ) -> None:
-    b = x.belief
+    b, s = x.belief, e.moment[0]
     for k in range(since, until):
         if wrong[k] & _TIME:
             begin_anew(e)
-        u = Inputs(inputs[k, 0], inputs[k, 1], inputs[k, 2], inputs[k, 3], 0.0)
+        u = Inputs(
+            inputs[k, 0], inputs[k, 1], inputs[k, 2], inputs[k, 3], 0.0,
+            -1.0, inputs[k, 4], -1.0, 1.0, 1.0,
+        )  # fmt: skip
         why = filter_step(c, x, e, u, wrong[k])
         to.kind[k] = _HELD
         if wrong[k] == 0 and why & _DIVERGED == 0:
             to.kind[k] = _START if b.place[1] == 1 else _STEP
         to.reason[k] = why & ~_SETTLING
+        to.crept[k] = 1 if s.unseen_nm * s.local * c.ratio > c.unknown_limit_n else 0
         to.mean[k], to.cov[k], to.jacobian[k] = b.mean, b.cov, b.jacobian
         to.gain[k], to.innovation[k], to.spread[k], to.extra[k] = (
             b.gain,
@@ -193,12 +202,12 @@ def smooth(
     b = x.belief
     kind, t_ns, _ = events
     rows = int((t_ns[-1] - t_ns[0]) // settings.step_ns) + 2 * int(np.count_nonzero(kind < 0)) + 2
-    t, inputs, wrong = np.empty(rows, np.int64), np.empty((rows, 4)), np.empty(rows, np.int64)
+    t, inputs, wrong = np.empty(rows, np.int64), np.empty((rows, 5)), np.empty(rows, np.int64)
     doubt = np.empty(rows, np.int64)
     n = int(_gather(beside.memory, beside.timing, c, beside.physics, *events,
                     t, inputs, wrong, doubt))  # fmt: skip
     t, inputs, wrong, doubt = t[:n], inputs[:n], _foreseen(wrong[:n], c.keep_steps), doubt[:n]
-    began = np.zeros(n, np.bool_)
+    began, crept = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
     out, reason, nis = np.empty((n, 2)), np.empty(n, np.int64), np.full((n, 2), np.nan)
     room = _room(min(n, BLOCK_STEPS + AHEAD_STEPS))
     for since in range(0, n, BLOCK_STEPS):
@@ -214,9 +223,10 @@ def smooth(
         out[since : since + own] = both[:own]
         reason[since : since + own] = room.reason[:own]
         began[since : since + own] = room.kind[:own] == _START
+        crept[since : since + own] = room.crept[:own] != 0
         stepped = room.kind[:own] != _HELD
         nis[since : since + own][stepped] = (room.innovation**2 / room.spread)[:own][stepped]
-    reason = _hindsight(reason, began) | doubt
+    reason = _hindsight(reason, began) | doubt | np.where(crept, _UNKNOWN, 0)
     if like.timing.limits.on:
         reason |= np.where(np.abs(out[:, 0]) > like.timing.limits.estimate_n, _IMPLAUSIBLE, 0)
     return Smoothed(t, out[:, 0], out[:, 1], reason, nis)

@@ -123,12 +123,12 @@ def test_what_it_calls_valid_is_as_if_it_had_run_all_along(
 
 @pytest.mark.parametrize(
     ("names", "lost_ms", "again"),
-    [(NAMES, 20, True), (NAMES, 800, True), (NAMES[:3], 20, True), (NAMES[:3], 800, False)],
+    [(NAMES, 20, True), (NAMES, 800, True), (NAMES[:3], 20, False), (NAMES[:3], 800, False)],
 )
 def test_a_dropout_at_rest(
     reference_model: Model, names: tuple[str, ...], lost_ms: int, again: bool
 ) -> None:
-    """With an angle the bristle is kept; without, only where there was no time to come back."""
+    """With an angle the bristle is kept; without, no rest is known for long."""
     series = {n: s for n, s in back_and_rest().items() if n in names}
     holed = cut(series, lambda t: (t > 1000 * MS) & (t < (1000 + lost_ms) * MS))
     # the bus goes on without the torque frame alone
