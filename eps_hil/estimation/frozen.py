@@ -22,12 +22,17 @@ _DOUBTED, _UNLIKELY = 16, 100
 for; so many are no accident, whatever it is. A coarse, slow torque has runs of less."""
 _NONE_OF = 3.0
 """What none of n was may be as often as 3 of n (95 %)."""
+_NEAR_ZERO, _ONE_STEP = 2.5, 1.5
+"""Steps of a coarse torque within which it may be zero; within which a change is one of them."""
+_QUIET = 0.5
+"""Share of equal neighbours from which on steps hide a torque's noise."""
 
 
 @kernel
 def take_equal(w: Watch, p: Limits, i: int, before: float, v: float) -> None:
     """Count a sample of signal ``i`` that is equal to the one before, or is not, and judge it."""
     if v != before:
+        _learn_step(w, i, abs(v - before))
         _learn_rest(w, i, v - before)
         w.same[i] = 0
     elif w.moving:
@@ -37,7 +42,31 @@ def take_equal(w: Watch, p: Limits, i: int, before: float, v: float) -> None:
     if w.moving and w.same[i] < p.frozen_samples:
         w.learnt[i] = min(w.learnt[i] + 1, _REPEATS_MEMORY)
         w.repeats[i] += _share(w.learnt[i]) * ((1.0 if v == before else 0.0) - w.repeats[i])
-    _judge_frozen(w, p, i, v != 0.0)
+    _judge_frozen(w, p, i, not _is_off(w, i))
+
+
+@kernel
+def _learn_step(w: Watch, i: int, change: float) -> None:
+    """The step of signal ``i``, and whether its noise is less: it then stands still by itself, and
+    a run that would be long for others ends by a change of one step."""
+    if w.step[i] == 0.0 or change < w.step[i]:
+        w.step[i] = change
+    if w.same[i] >= _UNLIKELY and change <= _ONE_STEP * w.step[i]:
+        w.coarse[i] = 1
+
+
+@kernel
+def _is_off(w: Watch, i: int) -> bool:
+    """Whether signal ``i`` reads what one without a load does, for as long as it likes.
+
+    Exactly 0 is a motor that is off, or no sensor. A coarse torque whose steps hide its noise may
+    have its zero some steps off.
+    """
+    if w.last[i] == 0.0:
+        return True
+    noisy = w.learnt[i] >= _LEARNT and w.repeats[i] < _QUIET
+    near = abs(w.last[i]) <= _NEAR_ZERO * w.step[i]
+    return i <= _SENSOR and w.coarse[i] != 0 and near and not noisy
 
 
 @kernel
@@ -75,10 +104,9 @@ def torques_untold(w: Watch) -> bool:
 @kernel
 def _untold(w: Watch, i: int) -> bool:
     """Whether torque ``i`` stands still as the rotor moves, and nothing tells if it may: who began
-    to look while it stood still has not learnt how often its neighbours are equal. Exactly 0 is a
-    motor that is off, or no sensor."""
+    to look while it stood still has not learnt how often its neighbours are equal."""
     new = i <= _SENSOR and w.learnt[i] < _LEARNT
-    return new and w.last[i] != 0.0 and w.same[i] >= _DOUBTED
+    return new and w.same[i] >= _DOUBTED and not _is_off(w, i)
 
 
 @kernel
@@ -101,7 +129,7 @@ def _equal_at_rest(w: Watch, i: int) -> float:
 @kernel
 def _equal_by_accident(w: Watch, i: int) -> float:
     """How often neighbours of torque ``i`` are equal as the rotor moves or rests; 1: unknown."""
-    if w.last[i] == 0.0:
+    if _is_off(w, i):
         return 1.0
     if w.moving:
         return max(w.repeats[i], 1e-3) if w.learnt[i] >= _LEARNT else 1.0

@@ -44,6 +44,10 @@ class Watch:
     turns: Annotated[Floats, COUNT]
     equals: Annotated[Floats, COUNT]
     rested: Annotated[Ints, COUNT]
+    # Its smallest change, and whether (0 or 1) it was seen to stand still with less noise than
+    # that.
+    step: Annotated[Floats, COUNT]
+    coarse: Annotated[Ints, COUNT]
     # How often both torques are equal to those before at once, and of how many that was learnt.
     both: float
     paired: int
@@ -258,6 +262,7 @@ def watch_anew(watch: Records) -> None:
     w = watch[0]
     spread, residual, repeats, learnt = w.spread, w.residual, _each(w.repeats), _each(w.learnt)
     turns, equals, rested = _each(w.turns), _each(w.equals), _each(w.rested)
+    step, coarse = _each(w.step), _each(w.coarse)
     both, paired = w.both, w.paired
     sums = w.turned_square, w.turned_change, w.change_square, w.turned_slow, w.change_slow
     known = w.gain_off, w.lag_s, w.gain_variance, w.lag_variance, w.gain_and_lag, w.relation_left
@@ -271,3 +276,4 @@ def watch_anew(watch: Records) -> None:
     for i in range(COUNT):
         w.repeats[i], w.learnt[i] = repeats[i], learnt[i]
         w.turns[i], w.equals[i], w.rested[i] = turns[i], equals[i], rested[i]
+        w.step[i], w.coarse[i] = step[i], coarse[i]

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.estimation.frozen import torques_untold
 from eps_hil.estimation.plausibility import judge_sample, limits_of
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.watch import new_watch
@@ -89,3 +90,42 @@ def test_a_short_rest_says_little_of_how_often_noise_repeats_itself(
         said.append(bool(watch[0].frozen[0]))
     assert not any(said[: len(rest) + 580])
     assert any(said[len(rest) + 580 : len(rest) + 596])
+
+
+def frozen_ms(model: Model, sensor: Any) -> int:
+    """For how many samples the torsion bar of a turning rotor is told as frozen, or as untold."""
+    watch, limits, found = new_watch(), limits_of(model, EstimatorSettings(), True), 0
+    watch[0].moving = 1
+    for k, value in enumerate(sensor):
+        judge_sample(watch, limits, 1, (k + 1) * 10**6, value)
+        found += bool(watch[0].frozen[1]) or bool(torques_untold(watch[0]))
+    return found
+
+
+def coarse(zero_nm: float, noise_nm: float, rows: int = 10_000) -> Any:
+    """A torsion bar of steps of 0.02 Nm, hands off."""
+    rng = np.random.default_rng(3)
+    return 0.02 * np.round((zero_nm + noise_nm * rng.standard_normal(rows)) / 0.02)
+
+
+def test_a_quiet_torque_whose_zero_is_a_step_off_is_believed(reference_model: Model) -> None:
+    """Hands off, zero one step off: it was frozen for as long as the rotor moved. The first time
+    that it changes by a step shows it to be alive, and quiet."""
+    sensor = np.r_[np.full(300, 0.02), coarse(0.021, 3e-3)]
+    first = 300 + int(np.argmax(sensor[300:] != 0.02))
+    assert frozen_ms(reference_model, sensor) <= first
+
+
+@pytest.mark.parametrize(
+    ("sensor", "told"),
+    [
+        (np.r_[coarse(0.021, 0.0, 5000)], 4000),  # nothing shows that it is alive
+        (np.r_[coarse(0.021, 3e-3, 5000), np.full(5000, 0.3)], 4000),  # stuck where a hand pulls
+        (np.r_[coarse(0.021, 0.05, 5000), np.full(5000, 0.02)], 4000),  # noise that ended
+        (np.r_[0.02 + 1e-3 * coarse(0.0, 0.1, 5000), np.full(5000, 0.021)], 4000),  # finer steps
+    ],
+)
+def test_a_torque_that_is_stuck_is_told_still(
+    reference_model: Model, sensor: Any, told: int
+) -> None:
+    assert frozen_ms(reference_model, sensor) > told
