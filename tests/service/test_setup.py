@@ -43,6 +43,18 @@ def test_says_what_it_listens_to_and_sends(parts: Parts) -> None:
     assert f"{parts.estimator.latency_s * 1e3:.1f} ms" in said
 
 
+def test_says_which_effects_lack_the_angle(tmp_path: Path, config_text: str) -> None:
+    angle = "  motor_angle_rad: {message: EPS_MotorState, signal: MotorAngle}\n"
+    text = mapped(tmp_path, config_text, angle, "")
+    model = (ROOT / "configs" / "reference_rig.yaml").read_text()
+    spring = "effects: [{effect: unmodelled_spring, stiffness_nm_per_rad: 0.002}]"
+    (tmp_path / "m.yaml").write_text(model.replace("effects: []", spring))
+    path = tmp_path / "c.yaml"
+    path.write_text(text.replace(f"{ROOT}/configs/reference_rig.yaml", "m.yaml"))
+    said = "\n".join(describe(prepare(load_config(path), path)))
+    assert "invalid    at all times: unmodelled_spring needs motor_angle_rad" in said
+
+
 def test_reads_only_what_the_estimator_needs(parts: Parts) -> None:
     assert "rack_force_estimate_n" in MAPPING.signals  # for recorders, of the same file
     assert parts.decoder.receive_ids == (0x100, 0x101, 0x110)
