@@ -19,7 +19,7 @@ from eps_hil.estimation import stream_steps as steps
 from eps_hil.estimation.bristle_filter import PhysicsInside, filter_step, friction_nm, in_mid_travel
 from eps_hil.estimation.bristle_setup import FORCE, OMEGA, PHI, SIZE
 from eps_hil.estimation.settings import EstimatorSettings
-from eps_hil.estimation.setup import Constants, Inputs
+from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import Carried, begin_anew, new_carried
 from eps_hil.estimation.stream import StreamEstimator
 from eps_hil.estimation.stream_timing import Timing
@@ -80,7 +80,7 @@ def _gather(
     m: steps.Memory,
     timing: Timing,
     c: Constants,
-    x: PhysicsInside,
+    x: Physics,
     signal: npt.NDArray[np.int8],
     t_ns: Int64,
     value: Floats,
