@@ -109,7 +109,7 @@ def test_several_recordings_and_formats(tmp_path: Path, weave: Path, weave_truth
 def test_the_torque_sensor_may_be_absent(
     tmp_path: Path, weave_truth: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    names = ("time_s", "motor_torque_nm", "motor_speed_rad_s")
+    names = ("time_s", "motor_torque_nm", "motor_speed_rad_s", "motor_angle_rad")
     recording = write_csv(tmp_path / "bare.csv", weave_truth, names)
     out = tmp_path / "e.csv"
     assert main(["estimate", str(recording), "--model", MODEL, "--out", str(out)]) == 0
