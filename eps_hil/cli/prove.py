@@ -215,7 +215,8 @@ _ROWS = (
 
 def _say(content: Mapping[str, Any]) -> None:
     typer.echo(
-        f"On DATA_EMPS_PULSES, of which nothing was fitted, below {content['band_hz']:g} Hz:"
+        f"On DATA_EMPS_PULSES, of which only the ripple's phase is known, below "
+        f"{content['band_hz']:g} Hz:"
     )
     typer.echo(f"  {'':34}{'published':>11}{'identified':>12}{'augmented':>11}")
     for name, words in _ROWS:
