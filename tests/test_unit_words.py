@@ -21,7 +21,12 @@ def test_an_investigation_says_a_gain_without_a_unit() -> None:
         },
     }  # fmt: skip
     empty = ("open_effects", "not_told_apart", "not_shown_here", "limits")
-    last = {"findings": [found], "discrepancy": 1.0, **dict.fromkeys(empty, ())}
+    last = {
+        "findings": [found],
+        "verdict": "explained",
+        "discrepancy": 1.0,
+        **dict.fromkeys(empty, ()),
+    }
     html = page.fill(
         "investigation.html.jinja", "eps_hil.investigate", last=last, rows=[], page_css="",
         end="", why="", minutes=1.0, verdict="explained", model_file="m.yaml",
