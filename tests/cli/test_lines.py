@@ -34,7 +34,7 @@ def test_a_full_pipe_holds_nothing_up_and_loses_nothing(monkeypatch: pytest.Monk
         while not b"".join(read).endswith(b"the end\n"):
             read.append(os.read(pipe, 65536))
 
-    reader = threading.Thread(target=reads)
+    reader = threading.Thread(target=reads, daemon=True)
     reader.start()
     lines.say("the end")
     lines.end()
@@ -69,14 +69,13 @@ def test_more_than_can_wait_loses_the_oldest(monkeypatch: pytest.MonkeyPatch) ->
     lines = Lines()
     for k in range(20_000):
         lines.say(f"{k:050d}")
-    threading.Timer(0.2, lambda: os.read(pipe, 1 << 20)).start()
     read: list[bytes] = []
 
     def reads() -> None:
         while not b"".join(read[-2:]).endswith(b"19999\n"):
             read.append(os.read(pipe, 65536))
 
-    reader = threading.Thread(target=reads)
+    reader = threading.Thread(target=reads, daemon=True)
     reader.start()
     lines.end()
     reader.join(10.0)
