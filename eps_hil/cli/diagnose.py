@@ -174,16 +174,16 @@ def diagnose(
         what = f"{count} effect{'' if count == 1 else 's'}"
         base = "the simulator's own numbers and " if simulation else ""
         typer.echo(f"model with {base}{what} written to {write_model}")
-    if write_manoeuvre:
-        _advise(result, write_manoeuvre)
-    if write_effect:
-        _write_effect(result, write_effect)
     if json:
         write_json(json, result.content)
+    if write_effect:
+        _write_effect(result, write_effect)
     if report:
         with progress("drawing the page"):
             diagnosis_page.write(result, report, str(model))
         typer.echo(f"page: {report}")
+    if write_manoeuvre:  # last: it simulates, and what was found is written by then
+        _advise(result, write_manoeuvre)
 
 
 def _check_effect(path: Path) -> None:

@@ -110,7 +110,7 @@ def figures(cases: Sequence[Scored], long_s: float | None = None) -> list[Figure
     rows.append(
         _least("three effects at once: right set and nothing else", triples, _right_set, 0.8)
     )
-    rows += [*_other_worlds(judged), _closeness(plain), _coverage(judged)]
+    rows += [*_other_worlds(judged), _closeness(plain), *_coverage(judged)]
     return [*rows, *_residuals(cases), *_gains(cases), _time(long_s)]
 
 
@@ -123,9 +123,10 @@ def _other_worlds(judged: Sequence[Judgement]) -> list[Figure]:
         for group in sorted({j.group for j in of}):
             hidden = [j for j in of if j.truths and j.group == group]
             words = f"{kind}, {group}: right name first"
+            rows.append(_share(words, hidden, lambda j: j.right_first, NO_GOAL))
             if kind == "loads":
                 words += ", or said to be like the load"
-            rows.append(_share(words, hidden, _named_or_said, NO_GOAL))
+                rows.append(_share(words, hidden, _named_or_said, NO_GOAL))
         hidden = [j for j in of if j.truths]
         rows.append(_share(f"{kind}: false name", hidden, _invented, NO_GOAL))
     words = "nothing hidden in them: false alarms"
@@ -207,10 +208,18 @@ def _allowed(e: Estimate) -> float:
     return _LESS_CLOSE if loose else _CLOSE
 
 
-def _coverage(judged: Sequence[Judgement]) -> Figure:
-    inside = [e.covered_90 for j in judged for e in j.estimates if e.covered_90 is not None]
+def _coverage(judged: Sequence[Judgement]) -> list[Figure]:
+    """Of 90 % intervals, and of the 95 % ones that a diagnosis gives, of which they are made."""
+    estimates = [e for j in judged for e in j.estimates]
+    inside = [e.covered_90 for e in estimates if e.covered_90 is not None]
     share = Share("90 % intervals that hold the truth (parameters)", sum(inside), len(inside))
-    return _of_share(share, "85–95 %", lambda value: 0.85 <= value <= 0.95)
+    given = [e.covered for e in estimates if e.covered is not None]
+    without = f"; {len(estimates) - len(given)} parameters have none"
+    whole = Share(f"95 % intervals as given{without}", sum(given), len(given))
+    return [
+        _of_share(share, "85–95 %", lambda value: 0.85 <= value <= 0.95),
+        _of_share(whole, NO_GOAL, None),
+    ]
 
 
 def _residuals(cases: Sequence[Scored]) -> list[Figure]:

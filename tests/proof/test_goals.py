@@ -1,5 +1,6 @@
 """The table: what is counted for which row, its interval, and whether it is met."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,33 @@ def test_intervals_must_be_neither_too_narrow_nor_too_wide(inside: int, met: boo
     estimates = tuple(Estimate("e", "p", 0.0, True, k < inside) for k in range(10))
     rows = figures([Scored(_judged("singles", estimates=estimates), {})])
     assert _row(rows, "90 %").met is met
+    assert _row(rows, "95 % intervals as given; 0 parameters have none").value == 1.0
+
+
+def test_silence_that_is_excused_is_no_name() -> None:
+    """Of loads, right names stand alone, too: a sentence may name half of the catalogue."""
+    excused = _judged("loads", group="spring", first="", named=(), told_hidden=("stribeck",))
+    rows = figures([Scored(_judged("loads", group="spring"), {}), Scored(excused, {})])
+    alone, either = (row for row in rows if row.what.startswith("loads, spring: right name first"))
+    assert (alone.value, either.value) == (0.5, 1.0)
+
+
+def test_what_has_no_figure_is_worth_nothing() -> None:
+    """A written model whose simulation ends in NaN left the denominator."""
+    none: dict[str, float | None] = {"rack_force_rmse_n": None, "residual_nm": None}
+    worth = _worth(30.0, 10.0, 10.0)
+    rows = figures([Scored(_judged("singles"), {**worth, "augmented": none})])
+    assert _row(rows, "share of the true model's rack-force gain, all").value == 0.0
+
+
+def test_a_long_case_that_failed_is_missed() -> None:
+    assert _row(figures([], math.inf), "20 min").verdict == "MISSED"
+    assert _row(figures([]), "20 min").verdict == "no cases"
+
+
+def test_an_unknown_beside_the_right_name_is_more_than_the_right_set() -> None:
+    rows = figures([Scored(_judged("singles", said_unknown=True), {})])
+    assert _row(rows, "right set and nothing else").value == 0.0
 
 
 def test_the_right_set_is_whole_and_nothing_more() -> None:
