@@ -61,8 +61,8 @@ def end_hold(c: Constants, x: Physics, s: Moment, r: Rig, time_s: float) -> None
 def memory_of_a_start(
     c: Constants, x: Physics, r: Rig, unknown: bool, most_nm: float, most_rad_s: float
 ) -> None:
-    """What a memory that nobody knows is worth at most, for ``begin_after_nonsense``; and for now,
-    if it is ``unknown`` from the start. Those are the largest torque and speed that can be."""
+    """The largest rack force (N) that an unknown memory makes; where it is ``unknown`` from the
+    start, as much is unknown now. ``most_nm``, ``most_rad_s``: largest torque and speed."""
     if not x.use.memory or c.memory_keep == 0.0:
         return
     r.memory_most_n = _most_n(c, x, most_nm, most_rad_s)

@@ -55,8 +55,8 @@ def variant(settings: EstimatorSettings, name: str) -> EstimatorSettings:
 
 
 def score(trace: Trace, series: Mapping[str, Series], model: Model) -> Score | None:
-    """Compare with ``rack_force_n`` of the recording; None where it has none, or the estimate has
-    none, as it was given that force.
+    """Compare with ``rack_force_n`` of the recording; None where it has none, or where the
+    force is an input of the estimator and not estimated.
 
     The load cell and the speed that tells movement are read at the estimate's own instants, their
     reporting delays taken out.

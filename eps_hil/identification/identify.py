@@ -127,7 +127,7 @@ def _significant(name: str, reading: Offset) -> bool:
 def _without_effects_of(model: Model, offsets: Mapping[str, Offset | None]) -> Model:
     """Without the offsets of the file for which the recordings have a reading.
 
-    The reading is of the signal as it was recorded, so it has all of the offset in it.
+    A reading is the whole offset of the recorded signal, the file's part included.
     """
     gone = []
     for name, (effect, sign) in OFFSET_EFFECTS.items():

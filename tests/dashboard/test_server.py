@@ -113,7 +113,7 @@ def test_nonsense_from_a_page_ends_nothing(running: Start, blocks: Blocks) -> No
 def test_a_page_that_cannot_be_told_is_let_go(
     running: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It kept its connection and heard nothing, and showed the last verdict as it was."""
+    """Its connection stayed open without messages, so the page showed the last verdict."""
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect
 
