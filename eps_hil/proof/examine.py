@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
@@ -30,9 +30,10 @@ PROBLEM = ".problem.txt"
 """What went wrong with a case stands in ``<id>.problem.txt`` instead of ``<id>.json``."""
 _TIMEOUT_S = 900.0
 """Of processor time."""
-_ASKED_FOR = ("--json", "diagnosis.json", "--write-model", "augmented.yaml")
-_PAGE = ("--report", "report.html")
-"""Asked for in a second go, where somebody will look at it."""
+_ASKED_FOR = (
+    *("--json", "diagnosis.json", "--write-model", "augmented.yaml"),
+    *("--report", "report.html"),
+)
 _HANDED_IN = {"diagnosis.json": ".json", "augmented.yaml": ".yaml", "report.html": ".html"}
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
 """Environment that keeps linear algebra on one core."""
@@ -73,8 +74,8 @@ class Diagnoser:
         self._process.communicate()
 
     def diagnose(self, case: Path, results: Path) -> Examined:
-        """Diagnose one case folder; results/<id>.json, .yaml (the augmented model)."""
-        return self.ask(_words(case, *_ASKED_FOR), case, results)
+        """Diagnose one case folder; results/<id>.json, .yaml (the augmented model), .html."""
+        return self.ask(_words(case), case, results)
 
     def ask(self, words: Sequence[str], case: Path, results: Path) -> Examined:
         """Have a verb answer in a copy of the case folder; what it hands in goes to results."""
@@ -108,9 +109,9 @@ class Diagnoser:
         return ""
 
 
-def _words(case: Path, *asked_for: str) -> Sequence[str]:
+def _words(case: Path) -> Sequence[str]:
     given = arguments(sorted(path.name for path in case.iterdir()), case)
-    return ["diagnose", *asked_for, *given]
+    return ["diagnose", *_ASKED_FOR, *given]
 
 
 def arguments(names: Sequence[str], case: Path | None = None) -> list[str]:
@@ -155,42 +156,56 @@ def examine(
 
     ``words``: arguments of ``eps-hil`` for a case folder, where that is not ``diagnose``.
     """
-    results.mkdir(parents=True, exist_ok=True)
-    yield from _ask_of_each(open_cases(out, results), results, jobs, words)
-
-
-def draw(cases: Sequence[Path], results: Path, jobs: int = 1) -> None:
-    """Diagnose cases once more, now with their pages; results/<id>.html."""
-    for _ in _ask_of_each(cases, results, jobs, lambda case: _words(case, *_PAGE)):
-        pass
-
-
-def _ask_of_each(
-    cases: Sequence[Path],
-    results: Path,
-    jobs: int,
-    words: Callable[[Path], Sequence[str]] | None,
-) -> Iterator[Examined]:
-    pool = ThreadPoolExecutor(jobs)
-    diagnosers = [Diagnoser() for _ in range(min(jobs, len(cases)))]
-    idle: SimpleQueue[Diagnoser] = SimpleQueue()
-    for one in diagnosers:
-        idle.put(one)
-
-    def diagnose(case: Path) -> Examined:
-        one = idle.get()
-        try:
-            return one.ask(words(case), case, results) if words else one.diagnose(case, results)
-        finally:
-            idle.put(one)
-
-    try:
-        for done in as_completed([pool.submit(diagnose, case) for case in cases]):
+    with Diagnosers(jobs) as diagnosers:
+        for done in as_completed(diagnosers.ask(open_cases(out, results), results, words)):
             yield done.result()
-    finally:  # an interruption does not wait for what has not begun
-        for one in diagnosers:
+
+
+class Diagnosers:
+    """So many processes that diagnose at once, asked for cases in the order of the asking.
+
+    One batch may be asked for while the last cases of another are still in work.
+    """
+
+    def __init__(self, jobs: int) -> None:
+        self._pool = ThreadPoolExecutor(jobs)
+        self._all = [Diagnoser() for _ in range(jobs)]
+        self._idle: SimpleQueue[Diagnoser] = SimpleQueue()
+        for one in self._all:
+            self._idle.put(one)
+
+    def __enter__(self) -> "Diagnosers":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: object, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def ask(
+        self,
+        cases: Sequence[Path],
+        results: Path,
+        words: Callable[[Path], Sequence[str]] | None = None,
+    ) -> list[Future[Examined]]:
+        """One answer to come for each case folder; ``words`` as in :func:`examine`."""
+        results.mkdir(parents=True, exist_ok=True)
+        return [self._pool.submit(self._ask_one, case, results, words) for case in cases]
+
+    def close(self) -> None:
+        """End the processes; an interruption does not wait for what has not begun."""
+        for one in self._all:
             one.close()
-        pool.shutdown(cancel_futures=True)
+        self._pool.shutdown(cancel_futures=True)
+
+    def _ask_one(
+        self, case: Path, results: Path, words: Callable[[Path], Sequence[str]] | None
+    ) -> Examined:
+        one = self._idle.get()
+        try:
+            return one.ask(words(case) if words else _words(case), case, results)
+        finally:
+            self._idle.put(one)
 
 
 def main(given: Sequence[str] | None = None) -> int:

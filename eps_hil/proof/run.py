@@ -21,7 +21,13 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import (
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    as_completed,
+)
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -32,7 +38,7 @@ import numpy as np
 from eps_hil.errors import InputError
 from eps_hil.proof.cases import make
 from eps_hil.proof.code_version import code_version
-from eps_hil.proof.examine import MODEL, ONE_THREAD, PROBLEM, Examined, draw, examine
+from eps_hil.proof.examine import MODEL, ONE_THREAD, PROBLEM, Diagnosers, Examined, open_cases
 from eps_hil.proof.judge import Judgement, failed, judge
 from eps_hil.proof.long_case import seconds_to_diagnose
 from eps_hil.proof.plans import MIX, QUICK, Plan, mixed
@@ -43,6 +49,8 @@ from eps_hil.proof.write import write_can_case, write_case
 BATCH = 28
 LINES, SEALS, REPORTS = "cases.jsonl", "seals.txt", "reports"
 LONG, LEAST_FOR_LONG = "twenty_minutes.json", 100
+Asked = Sequence[Future[Examined]]
+"""Answers to come."""
 Worths = dict[str, dict[str, float | None]]
 Measure = Callable[[Path, Floats, Mapping[str, Path]], Worths]
 """(case folder, true rack force, model files by name) -> figures by model."""
@@ -112,14 +120,14 @@ def run(out: Path, setting: Setting, desk: Desk, *, resume: bool = False) -> lis
     _begin(out, setting, resume)
     plans = setting.plans()
     batches = [plans[k : k + BATCH] for k in range(0, len(plans), BATCH)]
-    with desk.workers(desk.jobs) as pool:
+    with desk.workers(desk.jobs) as pool, Diagnosers(desk.jobs) as diagnosers:
         every = [
             _Batch(out, number, len(batches), batch, desk, pool)
             for number, batch in enumerate(batches, 1)
         ]
-        for batch in _hidden_ahead(every):
+        for batch, asked in _asked_ahead(_hidden_ahead(every), diagnosers):
             if not batch.done:
-                batch.run()
+                batch.finish(asked)
             _gather(out, batch.number)
             desk.part(batch.number / len(batches))
     if len(plans) >= LEAST_FOR_LONG and not setting.kinds and not (out / LONG).exists():
@@ -128,11 +136,25 @@ def run(out: Path, setting: Setting, desk: Desk, *, resume: bool = False) -> lis
     return read_lines(out)
 
 
-def _hidden_ahead(batches: Sequence["_Batch"]) -> Iterator["_Batch"]:
-    """The batches in turn, each hidden and sealed while the one before is being diagnosed.
+def _asked_ahead(
+    batches: Iterator["_Batch"], diagnosers: Diagnosers
+) -> Iterator[tuple["_Batch", Asked]]:
+    """The batches in turn with what was asked, each while the next is asked for already.
 
-    A batch's last case may take a minute alone; no core has to wait for it.
+    A batch's last case may take minutes alone; no core has to wait for it.
     """
+    coming: tuple[_Batch, Asked] | None = None
+    for batch in batches:
+        asked = [] if batch.done else batch.ask(diagnosers)
+        if coming is not None:
+            yield coming
+        coming = batch, asked
+    if coming is not None:
+        yield coming
+
+
+def _hidden_ahead(batches: Sequence["_Batch"]) -> Iterator["_Batch"]:
+    """The batches in turn, each hidden and sealed while the one before is being diagnosed."""
     with ThreadPoolExecutor(1) as ahead:
         coming = ahead.submit(batches[0].hide) if batches else None
         try:
@@ -224,9 +246,18 @@ class _Batch:
         if not self.done and self._published() is None:
             self._hide()
 
-    def run(self) -> None:
-        """Diagnose a batch that is hidden, open the seal, judge."""
-        examined = self._examine()
+    def ask(self, diagnosers: Diagnosers) -> Asked:
+        """Have a batch that is hidden diagnosed: its cases that have no result yet."""
+        results = self.folder / "results"
+        return diagnosers.ask(open_cases(self.folder / "cases", results), results)
+
+    def finish(self, asked: Asked) -> None:
+        """Wait for the answers, open the seal, judge."""
+        examined = {}
+        for done in as_completed(asked):
+            one = done.result()
+            examined[one.id] = one
+            self._progress(0.95 * len(examined) / len(self.plans))
         self._open(self._published() or "", examined)
 
     def _say(self, words: str) -> None:
@@ -255,13 +286,6 @@ class _Batch:
             file.write(f"{self.number} {value}\n")
         self._say(f"{len(answers)} cases hidden, answers sealed: sha256 {value}")
 
-    def _examine(self) -> dict[str, Examined]:
-        done = {}
-        for one in examine(self.folder / "cases", self.folder / "results", self.desk.jobs):
-            done[one.id] = one
-            self._progress(0.95 * len(done) / len(self.plans))
-        return done
-
     def _open(self, published: str, examined: Mapping[str, Examined]) -> None:
         """The seal is opened: measure each case and note it down."""
         answers = open_answers(self.folder / "answers.json", published)
@@ -270,7 +294,6 @@ class _Batch:
             for id, answer in answers.items()
         }
         worths = {measuring[done]: done.result() for done in as_completed(measuring)}
-        self._draw(answers)
         lines, wrong = [], 0
         for id, answer in sorted(answers.items()):
             line = self._line(id, answer, worths[id], examined.get(id))
@@ -283,14 +306,6 @@ class _Batch:
             for name in ("cases", "results", "truth"):
                 shutil.rmtree(self.folder / name, ignore_errors=True)
         self._say(f"seal opened, {len(lines) - wrong} of {len(lines)} cases as they should be")
-
-    def _draw(self, answers: Mapping[str, Mapping[str, Any]]) -> None:
-        """Pages of the cases that are not as they should be, or of all that are kept."""
-        results = self.folder / "results"
-        told = [id for id in sorted(answers) if (results / f"{id}.json").exists()]
-        wanted = [id for id in told if self.desk.keep or self._wrong(id, answers[id])]
-        if wanted:
-            draw([self.folder / "cases" / id for id in wanted], results, self.desk.jobs)
 
     def _wrong(self, id: str, answer: Mapping[str, Any]) -> bool:
         results = self.folder / "results"
@@ -306,7 +321,7 @@ class _Batch:
         wrong = self._wrong(id, answer)
         page = results / f"{id}.html"
         report = ""
-        if page.exists():
+        if page.exists() and (wrong or self.desk.keep):
             report = f"{REPORTS}/{id}.html"
             shutil.move(page, self.out / report)
         return {
