@@ -4,11 +4,12 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import pytest
@@ -43,31 +44,48 @@ def _case(plan: Plan) -> Case:
     )
 
 
+class _Diagnosers:
+    """A stub that says of every case, as soon as it is asked, that nothing is missing."""
+
+    seen: ClassVar[list[str]] = []
+    """Ids in the order of their diagnosis."""
+
+    def __init__(self, _jobs: int) -> None:
+        pass
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def ask(self, cases: Sequence[Path], results: Path) -> list[Future[Examined]]:
+        results.mkdir(exist_ok=True)
+        return [self.answer(case, results) for case in cases]
+
+    def answer(self, case: Path, results: Path) -> Future[Examined]:
+        answer: Future[Examined] = Future()
+        self.seen.append(case.name)
+        said = {"verdict": "no_mismatch", "findings": []}
+        (results / f"{case.name}.json").write_text(json.dumps(said))
+        (results / f"{case.name}.html").write_text("page")
+        answer.set_result(Examined(case.name, "", 1.0))
+        return answer
+
+
 @pytest.fixture
 def examined(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Ids in the order of their diagnosis, which is a stub that says nothing is missing."""
-    seen: list[str] = []
-
-    def examine(cases: Path, results: Path, _jobs: int) -> Iterator[Examined]:
-        results.mkdir(exist_ok=True)
-        for case in sorted(cases.iterdir()):
-            if not (results / f"{case.name}.json").exists():
-                seen.append(case.name)
-                said = {"verdict": "no_mismatch", "findings": []}
-                (results / f"{case.name}.json").write_text(json.dumps(said))
-                yield Examined(case.name, "", 1.0)
-
-    def draw(cases: Sequence[Path], results: Path, _jobs: int) -> None:
-        for case in cases:
-            assert (case / "model.yaml").exists()
-            (results / f"{case.name}.html").write_text("page")
-
-    monkeypatch.setattr(module, "draw", draw)
+    """Ids in the order of their diagnosis by the stub."""
+    monkeypatch.setattr(_Diagnosers, "seen", [])
     monkeypatch.setattr(module, "make", _case)
     monkeypatch.setattr(module, "write_can_case", write_case)
-    monkeypatch.setattr(module, "examine", examine)
+    monkeypatch.setattr(module, "Diagnosers", _Diagnosers)
     monkeypatch.setattr(module, "BATCH", 2)
-    return seen
+    return _Diagnosers.seen
+
+
+def _number(cases: Sequence[Path]) -> int:
+    return int(cases[0].parents[1].name.removeprefix("batch_"))
 
 
 def _desk(said: list[str], **more: Any) -> Desk:
@@ -116,19 +134,18 @@ def test_the_hash_is_published_before_a_diagnosis_begins(
 ) -> None:
     said: list[str] = []
     out = tmp_path / "proof"
-    diagnose = vars(module)["examine"]
 
-    def watched(cases: Path, results: Path, jobs: int) -> Iterator[Examined]:
-        number = int(cases.parent.name.removeprefix("batch_"))
-        (value,) = (
-            line.split()[1]
-            for line in (out / "seals.txt").read_text().splitlines()
-            if line.startswith(f"{number} ")
-        )
-        assert any(value in line for line in said)
-        return diagnose(cases, results, jobs)
+    class Watched(_Diagnosers):
+        def ask(self, cases: Sequence[Path], results: Path) -> list[Future[Examined]]:
+            (value,) = (
+                line.split()[1]
+                for line in (out / "seals.txt").read_text().splitlines()
+                if line.startswith(f"{_number(cases)} ")
+            )
+            assert any(value in line for line in said)
+            return super().ask(cases, results)
 
-    monkeypatch.setattr(module, "examine", watched)
+    monkeypatch.setattr(module, "Diagnosers", Watched)
     assert len(run(out, SETTING, _desk(said))) == len(examined)
 
 
@@ -136,38 +153,60 @@ def test_the_next_batch_is_hidden_while_one_is_diagnosed(
     tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "proof"
-    diagnose = vars(module)["examine"]
 
-    def slow(cases: Path, results: Path, jobs: int) -> Iterator[Examined]:
-        number = int(cases.parent.name.removeprefix("batch_"))
-        end = time.monotonic() + 20.0
-        while number < 3 and f"\n{number + 1} " not in "\n" + (out / "seals.txt").read_text():
-            assert time.monotonic() < end, "the next batch was never sealed"
-            time.sleep(0.01)
-        return diagnose(cases, results, jobs)
+    class Slow(_Diagnosers):
+        def ask(self, cases: Sequence[Path], results: Path) -> list[Future[Examined]]:
+            number, end = _number(cases), time.monotonic() + 20.0
+            while number < 3 and f"\n{number + 1} " not in "\n" + (out / "seals.txt").read_text():
+                assert time.monotonic() < end, "the next batch was never sealed"
+                time.sleep(0.01)
+            return super().ask(cases, results)
 
-    monkeypatch.setattr(module, "examine", slow)
+    monkeypatch.setattr(module, "Diagnosers", Slow)
     assert len(run(out, SETTING, _desk([]))) == 5
     assert len(set(examined)) == 5
+
+
+def test_the_next_batch_is_diagnosed_beside_the_last_cases_of_one(
+    tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first batch's last case is answered only after the second batch was asked for."""
+    late: list[Callable[[], object]] = []
+
+    class Late(_Diagnosers):
+        def ask(self, cases: Sequence[Path], results: Path) -> list[Future[Examined]]:
+            if _number(cases) == 1:
+                *soon, last = cases
+                coming: Future[Examined] = Future()
+                late.append(lambda: coming.set_result(self.answer(last, results).result()))
+                return [*super().ask(soon, results), coming]
+            while late:
+                late.pop()()
+            return super().ask(cases, results)
+
+    monkeypatch.setattr(module, "Diagnosers", Late)
+    lines = run(tmp_path / "proof", SETTING, _desk([]))
+    assert [line["batch"] for line in lines] == [1, 1, 2, 2, 3]
+    assert len(examined) == len(set(examined)) == 5
+    assert all(line["seconds"] == 1.0 for line in lines)
 
 
 def test_a_written_model_that_cannot_be_read_is_a_failure_and_no_end(
     tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It gains nothing over the model file as it was."""
-    diagnose = vars(module)["examine"]
 
-    def writing(cases: Path, results: Path, jobs: int) -> Iterator[Examined]:
-        for one in diagnose(cases, results, jobs):
-            (results / f"{one.id}.yaml").write_text("model: {}\n")
-            yield one
+    class Writing(_Diagnosers):
+        def answer(self, case: Path, results: Path) -> Future[Examined]:
+            (results / f"{case.name}.yaml").write_text("model: {}\n")
+            return super().answer(case, results)
 
     def measure(case: Path, _force: Any, models: Mapping[str, Path]) -> dict[str, Any]:
         if "augmented" in models:
             raise InputError(models["augmented"], "model", "is empty", "write one")
         return {name: {"rack_force_rmse_n": 2.0, "residual_nm": 1.0} for name in models}
 
-    monkeypatch.setattr(module, "examine", writing)
+    monkeypatch.setattr(module, "Diagnosers", Writing)
     lines = run(tmp_path / "proof", SETTING, Desk(measure, workers=ThreadPoolExecutor))
     assert len(lines) == 5
     for line in lines:
@@ -180,25 +219,25 @@ def test_a_killed_run_goes_on_where_it_stopped(
     tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "proof"
-    diagnose = vars(module)["examine"]
 
-    def killed(cases: Path, results: Path, jobs: int) -> Iterator[Examined]:
-        for one in diagnose(cases, results, jobs):
-            yield one
-            if len(examined) == 3:
+    class Killed(_Diagnosers):
+        def answer(self, case: Path, results: Path) -> Future[Examined]:
+            if len(examined) == 5:
                 raise KeyboardInterrupt
+            return super().answer(case, results)
 
-    monkeypatch.setattr(module, "examine", killed)
+    more = replace(SETTING, cases=7)
+    monkeypatch.setattr(module, "Diagnosers", Killed)
     with pytest.raises(KeyboardInterrupt):
-        run(out, SETTING, _desk([]))
+        run(out, more, _desk([]))
     assert len(read_lines(out)) == 2  # the whole batch that was finished
     seals = (out / "seals.txt").read_text()
-    monkeypatch.setattr(module, "examine", diagnose)
+    monkeypatch.setattr(module, "Diagnosers", _Diagnosers)
     with pytest.raises(InputError, match="--resume"):
-        run(out, SETTING, _desk([]))
-    lines = run(out, SETTING, _desk([]), resume=True)
-    assert len(lines) == 5
-    assert len(examined) == len(set(examined)) == 5  # none was diagnosed twice
+        run(out, more, _desk([]))
+    lines = run(out, more, _desk([]), resume=True)
+    assert len(lines) == 7
+    assert len(examined) == len(set(examined)) == 7  # none was diagnosed twice
     assert (out / "seals.txt").read_text().startswith(seals)
 
 
@@ -241,14 +280,14 @@ def test_answers_that_were_changed_are_noticed(
     tmp_path: Path, examined: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "proof"
-    diagnose = vars(module)["examine"]
 
-    def forged(cases: Path, results: Path, jobs: int) -> Iterator[Examined]:
-        yield from diagnose(cases, results, jobs)
-        path = cases.parent / "answers.json"
-        path.write_text(path.read_text().replace('"full"', '"simple"'))
+    class Forged(_Diagnosers):
+        def answer(self, case: Path, results: Path) -> Future[Examined]:
+            path = results.parent / "answers.json"
+            path.write_text(path.read_text().replace('"full"', '"simple"'))
+            return super().answer(case, results)
 
-    monkeypatch.setattr(module, "examine", forged)
+    monkeypatch.setattr(module, "Diagnosers", Forged)
     with pytest.raises(InputError, match="seal is broken"):
         run(out, SETTING, _desk([]))
     assert not (out / LINES).exists()
