@@ -40,7 +40,7 @@ _AS_MUCH = (
 _OF_FIRST = "In the first state, against the second: "
 _ONE_WAY_ONLY = (
     "{}: found in one state beside what the other has, not the other way round: whether it has "
-    "changed is not decided"
+    "changed is not decided. Figures and models of both states are as each was diagnosed, with it"
 )
 _ONE_STATE_ONLY = (
     "something without a name is left in the {} state's recordings alone, and is not clear against "
