@@ -1,7 +1,7 @@
 """The torque guard: each limit at its edge, the latch, arming; every line and branch of it.
 
-``scripts/guard_proof`` asks for 100 % branch coverage of guard and limits from this file alone,
-and mutates both: each mutant has to fail here.
+``scripts/test`` asks for 100 % branch coverage of guard and limits from this file alone,
+``scripts/mutate_guard`` mutates both: each mutant has to fail here.
 """
 
 import math
