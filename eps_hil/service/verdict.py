@@ -7,8 +7,9 @@ This looks at what the estimator read last, signal by signal, beside the path of
 from collections.abc import Sequence
 from enum import IntEnum
 
-from eps_hil.estimation.alignment import read_at
+from eps_hil.estimation.alignment import read_between
 from eps_hil.estimation.stream import SIGNALS, StreamEstimator
+from eps_hil.estimation.stream_timing import SENSOR
 from eps_hil.estimation.validity import Reason
 
 NEEDED = (
@@ -35,7 +36,8 @@ class SignalVerdict(IntEnum):
     TOO_FAST = 4
     """It changed faster than it can."""
     GAP = 5
-    """Samples are missing around the instant that was read."""
+    """Samples are missing around the instant that was read; or they come, of a torque, more seldom
+    than the configuration says, for so long that the estimate is invalid by it."""
     FROZEN = 6
     INCONSISTENT = 7
     """Torques, speed and angle cannot all be right; which of them is wrong, nobody can tell."""
@@ -64,10 +66,12 @@ def signal_verdicts(
         if memory.filled[i] == 0:
             found.append(SignalVerdict.NEVER_SEEN)
             continue
-        _, why = read_at(
+        _, why, apart = read_between(
             memory.stamps, memory.values, memory.filled, i, at_ns + int(timing.delay[i]),
             int(timing.stale[i]) + slack_ns, _LOST,
         )  # fmt: skip
+        if i <= SENSOR and apart > timing.missing[i]:
+            why |= int(reason & Reason.GAP)
         found.append(_code(int(why), int(watch.refused[i]), bool(watch.frozen[i]), name, reason))
     return found
 

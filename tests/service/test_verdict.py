@@ -167,3 +167,21 @@ def test_two_messages_of_one_name_are_refused(config_file: Path, config_text: st
     config_file.write_text(config_text + "publish: {verdict_message: EPSHIL_Health}\n")
     with pytest.raises(InputError, match="are the same"):
         load_config(config_file)
+
+
+def test_a_torque_that_comes_too_seldom_is_named(traffic: Traffic) -> None:
+    """No sample is too old, and none is missing for long: only in the end are they too few."""
+    traffic.run(400)
+
+    def every_third(message: str, values: Mapping[str, float]) -> Mapping[str, float] | None:
+        return None if message == "EPS_Torques" and traffic.k % 3 else values
+
+    traffic.run(1500, every_third)
+    latest = traffic.parts.core.latest
+    assert latest is not None
+    assert latest.reason & Reason.GAP
+    codes = traffic.codes()
+    assert codes["motor_torque_nm"] is codes["torque_sensor_nm"] is SignalVerdict.GAP
+    assert codes["motor_speed_rad_s"] is SignalVerdict.FINE
+    traffic.run(1500)
+    assert set(traffic.codes().values()) == {SignalVerdict.FINE, SignalVerdict.NOT_USED}
