@@ -33,10 +33,12 @@ def unseen(w: Watch, p: Limits) -> int:
     so long it is waited for. After a start it is only not known which of both a jump is: who
     begins amid traffic waits by himself (service/core.py), a recording begins before its faults.
     So it is while the motion has to confirm what the torque did in a hole (:func:`course`), or the
-    angle what the speed did. A gap that does not end is none: the torques come more seldom than
-    was said of them.
+    angle what the speed did. A gap that does not end, or comes again as soon as it does, is none:
+    the torques come more seldom than was said of them. What they do between their samples may be
+    over at the next one, and no single hole of 10 or 18 ms is long enough to be waited for.
     """
-    if w.unseen > p.unsure_steps:
+    if w.scarce > p.scarce_steps:
+        w.unsure, w.started, w.missed_now = p.unsure_steps, 0, 0
         return _SETTLING | _GAP
     waits, w.awaited = w.awaited, max(w.awaited - 1, 0)
     if w.missed_now:
@@ -95,6 +97,7 @@ def course(w: Watch, p: Limits, torque: float, noise: float, seen: bool) -> floa
     """
     k, n = w.steps, p.window
     w.unseen = 0 if seen else w.unseen + 1
+    w.scarce = max(w.scarce - 1, 0) if seen else min(w.scarce + 1, p.scarce_steps + 1)
     if 0 < w.unseen <= p.bridged and k > 0:
         guess = guessed(w, p, noise)
         w.strayed = max(w.strayed, abs(torque - guess))

@@ -53,6 +53,8 @@ _SPREAD_MEMORY_MS = 512.0
 _TOLD_S, _EDGE_S, _WINDOW_S = 0.2, 0.002, 0.010
 _BRIDGED_S = 0.018
 """A hole at whose end a jump of the torque is still told from the load's own course."""
+_SCARCE_S = 0.3
+"""Holes that end, and come again: for so much longer than it is seen a torque may be unseen."""
 _STALLED_S = 1.5
 """How long torque is doubted that stood still, or whose jump back may have been missed."""
 _ANGLE_SIGMA = 10.0
@@ -90,6 +92,7 @@ def limits_of(model: Model, settings: EstimatorSettings, angle_seen: bool) -> Li
         told_steps=round(_TOLD_S / step_s),
         stalled_steps=round(_STALLED_S / step_s),
         unsure_steps=round(chosen.unseen_s / step_s),
+        scarce_steps=round(_SCARCE_S / step_s),
         bridged=round(_BRIDGED_S / step_s),
         edge=max(round(_EDGE_S / step_s), 1),
         hinge=hinge(window),

@@ -76,9 +76,11 @@ class Watch:
     edge_at: int
     edge_nm: float
     edge_slope: float
-    # Steps without inputs until now, or without a torque that was seen; its slope before them.
+    # Steps without inputs until now, or without a torque that was seen; of late, by how many more
+    # it was not seen than it was; its slope before them.
     hole: int
     unseen: int
+    scarce: int
     slope_nm: float
     # How wrong a torque may be that was guessed (Nm², 0: it was seen), and the one before the hole;
     # how many were guessed in a row; how far the torque bends by itself (Nm²; holes.py).
@@ -199,6 +201,7 @@ class Limits(NamedTuple):
     told_steps: int
     stalled_steps: int
     unsure_steps: int
+    scarce_steps: int
     bridged: int
     edge: int
     hinge: Floats

@@ -1,5 +1,6 @@
 """A quick selection of ``scripts/estimate_faults``, and its judge judged."""
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,7 +15,7 @@ from eps_hil.estimation.stream import StreamEstimator
 from eps_hil.oracle.faults import case, in_nodes
 from eps_hil.oracle.faults.drive import drive
 from eps_hil.oracle.faults.judge import errors
-from eps_hil.oracle.faults.scene import STATE, Scene
+from eps_hil.oracle.faults.scene import STATE, TORQUES, Kind, Scene
 from eps_hil.oracle.faults.stretch import MS, Stretch
 from eps_hil.oracle.faults.table import table
 from eps_hil.oracle.faults.traffic import T0_NS, VALID, Published, World
@@ -56,6 +57,25 @@ def world() -> World:
 def test_never_wrong_and_valid(world: World, name: str) -> None:
     outcome = case.single(world, name, SEED)
     assert outcome.wrong == [], "\n".join(outcome.story)
+
+
+@pytest.mark.parametrize("every", [2, 10, 15])
+def test_torques_that_come_too_seldom(world: World, every: int) -> None:
+    """No sample is too old, and each hole is short enough to be bridged, again and again."""
+
+    def torques_seldom(scene: Scene, since: int, until: int) -> tuple[str, int]:
+        count = itertools.count(1)
+        scene.change((TORQUES,), since, until, lambda item: None if next(count) % every else item)
+        return f"one of {every} torques", until
+
+    outcomes = [
+        case.run(world, [Kind(torques_seldom, 2000, 4000)], seed, np.random.default_rng(seed))
+        for seed in range(6)
+    ]
+    assert [outcome.wrong for outcome in outcomes] == [[]] * 6
+    for outcome in outcomes:
+        assert outcome.back_ms is not None
+        assert outcome.back_ms > 600.0, "it was valid all the while"
 
 
 _copy = World.copy
