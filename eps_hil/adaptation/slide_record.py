@@ -84,18 +84,21 @@ class SlideRecord:
         """
         whole = self._n > 0 and int(self._stamps[0]) < self._start_ns
         self.end()
-        if not whole:  # longer than can be kept
+        slide = self._slide() if whole else None  # else longer than can be kept
+        if slide is None:
             return None
-        slide = self._slide()
         yield
         return (yield from slide_level(slide, self._model, positive=positive, guess_nm=guess_nm))
 
-    def _slide(self) -> Slide:
+    def _slide(self) -> Slide | None:
+        """None where the ramp ended before any of its samples had come, late as they are."""
         time_s = (self._stamps[: self._n] - self._start_ns) * 1e-9
         columns = dict(zip(InjectionInputs._fields, self._table[: self._n].T, strict=True))
         delays = self._model.delays_s
         late = max(delays.of(name) for name in InjectionInputs._fields)
         at = np.arange(-_OFFSET_S, time_s[-1] - late, _STEP_S)
+        if not np.any(at >= 0.0):
+            return None
 
         def read(name: str) -> Floats:
             values = columns[name]

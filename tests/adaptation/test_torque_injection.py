@@ -257,3 +257,16 @@ def test_a_ramp_too_long_to_be_kept_gives_no_level(reference_model: Model) -> No
     with pytest.raises(StopIteration) as end:
         next(record.level(0.1, positive=True))
     assert end.value.value is None
+
+
+def test_a_hand_that_holds_from_the_first_step_on_ends_the_run(reference_model: Model) -> None:
+    """0.95 Nm keep the gate (1 Nm) closed, and end each ramp before one of its samples came."""
+    injection = TorqueInjection(InjectionSettings(), reference_model)
+    held = InjectionInputs(0.0, 0.0, 0.95, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for k in range(10_000):
+        command = injection.step(k * 1_000_000, held)
+        if command.phase.over:
+            break
+    assert command.phase is Phase.ABORTED
+    assert command.reason == "the rotor did not slide, 4 times"
+    assert command.torque_nm == 0.0
