@@ -8,6 +8,7 @@ is cut back to the last whole state and stays readable. ``bus/recorder.py`` reco
 
 import contextlib
 import io
+import itertools
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -18,6 +19,7 @@ from eps_hil.bus.frame import Frame
 from eps_hil.errors import InputError
 
 FORMATS = (".log", ".blf")
+_NAME = re.compile(r"[A-Za-z][\w.-]*", re.ASCII)
 
 
 class LogFile(Protocol):
@@ -71,10 +73,21 @@ def open_log(
         raise InputError(path, "", f"cannot be written: {error.strerror}") from None
 
 
-def channel_name(channel: str, place: int = 0) -> str:
-    """What a candump log calls a channel: it separates by spaces and knows network interfaces,
-    not addresses."""
-    return channel if re.fullmatch(r"[A-Za-z][\w.-]*", channel) else f"can{place}"
+def channel_names(channels: Sequence[str]) -> list[str]:
+    """What a candump log calls its channels, each by a name of its own.
+
+    It separates by spaces and knows network interfaces, not addresses: these (and a name that is
+    there already, of another interface) are ``can0``, ``can1``, … by their place, or the next free.
+    """
+    names = [
+        each if _NAME.fullmatch(each) and each not in channels[:place] else ""
+        for place, each in enumerate(channels)
+    ]
+    for place, name in enumerate(names):
+        if not name:
+            numbers = itertools.chain([place], itertools.count())
+            names[place] = next(one for k in numbers if (one := f"can{k}") not in names)
+    return names
 
 
 class _Kept:
@@ -115,7 +128,7 @@ class CandumpFile:
 
         self._kept = _Kept(file)
         self._lines = io.StringIO()
-        self._channels = [channel_name(each, place) for place, each in enumerate(channels)]
+        self._channels = channel_names(channels)
         self._writer = CanutilsLogWriter(self._lines, channel=self._channels[0])
 
     def write(self, frames: Sequence[Frame], channel: int = 0) -> None:
@@ -123,6 +136,7 @@ class CandumpFile:
         from eps_hil.bus.python_can import to_message
 
         for frame in frames:
+            self._writer.last_timestamp = None  # else it gives earlier frames the first one's stamp
             self._writer.on_message_received(to_message(frame, self._channels[channel]))
         self._kept.file.write(self._lines.getvalue().encode("ascii"))
         self._lines.seek(0)

@@ -11,10 +11,14 @@ Key = tuple[int, bool]
 
 @dataclass(frozen=True, slots=True)
 class CounterField:
-    """Where a message carries its counter (little-endian): what is missing shows by its gaps."""
+    """Where a message carries its counter (little-endian): what is missing shows by its gaps.
+
+    ``modulo``: after how many values it begins again; 0: after all that its bits have.
+    """
 
     start: int
     length: int
+    modulo: int = 0
 
     def read(self, data: bytes) -> int | None:
         """The counter; None where the frame is too short for it."""
@@ -85,7 +89,7 @@ class Counts:
             if place is None:
                 one.frames += 1
             else:
-                one.take(place.read(frame.data), 1 << place.length)
+                one.take(place.read(frame.data), place.modulo or 1 << place.length)
 
     def told(self, channel: int) -> dict[str, Any]:
         """As the sidecar says it."""
@@ -115,9 +119,12 @@ def counters_of(database: Any) -> dict[Key, CounterField]:
 
     found = {}
     for message in database.messages:
-        name = rules_of(message).counter
+        rules = rules_of(message)
+        name = rules.counter
         signal = next((one for one in message.signals if one.name == name), None)
         if signal is not None and signal.byte_order == "little_endian":
             key = (int(message.frame_id), bool(message.is_extended_frame))
-            found[key] = CounterField(int(signal.start), int(signal.length))
+            found[key] = CounterField(
+                int(signal.start), int(signal.length), rules.counter_values(signal)
+            )
     return found

@@ -1,7 +1,9 @@
-"""The files of a recording, one after the other: rotation, fsync, a full disk.
+"""The files of a recording, one after the other: rotation, fsync, a full disk, a clock set back.
 
 One part is open at a time. A disk that refuses ends the part at its last whole state; frames that
-come then are counted as lost, and the next part begins when there is room again.
+come then are counted as lost, and the next part begins when there is room again. A clock that was
+set back begins a new part, too: a log whose time goes back is refused by who reads it, and no
+format has a stamp before its first.
 """
 
 import contextlib
@@ -23,6 +25,9 @@ FLUSH_S = 0.5
 SYNC_S = 1.0
 ROOM_BYTES = 4 << 20
 """So much room there must be before a recording goes on after a full disk."""
+_BACK_NS = 500_000_000
+"""A channel's stamps that go back by more: its clock was set. Less, readers put in order."""
+_NEVER_NS = -(2**63)
 
 Describe = Callable[[Counts], Mapping[str, Any]]
 
@@ -94,7 +99,8 @@ class Parts:
         self._log: LogFile | None = None
         self._begun_s = self._flushed_s = self._synced_s = self._next_try_s = 0.0
         self._counts = Counts(len(channels), counters)
-        self._unsure: list[int] = [0] * len(channels)  # written since the last flush, by channel
+        self._unsure: list[list[Frame]] = [[] for _ in channels]  # written since the last flush
+        self._newest_ns = [_NEVER_NS] * len(channels)  # stamps in this part
         target.check()
         if target.overwrite:
             target.clear()
@@ -107,7 +113,29 @@ class Parts:
         return self._log is None
 
     def write(self, channel: int, frames: Sequence[Frame]) -> None:
-        """Append, or count as lost."""
+        """Append, or count as lost; a new part where the channel's clock was set back."""
+        since, newest_ns = 0, self._newest_ns
+        for k, frame in enumerate(frames):
+            back_ns = newest_ns[channel] - frame.t_ns
+            if back_ns > _BACK_NS:
+                self._append(channel, frames[since:k])
+                since = k
+                self._begin_anew(channel, back_ns)
+            newest_ns[channel] = max(newest_ns[channel], frame.t_ns)
+        self._append(channel, frames[since:])
+
+    def _begin_anew(self, channel: int, back_ns: int) -> None:
+        if self._log is None:
+            self._newest_ns[:] = [_NEVER_NS] * len(self._channels)
+            return
+        self._rotate("ended: the clock was set back")
+        if self._log is not None:
+            said = f"the clock went back by {back_ns * 1e-9:.6g} s"
+            self._say(f"record     {self._channels[channel]}: {said}; goes on in {self.paths[-1]}")
+
+    def _append(self, channel: int, frames: Sequence[Frame]) -> None:
+        if not frames:
+            return
         if self._due(time.monotonic()):
             self._rotate()
         if self._log is None:
@@ -116,12 +144,10 @@ class Parts:
         try:
             self._log.write(frames, channel)
         except OSError as error:
-            self._unsure[channel] += len(frames)
-            self._counts.take(channel, frames)
+            self._unsure[channel] += frames
             self._refused(error)
             return
-        self._unsure[channel] += len(frames)
-        self._counts.take(channel, frames)
+        self._unsure[channel] += frames
 
     def tick(self) -> None:
         """Called several times a second: flush, fsync and sidecar, a new try after a full disk."""
@@ -160,14 +186,16 @@ class Parts:
         by_size = target.rotate_bytes is not None and log.size_bytes >= target.rotate_bytes
         return by_size or (target.rotate_s is not None and now_s - self._begun_s >= target.rotate_s)
 
-    def _rotate(self) -> None:
+    def _rotate(self, state: str = "rotated") -> None:
+        self._newest_ns[:] = [_NEVER_NS] * len(self._channels)
         try:
-            self._end("rotated")
+            self._end(state)
             self._begin()
         except OSError as error:
             self._refused(error)
         except InputError as error:  # the next part cannot be made
             self._say(f"record     {error}; frames are counted as lost until it can")
+            self._counts = Counts(len(self._channels), self._counters)  # of what is lost now
             self._next_try_s = time.monotonic() + SYNC_S
 
     def _begin(self) -> None:
@@ -194,8 +222,10 @@ class Parts:
         self._tell(state)
 
     def _sure(self) -> None:
-        self.frames += sum(self._unsure)
-        self._unsure = [0] * len(self._channels)
+        for channel, frames in enumerate(self._unsure):
+            self.frames += len(frames)
+            self._counts.take(channel, frames)
+            frames.clear()
 
     def _lose(self, channel: int, count: int) -> None:
         self.lost += count
@@ -207,11 +237,10 @@ class Parts:
         if log is not None:
             with contextlib.suppress(OSError):
                 log.cut_back()
-        lost = sum(self._unsure)
-        for channel, count in enumerate(self._unsure):
-            self._counts.channels[channel].frames -= count
-            self._lose(channel, count)
-        self._unsure = [0] * len(self._channels)
+        lost = sum(map(len, self._unsure))
+        for channel, frames in enumerate(self._unsure):
+            self._lose(channel, len(frames))
+            frames.clear()
         self._say(
             f"record     {self.paths[-1]}: cannot write on: {error.strerror}; it holds "
             f"{self._counts.frames} frames and is readable, {lost} more are lost so far; "
@@ -243,7 +272,7 @@ class Parts:
             "started": self._started,
             "updated": now,
             "ended": now["utc"] if state else None,
-            "frames": self._counts.frames - sum(self._unsure),
+            "frames": self._counts.frames,
             **self._describe(self._counts),
         }
         write_sidecar(sidecar_path(self.paths[-1]), content)

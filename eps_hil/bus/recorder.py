@@ -319,8 +319,16 @@ class Recorder:
 
 
 def _in_order(batches: list[tuple[int, list[Frame]]]) -> list[tuple[int, list[Frame]]]:
-    """Frames of several channels in the order of their stamps, in runs of one channel."""
-    tagged = [(frame.t_ns, channel, frame) for channel, frames in batches for frame in frames]
+    """Frames of several channels in the order of their stamps, in runs of one channel.
+
+    Those of one channel stay in their order: its clock may have been set back.
+    """
+    newest: dict[int, int] = {}
+    tagged = []
+    for channel, frames in batches:
+        for frame in frames:
+            newest[channel] = max(newest.get(channel, frame.t_ns), frame.t_ns)
+            tagged.append((newest[channel], channel, frame))
     tagged.sort(key=lambda one: one[0])
     runs: list[tuple[int, list[Frame]]] = []
     for _, channel, frame in tagged:

@@ -233,3 +233,18 @@ def test_a_target_that_will_not_do_is_refused(name: str, said: str, tmp_path: Pa
     assert (tmp_path / "old.log").read_text() == "measured data\n"
     record.open_log(tmp_path / "old.log", "can0", overwrite=True).close()
     assert (tmp_path / "old.log").read_bytes() == b""
+
+
+def test_each_channel_of_a_candump_log_has_a_name_of_its_own() -> None:
+    """An address beside a real can0, one name on two interfaces, a letter that is not ASCII."""
+    channels = ["239.74.163.2", "can0", "can0", "vcan1", "büs"]
+    assert record.channel_names(channels) == ["can1", "can0", "can2", "vcan1", "can4"]
+
+
+def test_a_frame_before_the_first_of_a_log_keeps_its_stamp(tmp_path: Path) -> None:
+    log = record.open_log(tmp_path / "x.log", ["can0", "can1"])
+    log.write([Frame(EPOCH_NS + 5_000_000, 1, b"")], 0)
+    log.write([Frame(EPOCH_NS, 2, b"")], 1)
+    log.close()
+    lines = (tmp_path / "x.log").read_text().splitlines()
+    assert [line.split()[0] for line in lines] == ["(1757617431.005000)", "(1757617431.000000)"]

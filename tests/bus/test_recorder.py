@@ -1,5 +1,6 @@
 """A recording that is left alone: rotation, sidecar, several channels, a full disk, a lost bus."""
 
+import errno
 import itertools
 import json
 import os
@@ -25,7 +26,14 @@ from eps_hil.bus.port import BusState, Port, PortCounts, open_port
 from eps_hil.bus.record_counts import CounterField, Counts, counters_of
 from eps_hil.bus.record_parts import Parts, Target
 from eps_hil.bus.record_sidecar import SCHEMA, sidecar_path
-from eps_hil.bus.recorder import BUFFER_BYTES, Channel, Recorder, RecordError, _Waiting
+from eps_hil.bus.recorder import (
+    BUFFER_BYTES,
+    Channel,
+    Recorder,
+    RecordError,
+    _in_order,
+    _Waiting,
+)
 from eps_hil.bus.socket_port import SocketPort
 from eps_hil.cli.main import main
 from eps_hil.errors import BusError, InputError
@@ -136,7 +144,71 @@ def test_old_parts_are_refused_or_replaced(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.glob("*.log")) == ["x_0001.log"]
 
 
+@SUFFIXES
+def test_a_clock_that_is_set_back_begins_a_new_part(tmp_path: Path, suffix: str) -> None:
+    """In one log its stamps would be lost, or the log be refused by who reads it."""
+    said: list[str] = []
+    parts = parts_of(Target(tmp_path / f"x{suffix}"), said)
+    back = [replace(one, t_ns=one.t_ns - 3_600 * 10**9) for one in numbered(10, 10)]
+    parts.write(0, numbered(0, 10) + back[:5])
+    parts.write(0, back[5:])
+    parts.close()
+    first, second = parts.paths
+    assert second.name == f"x_0002{suffix}"
+    assert [numbers(path) for path in parts.paths] == [list(range(10)), list(range(10, 20))]
+    stamps = [frame.t_ns for frame in replay.read_log(second)]
+    assert all(abs(t - one.t_ns) < 1_000 for t, one in zip(stamps, back, strict=True))
+    assert told(first)["state"] == "ended: the clock was set back"
+    assert said == [f"record     can0: the clock went back by 3600 s; goes on in {second}"]
+
+
+def test_frames_of_a_clock_that_is_set_back_keep_their_order() -> None:
+    before, after, other = (Frame(t_ns, 1, b"") for t_ns in (100, 50, 90))
+    found = _in_order([(0, [before, after]), (1, [other])])
+    assert found == [(1, [other]), (0, [before, after])]
+
+
+def test_what_a_part_that_could_not_be_made_cost_is_told_by_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(record_parts, "FLUSH_S", 0.0)
+    monkeypatch.setattr(record_parts, "SYNC_S", 0.0)
+    parts = parts_of(Target(tmp_path / "x.log", rotate_bytes=10))
+    parts.write(0, numbered(0, 5))
+    parts.tick()
+    foreign = tmp_path / "x_0002.log"
+    foreign.write_text("somebody else's\n")
+    parts.write(0, numbered(5, 7))
+    foreign.unlink()
+    parts.tick()
+    parts.write(0, numbered(12, 5))
+    parts.close()
+    assert numbers(foreign) == list(range(12, 17))
+    assert told(foreign)["channels"][0]["lost_on_full_disk"] == parts.lost == 7
+
+
 # The sidecar.
+
+
+def test_the_sidecar_counts_no_frame_that_a_full_disk_took_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In no message id, either."""
+
+    def full() -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(record_parts, "SYNC_S", 0.0)
+    parts = parts_of(Target(tmp_path / "x.log"))
+    parts.write(0, numbered(0, 5))
+    parts.tick()
+    parts.write(0, numbered(5, 7))
+    monkeypatch.setattr(parts._log, "sync", full)
+    parts.tick()
+    (channel,) = told(tmp_path / "x.log")["channels"]
+    assert numbers(tmp_path / "x.log") == list(range(5))
+    assert (channel["frames"], channel["lost_on_full_disk"]) == (5, 7)
+    assert channel["ids"] == {"0x10": {"frames": 5}}
 
 
 def test_the_sidecar_says_what_is_in_the_log_and_what_is_missing(tmp_path: Path) -> None:
@@ -181,6 +253,19 @@ def test_counters_of_any_width_and_place() -> None:
         "0x1": {"frames": 1},
         "0x1x": {"frames": 5, "lost_by_counter": 2, "repeated": 1},
     }
+
+
+def test_a_counter_that_ends_before_its_last_value_has_lost_nothing(tmp_path: Path) -> None:
+    """Profile 1 counts 0 to 14: from 14 to 0 no frame is missing."""
+    dbc = tmp_path / "x.dbc"
+    dbc.write_text(
+        'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 M: 8 A\n SG_ Count : 0|4@1+ (1,0) [0|14] "" A\n'
+        'BA_DEF_ SG_ "GenSigFuncType" STRING ;\nBA_DEF_DEF_ "GenSigFuncType" "";\n'
+        'BA_ "GenSigFuncType" SG_ 256 Count "CNTR";\n'
+    )
+    counts = Counts(1, counters_of(load_database([dbc])))
+    counts.take(0, [Frame(k, 256, bytes([k % 15, *bytes(7)])) for k in range(150) if k != 40])
+    assert counts.told(0)["ids"]["0x100"] == {"frames": 149, "lost_by_counter": 1, "repeated": 0}
 
 
 @pytest.mark.slow
