@@ -19,7 +19,7 @@ import msgpack
 
 from eps_hil.bus.commands import OWN
 from eps_hil.bus.envelopes import Envelopes
-from eps_hil.bus.frame import Frame, frame_of
+from eps_hil.bus.frame import EXTENDED_ID_MAX, STANDARD_ID_MAX, Frame, frame_of
 from eps_hil.bus.port import BusState, Port, SendRule
 from eps_hil.bus.socket_port import (
     RECEIVE_BUFFER_BYTES,
@@ -115,14 +115,20 @@ class UdpMulticastPort(SocketPort):
         try:
             fields = msgpack.unpackb(data)
             remote = bool(fields["is_remote_frame"])
-            payload = b"" if remote else fields["data"]
+            can_id, payload = fields["arbitration_id"], b"" if remote else fields["data"] or b""
+            extended, fd = bool(fields["is_extended_id"]), bool(fields["is_fd"])
+            error = bool(fields["is_error_frame"])
+            most = EXTENDED_ID_MAX if extended or error else STANDARD_ID_MAX
+            fits = isinstance(can_id, int) and 0 <= can_id <= most
+            if not fits or not isinstance(payload, bytes) or len(payload) > (64 if fd else 8):
+                raise ValueError("no CAN bus carries that")
             return frame_of(
                 t_ns,
-                int(fields["arbitration_id"]),
-                bytes(payload) if payload else b"",
-                bool(fields["is_extended_id"]),
-                bool(fields["is_fd"]),
-                bool(fields["is_error_frame"]),
+                can_id,
+                payload,
+                extended,
+                fd,
+                error,
                 False,
                 remote,
                 bool(fields["bitrate_switch"]),

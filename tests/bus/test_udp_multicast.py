@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from typing import Any
 
 import msgpack
 import pytest
@@ -129,6 +130,35 @@ def test_datagrams_that_are_no_can_frames_are_left_aside(
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
         stranger.sendto(junk, (GROUP, udp_port))
+    other.send(Frame(0, 5, b"fine"))
+    assert [f.data for f in collect(ours, 1)] == [b"fine"]
+    ours.close()
+    other.close()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"arbitration_id": -1},
+        {"arbitration_id": 0x800},
+        {"arbitration_id": 1 << 29, "is_extended_id": True},
+        {"arbitration_id": float("inf")},
+        {"data": bytes(9)},
+        {"data": bytes(65), "is_fd": True},
+        {"data": 10**18},
+    ],
+    ids=str,
+)
+def test_what_no_can_bus_carries_is_left_aside(
+    udp_port: int, collect: Collect, wrong: dict[str, Any]
+) -> None:
+    """A recorder would write a log of it that nobody can read, or end."""
+    ours, other = opened(udp_port), opened(udp_port)
+    flags = ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch")
+    fields = {"arbitration_id": 5, "data": b"", **dict.fromkeys(flags, False), **wrong}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+        stranger.sendto(msgpack.packb(fields), (GROUP, udp_port))
     other.send(Frame(0, 5, b"fine"))
     assert [f.data for f in collect(ours, 1)] == [b"fine"]
     ours.close()
