@@ -2,6 +2,7 @@
 
 import math
 import re
+import sys
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,8 @@ _NO_VALUE = re.compile(
 )
 _HALF_QUANTUM = 0.5001
 _EXACT = 1 << 53
+_LARGEST = sys.float_info.max
+"""What a signal without a range stays within: an infinity is no value."""
 
 
 def no_value_raws(signal: Any) -> frozenset[int]:
@@ -49,8 +52,8 @@ class ReadSignal:
         self._none = no_value_raws(signal)
         self._linear, self._shift = signal.scale, signal.offset
         slack = 0.0 if signal.is_float else _HALF_QUANTUM * abs(float(signal.scale))
-        self._low = -math.inf if signal.minimum is None else float(signal.minimum) - slack
-        self._high = math.inf if signal.maximum is None else float(signal.maximum) + slack
+        self._low = -_LARGEST if signal.minimum is None else float(signal.minimum) - slack
+        self._high = _LARGEST if signal.maximum is None else float(signal.maximum) + slack
 
     @property
     def law(self) -> Law:

@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -247,6 +248,24 @@ def test_floats_and_long_frames(foreign: Any) -> None:
         assert sample.value == pytest.approx(seen, nan_ok=True)
     assert found.faults["out_of_range"] == 2
     assert found.faults["not_available"] == 1
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_an_infinity_is_no_value(tmp_path: Path, value: float) -> None:
+    """Of a float signal without a range: frame by frame and by columns."""
+    dbc = tmp_path / "x.dbc"
+    dbc.write_text(
+        'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 M: 8 A\n'
+        ' SG_ Speed : 0|32@1- (1,0) [0|0] "rad/s" A\nSIG_VALTYPE_ 256 Speed : 1;\n'
+    )
+    found = FrameDecoder(load_database([dbc]), only("motor_speed_rad_s", "M", "Speed"))
+    for sent in (value, 3.5):
+        (sample,) = found.decode(Frame(0, 256, struct.pack("<fxxxx", sent)))
+        assert sample.value == sent or (math.isnan(sample.value) and sent is value)
+    (signal,) = found._plans[256, False].signals
+    read, _ = signal.read_all(np.array([value, 3.5]))
+    assert np.isnan(read[0])
+    assert read[1] == 3.5
 
 
 @pytest.mark.parametrize(
