@@ -21,6 +21,7 @@ from eps_hil.errors import InputError
 _NAP_S = 0.1  # longest sleep in one piece: a stop request is seen within this time
 _PAUSE_NAP_S = 0.02
 _KEY_NS = 20_000_000
+_LOOK_EVERY = 256  # frames that are not played
 _BIN_NS = 1_000
 _BINS = 1_000_000  # up to one second in steps of 1 µs
 _REORDERED_NS = 1_000_000_000  # logs of several channels interleave; more is a clock set back
@@ -155,7 +156,7 @@ def replay(
     wanted = choice or Choice()
     sent = dropped = log_ns = 0
     pace = _Pace(speed, stop, live, controls or ReplayControls())
-    for offset_ns, frame in offsets(filter(wanted, frames)):
+    for offset_ns, frame in offsets(_played(frames, wanted, pace)):
         due_ns = pace.wait(offset_ns)
         if due_ns is None:
             break
@@ -182,6 +183,15 @@ def replay(
         late_max_ns=late.max_ns,
         stopped=pace.stopped,
     )
+
+
+def _played(frames: Iterable[Frame], wanted: Choice, pace: "_Pace") -> Iterator[Frame]:
+    """Those that are wanted; a stop is heard where for long none is, as in a loop without any."""
+    for number, frame in enumerate(frames):
+        if wanted(frame):
+            yield frame
+        elif number % _LOOK_EVERY == 0 and pace.over():
+            return
 
 
 class _Pace:
@@ -233,6 +243,11 @@ class _Pace:
                 return
             time.sleep(_PAUSE_NAP_S)
         self._started_ns = time.monotonic_ns() - place_ns
+
+    def over(self) -> bool:
+        """Whether the replay is to stop, between frames that are played."""
+        self.stopped = self.stopped or self._ended()
+        return self.stopped
 
     def _ended(self) -> bool:
         """Look at the bus and at the controls, and say whether to stop."""

@@ -98,6 +98,20 @@ def test_a_stop_request_ends_a_long_wait() -> None:
     assert report.wall_s < 2.0
 
 
+def test_a_stop_is_heard_where_nothing_of_the_log_is_played() -> None:
+    def log() -> list[Frame]:
+        passes.append(0)
+        assert len(passes) < 10_000, "the loop does not end"
+        return [Frame(0, 1, b"")]
+
+    passes: list[int] = []
+    report = replay.replay(
+        replay.again(log), Sink(), choice=Choice(ids={2}), stop=lambda: len(passes) > 1_000
+    )
+    assert report.stopped
+    assert report.sent == 0
+
+
 @given(st.lists(st.integers(0, 2_000_000), min_size=1))
 def test_the_quantiles_bound_what_they_should(late_ns: list[int]) -> None:
     histogram = replay.Lateness()
