@@ -1,5 +1,6 @@
 """A first mapping, model and configuration out of a database, or a mapping out of a table."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,7 +68,8 @@ def from_database(path: Path, interface: str, channel: str) -> Begun:
     head = "# Guessed by eps-hil init: check every line, above all signs.\n"
     model = (CONFIGS / "reference_rig.yaml").read_text(encoding="utf-8")
     config = (
-        f"bus: {{interface: {interface}, channel: {channel}}}\ndbc: [{path.resolve()}]\n"
+        f"bus: {{interface: {_plain(interface)}, channel: {_plain(channel)}}}\n"
+        f"dbc: [{_plain(str(path.resolve()))}]\n"
         "signals: signals.yaml\nmodel: model.yaml\n"
         "publish: {enabled: false}     # sends nothing before you say so\n"
     )
@@ -91,13 +93,13 @@ def from_table(path: Path) -> Begun:
     numbers = {name: table[_header(names, one)] for name, one in found.items()}
     instants = table[time]
     signs = data_signs(numbers, instants) if np.all(np.diff(instants) > 0) else {}
-    lines, unknown = [f"time: {{column: {time!r}}}", "signals:"], []
+    lines, unknown = [f"time: {{column: {_quoted(time)}}}", "signals:"], []
     for name, one in found.items():
         sign, sure = signs.get(name, (1, 0.0))
         told = f" sign by the data, correlation {sure:.2f}" if name in signs else ""
         column = _header(names, one)
         lines.append(
-            f"  {name}: {{column: {column!r}, scale: {sign * one.scale!r}}}{_mark(one)}"
+            f"  {name}: {{column: {_quoted(column)}, scale: {sign * one.scale!r}}}{_mark(one)}"
             + (f"  #{told}" if told else "")
         )
         if name not in signs and name not in ("motor_torque_nm", "motor_speed_rad_s"):
@@ -109,10 +111,18 @@ def from_table(path: Path) -> Begun:
 _TIMES = {"time_s", "time", "t", "time [s]", "time(s)", "timestamp", "t_s"}
 
 
+def _quoted(text: str) -> str:
+    """As YAML takes it to the letter, backslashes (``nMot\\ETKC:1``) too."""
+    return "'" + text.replace("'", "''") + "'"
+
+
+def _plain(text: str) -> str:
+    """Without quotes where YAML needs none."""
+    return text if re.fullmatch(r"[\w/][\w./-]*", text) else _quoted(text)
+
+
 def _column(header: str) -> Candidate:
     """``n_mot [rpm]``, ``MotorSpeed (rpm)`` or a bare name."""
-    import re
-
     said = re.match(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$", header)
     return Candidate(said.group(1), said.group(2)) if said else Candidate(header, None)
 

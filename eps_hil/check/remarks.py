@@ -172,9 +172,10 @@ def of_database(path: Path, database: Any) -> Iterator[Remark]:
             f"{len(silent)} of {len(database.messages)} messages without cycle time"
             f" ({', '.join(silent[:3])}{', …' if len(silent) > 3 else ''})",
         )  # fmt: skip
-    ids = Counter(one.frame_id for one in database.messages)
-    for can_id in [one for one, n in ids.items() if n > 1]:
-        yield _warning(path, f"id 0x{can_id:X}", "stands for several messages")
+    ids = Counter((one.frame_id, one.is_extended_frame) for one in database.messages)
+    for can_id, extended in [one for one, n in ids.items() if n > 1]:
+        place = f"id 0x{can_id:X}{' (29 bits)' * extended}"
+        yield _warning(path, place, "stands for several messages")
 
 
 def of_bus(path: Path, config: ServiceConfig) -> Iterator[Remark]:

@@ -149,3 +149,13 @@ def test_a_file_that_is_none_of_ours(tmp_path: Path) -> None:
     path.write_text("shopping: [milk]\n")
     with pytest.raises(InputError, match="is none of our files"):
         kind_of(path)
+
+
+def test_one_number_in_both_formats_is_two_ids(tmp_path: Path) -> None:
+    dbc = tmp_path / "x.dbc"
+    message = 'BO_ {} {}: 8 A\n SG_ V : 0|16@1- (1,0) [0|0] "rad/s" A\n'
+    text = 'VERSION ""\nNS_ :\nBS_:\nBU_: A\n' + message.format(256, "M")
+    dbc.write_text(text + message.format(256 | 1 << 31, "N"))
+    assert not [one for one in said(dbc) if "several" in one]
+    dbc.write_text(text + message.format(256, "N"))
+    assert f"warning: {dbc}: id 0x100: stands for several messages" in said(dbc)

@@ -1,5 +1,6 @@
 """``eps-hil init``: what it guesses of databases and tables, against what they are."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from eps_hil.check.guess import Candidate, guess, words
 from eps_hil.cli.main import main
 from eps_hil.examples import CONFIGS, DBC
 from eps_hil.recordings.foreign import load_columns, read_foreign
+from eps_hil.service.config import load_config
 
 
 def test_the_projects_own_database_is_mapped_as_by_hand(
@@ -104,3 +106,20 @@ def test_what_is_neither_a_database_nor_a_table_is_said(
     page.write_text("# a page: not YAML, either\n")
     assert main(["init", str(page)]) == 2
     assert "neither a CAN database nor a table" in capsys.readouterr().err
+
+
+def test_names_and_paths_reach_the_files_to_the_letter(tmp_path: Path) -> None:
+    """INCA's backslashes, an apostrophe, and a folder with a comma."""
+    table = tmp_path / "t.csv"
+    t = np.arange(300) * 1e-3
+    head = "time_s,MotorSpeed\\ETKC:1 [rad/s],Driver's motor torque [Nm]"
+    columns = np.column_stack([t, np.sin(t), np.cos(t)])
+    np.savetxt(table, columns, delimiter=",", header=head, comments="")
+    assert main(["init", str(table), str(tmp_path)]) == 0
+    read = read_foreign(table, load_columns(tmp_path / "columns.yaml"))
+    assert np.allclose(read.series["motor_speed_rad_s"].value, np.sin(t))
+    folder = tmp_path / "cars, [2024]"
+    folder.mkdir()
+    dbc = shutil.copy(DBC / "eps_rig.dbc", folder)
+    assert main(["init", str(dbc), str(tmp_path)]) == 0
+    assert load_config(tmp_path / "rig.yaml").dbc == (folder / "eps_rig.dbc",)
