@@ -3,7 +3,7 @@
 from eps_hil.bus.frame import Frame
 
 INTERMISSION = 3
-_EXTENDED_BITS = 20
+EXTENDED_BITS = 20
 """What 29-bit ids add: SRR, IDE, 18 bits, and one reserved bit less the base format's."""
 
 
@@ -37,4 +37,4 @@ def frame_bits(frame: Frame) -> float:
     """
     length = 0 if frame.remote else len(frame.data)
     plain, most = classic_bits(length)
-    return (plain + most) / 2 + (_EXTENDED_BITS if frame.extended else 0)
+    return (plain + most) / 2 + (EXTENDED_BITS if frame.extended else 0)

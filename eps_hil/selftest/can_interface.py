@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eps_hil.bus.load import classic_bits
+from eps_hil.bus.load import EXTENDED_BITS, classic_bits
 from eps_hil.selftest.check import Check, Verdict, graded
 from eps_hil.selftest.system import read
 
@@ -206,7 +206,8 @@ def _controller(one: Interface, load_bit_s: float) -> list[Check]:
 def load_bit_s(messages: Sequence[tuple[Any, float | None]]) -> float:
     """Bits per second of (message of cantools, cycle time in s), half the stuff bits in."""
     return sum(
-        sum(classic_bits(min(message.length, 8))) / 2 / cycle_s
+        (sum(classic_bits(min(message.length, 8))) / 2 + EXTENDED_BITS * message.is_extended_frame)
+        / cycle_s
         for message, cycle_s in messages
         if cycle_s
     )

@@ -107,7 +107,8 @@ def test_without_ip_the_interfaces_come_from_sys(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_load_of_messages() -> None:
-    """1,000 frames a second of 8 bytes: 111 to 135 bits each."""
-    message = SimpleNamespace(cycle_time=1, length=8)
-    silent = SimpleNamespace(cycle_time=None, length=8)
-    assert load_bit_s([(message, 1e-3), (silent, None)]) == 123_000.0
+    """1,000 frames a second of 8 bytes: 111 to 135 bits each, and 20 more with 29-bit ids."""
+    message = SimpleNamespace(length=8, is_extended_frame=False)
+    assert load_bit_s([(message, 1e-3), (message, None)]) == 123_000.0
+    long = SimpleNamespace(length=8, is_extended_frame=True)
+    assert load_bit_s([(long, 1e-3)]) == 143_000.0
