@@ -31,8 +31,8 @@ class Message:
 
     @property
     def name(self) -> str:
-        """``0x101`` as a candump shows it."""
-        return f"0x{self.can_id:X}"
+        """``0x101``, or ``0x00000101`` of 29 bits, as a candump shows them."""
+        return f"0x{self.can_id:08X}" if self.extended else f"0x{self.can_id:X}"
 
 
 @dataclass(frozen=True, slots=True)

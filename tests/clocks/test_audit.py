@@ -124,3 +124,11 @@ def test_the_verb_says_writes_and_refuses(
     empty.write_text("\n")
     assert main(["clocks", str(empty)]) == 2
     assert "empty.log: holds no CAN frame" in capsys.readouterr().err
+
+
+def test_one_number_in_both_formats_has_two_names(tmp_path: Path) -> None:
+    log = tmp_path / "x.log"
+    log.write_text("".join(f"(1700000000.{k:06d}) can0 {i}#00\n" for k in range(9)
+                           for i in ("123", "00000123")))  # fmt: skip
+    (channel,) = audit(log).content()["channels"]
+    assert [one["id"] for one in channel["messages"]] == ["0x123", "0x00000123"]
