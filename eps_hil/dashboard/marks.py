@@ -41,12 +41,16 @@ class Marks:
     """All marks, those of the file among them; ``path`` None: they are kept in memory alone."""
 
     def __init__(self, path: Path | None) -> None:
-        """:class:`InputError` for a file that is none of marks."""
+        """:class:`InputError` for a file that is none of marks, or cannot be read."""
         self.path = path
         self.marks: list[Mark] = []
         if path is not None and path.exists():
-            for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-                self.marks.append(_read(path, number, line))
+            try:
+                lines = path.read_text(encoding="utf-8").splitlines()
+            except (OSError, UnicodeDecodeError) as error:
+                said = getattr(error, "strerror", None) or "it is not UTF-8"
+                raise InputError(path, "", f"cannot be read: {said}", "name another file") from None
+            self.marks += [_read(path, number, line) for number, line in enumerate(lines, 1)]
 
     def add(self, t_ns: int, text: str) -> str:
         """Keep one; what went wrong in words, "" for nothing."""

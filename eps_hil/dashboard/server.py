@@ -317,6 +317,7 @@ class Page:
         self._answers: list[tuple[float, float, int, int]] = []
         self._state_sent = self._marks_sent = self._diagnosis_sent = -1
         self._overview_sent = ""
+        self._refused = ""
 
     async def run(self) -> None:
         """Until either side goes away."""
@@ -349,7 +350,8 @@ class Page:
                 self._answers = [(*wanted, int(ask["number"]))]  # only the newest counts
             if "mark" in said:
                 mark = said["mark"]
-                self._hub.marks.add(round(float(mark["t"]) * 1e9), str(mark["text"]))
+                t_ns = round(float(mark["t"]) * 1e9)
+                self._refused = self._hub.marks.add(t_ns, str(mark["text"]))
             if self._hub.may_diagnose(_peer(self._socket)) and self._hub.diagnoses is not None:
                 self._hear_of_diagnosis(said, self._hub.diagnoses)
         except (ValueError, TypeError, KeyError, OverflowError):
@@ -389,6 +391,9 @@ class Page:
             if self._marks_sent != len(hub.marks.marks):
                 self._marks_sent = len(hub.marks.marks)
                 await self._socket.send_text(json.dumps({"marks": hub.marks.as_json()}))
+            if self._refused:
+                said, self._refused = self._refused, ""
+                await self._socket.send_text(json.dumps({"mark_refused": said}))
             await self._send_mismatch()
             while self._answers:
                 found = answer(hub.store, *self._answers.pop())

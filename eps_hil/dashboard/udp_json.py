@@ -99,15 +99,27 @@ class JsonStream:
         self._kept[name] = t_ns[rising], value[rising]
 
     def _due(self) -> Int64:
-        """Whole multiples of the period that are not sent yet and that no trace still lacks."""
+        """Whole multiples of the period that are not sent yet and that no trace still lacks.
+
+        None within a silence: it may be a night, or a clock that was set forward by years.
+        """
         ends = [int(t_ns[-1]) for t_ns, _ in self._kept.values() if len(t_ns)]
         if not ends:
             return np.empty(0, np.int64)
         end_ns = min(end for end in ends if end > max(ends) - _SILENT_NS)
         first_ns = min(int(t_ns[0]) for t_ns, _ in self._kept.values() if len(t_ns))
         begin_ns = first_ns if self._sent_ns is None else max(self._sent_ns + 1, first_ns)
+        heard = np.sort(np.concatenate([t_ns for t_ns, _ in self._kept.values()]))
+        heard = heard[(heard > begin_ns) & (heard <= end_ns)]
+        silent = np.flatnonzero(np.diff(heard, prepend=begin_ns) > _SILENT_NS)
+        begins = [begin_ns, *heard[silent].tolist()]
+        ends = [*np.append(begin_ns, heard)[silent].tolist(), end_ns]
         period = self._period_ns
-        return np.arange(-(-begin_ns // period) * period, end_ns + 1, period, dtype=np.int64)
+        runs = [
+            np.arange(-(-begin // period) * period, end + 1, period, dtype=np.int64)
+            for begin, end in zip(begins, ends, strict=True)
+        ]
+        return np.concatenate(runs)
 
     def _send(self, t_ns: int, content: dict[str, Any]) -> None:
         if not content:

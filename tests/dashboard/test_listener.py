@@ -190,3 +190,10 @@ def test_marks_are_appended_beside_the_recording_and_read_again(tmp_path: Path) 
     with pytest.raises(InputError, match="line 1: is no mark"):
         Marks(path)
     assert "No such file" in Marks(tmp_path / "gone" / "m.jsonl").add(1, "x")
+
+
+def test_marks_of_another_encoding_are_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "m.jsonl"
+    path.write_bytes('{"t_ns": 5, "text": "Straße"}\n'.encode("latin-1"))
+    with pytest.raises(InputError, match=r"m\.jsonl: cannot be read: it is not UTF-8"):
+        Marks(path)

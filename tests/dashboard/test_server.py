@@ -105,9 +105,13 @@ def test_nonsense_from_a_page_ends_nothing(running: Start, blocks: Blocks) -> No
                      '{"view": {"length_s": 1e999}}'):  # fmt: skip
             page.send(text)
         page.send('{"view": {"length_s": 1, "pixels": 100}}')
-        while isinstance(message := page.recv(timeout=60), str):
-            assert json.loads(message).keys() <= {"marks", "mismatch"}
+        heard = {}
+        while isinstance(message := page.recv(timeout=60), str) or "mark_refused" not in heard:
+            if isinstance(message, str):
+                heard |= json.loads(message)
     assert message[:4] == b"EPS1"
+    assert heard.keys() <= {"marks", "mismatch", "mark_refused"}
+    assert heard["mark_refused"].endswith("is no time of this clock")
 
 
 def test_a_page_that_cannot_be_told_is_let_go(

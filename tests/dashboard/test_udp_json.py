@@ -243,3 +243,16 @@ model: {ROOT}/configs/reference_rig.yaml
     said = capsys.readouterr().err.splitlines()
     assert said[0].startswith(f"stream: virtual stream-test to udp {where}, JSON, 1000 instants")
     assert said[-1].endswith("datagrams sent, 0 dropped")
+
+
+def test_a_clock_that_is_set_forward_is_not_filled_with_instants(
+    reader: Reader, stream: JsonStream
+) -> None:
+    """Nor a night without the rig: each second of it would be a thousand instants."""
+    t_ns = 1_790_000_000_000_000_000 + np.arange(0, 100_000_000, 1_000_000)
+    for begin_ns in (0, 365 * 86_400 * 10**9):
+        stream.samples({ESTIMATE: (t_ns + begin_ns, np.ones(100))})
+    reader.read()
+    stamps = [t_s for t_s, _ in reader.series["/eps_hil/rack_force_estimate_n"]]
+    after = t_ns[1:] + 365 * 86_400 * 10**9  # the first one has no neighbour to be read off between
+    assert np.allclose(stamps, np.append(t_ns, after) * 1e-9, rtol=0, atol=1e-6)

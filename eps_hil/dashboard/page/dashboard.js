@@ -166,6 +166,7 @@ function connect() {
     }
     if (said.mismatch) mismatch.take(said.mismatch);
     if (said.diagnosis) mismatch.heard(said.diagnosis);
+    if (said.mark_refused) byId("marks-where").textContent = `not kept: ${said.mark_refused}`;
     if (said.marks) { marks = said.marks; listMarks(); dirty = true; }
     if (said.ended) {
       ended = true;
