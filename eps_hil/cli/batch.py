@@ -94,9 +94,12 @@ def _run(
     from eps_hil.fleet.job import Job
     from eps_hil.fleet.tasks import tasks_of
     from eps_hil.physics.model import load_model
-    from eps_hil.recordings.files import make_folder
+    from eps_hil.recordings.files import check_readable, make_folder
 
     workers.check(dask)
+    for path in reading.files():
+        if path is not None:
+            check_readable(path)
     load_model(model)  # refused here, and not once for each recording
     if settings is not None:
         from eps_hil import yaml_file

@@ -88,7 +88,7 @@ def _fill(job: Job, task: Task, row: Row) -> None:
     row["notes"] = list(recording.notes)
     start_s = min(int(one.t_ns[0]) for one in recording.series.values()) * 1e-9
     row["start_s"] = start_s if start_s >= _NO_DATE_S else None
-    stem = f"{task.path.stem}-{row['key'][:8]}"
+    stem = f"{task.path.stem}-{row['key']}"
     if job.verb == "estimate":
         from eps_hil.recordings.write import write_table
 

@@ -9,17 +9,19 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pyarrow.parquet
 import pytest
 
+from eps_hil.api import jobs
 from eps_hil.cli.main import main
 from eps_hil.errors import InputError
 from eps_hil.fleet import population_page, workers
 from eps_hil.fleet.batch import run_batch
-from eps_hil.fleet.job import Job, Row
+from eps_hil.fleet.job import Job, Row, run
 from eps_hil.fleet.population import population
 from eps_hil.fleet.tasks import Task, tasks_of
 from eps_hil.recordings.write import write_table
@@ -210,6 +212,14 @@ def test_nothing_that_could_be_used(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "not one recording could be used" in capsys.readouterr().err
 
 
+def test_a_database_that_is_not_there_is_wrong_input(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["batch", "identify", str(folder), "--model", str(MODEL), "--dbc", "no.dbc"]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    assert "no.dbc: no such file" in capsys.readouterr().err
+
+
 def deadly(of: Job, task: Task, key: str) -> Row:
     """A job that some recordings take their process down with."""
     if task.unit == "deadly":
@@ -335,3 +345,16 @@ def test_nobody_answers(tmp_path: Path) -> None:
     task = Task(recording(tmp_path / "a.csv"), "a")
     with pytest.raises(InputError, match="no scheduler answers"):
         run_batch(job(tmp_path), [task], dask="tcp://127.0.0.1:1")
+
+
+def test_recordings_of_one_name_have_outputs_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Among 10⁵ of one name, two keys begin alike."""
+    named = SimpleNamespace(content=dict, parameters={}, offsets={})
+    monkeypatch.setattr(jobs, "identify", lambda *_: SimpleNamespace(result=named))
+    task = Task(recording(tmp_path / "a" / "drive.csv"), "a")
+    one = Job("identify", MODEL, tmp_path / "out")
+    outputs = {run(one, task, key)["output"] for key in ("0123456789abcdef", "01234567fedcba98")}
+    assert len(outputs) == 2
+    assert all((one.out / output).is_file() for output in outputs)
