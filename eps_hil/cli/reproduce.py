@@ -31,7 +31,7 @@ def reproduce(
     Every statement of the paper is judged by a number and its limits: agrees, partly, or does not
     agree. The same seed gives the same numbers.
     """
-    from eps_hil.cli._files import write_json
+    from eps_hil.cli._files import check_kept, write_json
     from eps_hil.cli._inputs import progress
     from eps_hil.recordings.files import make_folder
     from eps_hil.report.page import check
@@ -40,6 +40,7 @@ def reproduce(
 
     check("reproduce", "matplotlib")
     make_folder(out, "--out")
+    check_kept((json,), ())
     say_if_it_compiles()
     with progress("reproducing the paper") as bar:
         step = (lambda _name, part: bar(part)) if bar else None

@@ -32,10 +32,11 @@ def selftest(
     """
     from rich.console import Console
 
-    from eps_hil.cli._files import write_json
+    from eps_hil.cli._files import check_kept, write_json
     from eps_hil.selftest.check import Verdict, overall
     from eps_hil.selftest.run import Plan, checks
 
+    check_kept((json,), (config,))
     live = sys.stderr.isatty()
 
     def began(what: str) -> None:

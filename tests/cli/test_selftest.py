@@ -107,6 +107,14 @@ def test_a_wrong_configuration_is_status_2_before_anything_is_measured(
     assert said.out == ""
 
 
+def test_a_result_that_cannot_be_written_is_refused_before_anything_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(run, "checks", lambda *_: pytest.fail("it measures"))
+    assert main(["selftest", "--json", str(tmp_path / "none" / "pc.json")]) == 2
+    assert "does not exist" in capsys.readouterr().err
+
+
 def test_a_socketcan_configuration_asks_for_the_kernel_and_the_interface(tmp_path: Path) -> None:
     file = tmp_path / "c.yaml"
     file.write_text(

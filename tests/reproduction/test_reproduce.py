@@ -161,3 +161,13 @@ def test_a_folder_that_cannot_be_is_one_line(
     file.write_text("x")
     assert main(["reproduce", "--quick", "--out", str(file)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_result_that_cannot_be_written_is_refused_before_anything_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("eps_hil.reproduction.reproduce.FIGURES", ())
+    words = ["reproduce", "--out", str(tmp_path / "out"), "--json", str(tmp_path / "no" / "r.json")]
+    assert main(words) == 2
+    assert "does not exist" in capsys.readouterr().err
+    assert list((tmp_path / "out").iterdir()) == []
