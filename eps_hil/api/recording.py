@@ -27,6 +27,8 @@ class Recording(plain.Recording):
     def __post_init__(self) -> None:
         """:class:`InputError` for signals that no reader would make."""
         for name, one in self.series.items():
+            if not len(one.t_ns):
+                raise InputError(self.name, name, "holds no sample", "leave it out")
             if one.t_ns.dtype != np.int64 or one.value.dtype != np.float64:
                 kinds = f"stamps of {one.t_ns.dtype} and values of {one.value.dtype}"
                 raise InputError(self.name, name, f"has {kinds}", "int64 (ns) and float64")

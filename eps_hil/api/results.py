@@ -1,5 +1,6 @@
 """What the jobs return: typed values that plot, tabulate and show themselves in a notebook."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,10 @@ if TYPE_CHECKING:  # over a second of imports, which an estimate does not need
 Floats = npt.NDArray[np.float64]
 
 
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """A recording's rack force; ``score`` is None where it holds no load cell.
@@ -41,20 +46,20 @@ class Estimate:
 
     @property
     def content(self) -> dict[str, Any]:
-        """As in the JSON of ``eps-hil estimate``."""
+        """As in the JSON of ``eps-hil estimate``: what does not exist is None, never NaN."""
         content: dict[str, Any] = {
             "recording": self.recording.name,
             "rows": len(self.trace.t_ns),
             "valid_share": float(self.trace.valid.mean()),
-            "latency_s": self.latency_s,
+            "latency_s": _number(self.latency_s),
             "reasons": {name: rows for name, rows in self._reasons().items() if rows},
         }
         if self.score:
             content["rack_force_error_n"] = {
-                "rms_moving": self.score.rmse_moving_n,
-                "rms_overall": self.score.rmse_overall_n,
-                "bias_moving": self.score.bias_moving_n,
-                "rms_of_rack_force": self.score.rms_force_n,
+                "rms_moving": _number(self.score.rmse_moving_n),
+                "rms_overall": _number(self.score.rmse_overall_n),
+                "bias_moving": _number(self.score.bias_moving_n),
+                "rms_of_rack_force": _number(self.score.rms_force_n),
             }
         return content
 

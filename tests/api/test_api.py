@@ -1,6 +1,8 @@
 """``import eps_hil``: the names a program needs, and results that tabulate and show themselves."""
 
 import importlib.util
+import json
+import math
 import re
 import subprocess
 import sys
@@ -17,6 +19,8 @@ import pytest
 import eps_hil
 from eps_hil.cli.main import main
 from eps_hil.estimation.levels import LevelChange
+from eps_hil.estimation.score import Score
+from eps_hil.estimation.stream import Trace
 from eps_hil.physics.model import Model
 from eps_hil.recordings.read import read_recording
 from eps_hil.series import Series
@@ -305,3 +309,20 @@ def test_no_holdouts_are_none_and_not_a_mistake() -> None:
     assert _recordings((), least=0) == []
     with pytest.raises(eps_hil.EpsHilError, match="recordings: hold none"):
         _recordings(())
+
+
+def test_a_recording_without_a_sample_is_refused() -> None:
+    none = Series(np.empty(0, np.int64), np.empty(0))
+    with pytest.raises(eps_hil.InputError, match="r: motor_speed_rad_s: holds no sample"):
+        eps_hil.Recording("r", {"motor_speed_rad_s": none})
+
+
+def test_what_an_estimate_does_not_have_is_none_in_its_content() -> None:
+    """A smoother has no latency; without a sample that moves there is no error of it."""
+    one = np.array([0.0])
+    read = eps_hil.recording({"time_s": [0.0, 0.1], "motor_torque_nm": [0.0, 0.1]})
+    trace = Trace(np.array([0], np.int64), one, one, np.array([0], np.int64))
+    score = Score(math.nan, math.nan, math.nan, math.nan, 0, math.nan)
+    found = eps_hil.Estimate(read, Model.load(MODEL), trace, score, math.nan).content
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert found["latency_s"] is None
