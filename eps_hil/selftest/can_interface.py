@@ -205,9 +205,9 @@ def _controller(one: Interface, load_bit_s: float) -> list[Check]:
 
 def load_bit_s(messages: Sequence[tuple[Any, float | None]]) -> float:
     """Bits per second of (message of cantools, cycle time in s), half the stuff bits in."""
-    return sum(
-        (sum(classic_bits(min(message.length, 8))) / 2 + EXTENDED_BITS * message.is_extended_frame)
-        / cycle_s
-        for message, cycle_s in messages
-        if cycle_s
-    )
+    return sum(_bits(message) / cycle_s for message, cycle_s in messages if cycle_s)
+
+
+def _bits(message: Any) -> float:
+    longer = EXTENDED_BITS if message.is_extended_frame else 0
+    return sum(classic_bits(min(message.length, 8))) / 2 + longer

@@ -105,7 +105,7 @@ def test_nonsense_from_a_page_ends_nothing(running: Start, blocks: Blocks) -> No
                      '{"view": {"length_s": 1e999}}'):  # fmt: skip
             page.send(text)
         page.send('{"view": {"length_s": 1, "pixels": 100}}')
-        heard = {}
+        heard: dict[str, Any] = {}
         while isinstance(message := page.recv(timeout=60), str) or "mark_refused" not in heard:
             if isinstance(message, str):
                 heard |= json.loads(message)
