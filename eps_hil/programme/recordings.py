@@ -21,7 +21,8 @@ Signals = dict[str, Series]
 def joined(logs: Sequence[Path], setup: BusSetup) -> dict[str, Signals]:
     """Signals of the logs, in their order, by the name of the first log of each stretch.
 
-    A signal that does not occur in all logs of a stretch is left out there.
+    A signal that does not occur in all logs of a stretch is left out there. A cell that was run
+    again later, after an interruption, stands between older ones: each side is its own stretch.
     """
     stretches: list[tuple[str, list[Signals]]] = []
     end_ns = 0
@@ -30,7 +31,7 @@ def joined(logs: Sequence[Path], setup: BusSetup) -> dict[str, Signals]:
         if not signals:
             continue
         first = min(int(one.t_ns[0]) for one in signals.values())
-        if not stretches or first - end_ns > _GAP_NS:
+        if not stretches or abs(first - end_ns) > _GAP_NS:
             stretches.append((log.stem, []))
         stretches[-1][1].append(signals)
         end_ns = max(int(one.t_ns[-1]) for one in signals.values())

@@ -56,5 +56,12 @@ def test_cells_without_a_gap_are_one_recording(logs: list[Path]) -> None:
     assert len(found["cell_2"]["motor_speed_rad_s"].t_ns) == 500
 
 
+def test_a_cell_that_was_run_again_later_costs_no_other_cell(logs: list[Path]) -> None:
+    """After --resume it stands between older ones, which were all dropped as going back in time."""
+    found = joined([logs[0], logs[2], logs[1]], SETUP)
+    assert list(found) == ["cell_0", "cell_2", "cell_1"]
+    assert [len(one["rack_force_n"].t_ns) for one in found.values()] == [500, 500, 500]
+
+
 def test_one_log_is_itself(logs: list[Path]) -> None:
     assert list(joined(logs[2:], SETUP)) == ["cell_2"]
