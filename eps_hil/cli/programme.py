@@ -63,6 +63,7 @@ def programme(
     check_kept((write_model, json), (file, config))
     check_model_place(write_model)
     setup = load_bus_setup(config)
+    check_kept((write_model, json), (setup.model, setup.signals, *setup.dbc))
     model = load_model(setup.model)
     plan = load_plan(file, model)
     if write_model and cells_only and (twice := counted_twice(model)):

@@ -65,9 +65,8 @@ class Collector:
         """Means over the stretch in which every signal is there, and what speaks against them."""
         missing = [name for name in MEASURED if len(self.values.get(name, ())) < _LEAST_SAMPLES]
         if missing:
-            nothing = Cell(cell.speed_rad_s, cell.preload_n, *(float("nan"),) * 3)
             problem = f"too few samples of {', '.join(missing)}"
-            return CellResult(cell, nothing, 0, lost_frames, attempt, (problem,))
+            return self._nothing(cell, lost_frames, attempt, problem)
         first = max(self.stamps[name][0] for name in MEASURED)
         last = min(self.stamps[name][-1] for name in MEASURED)
         samples = {}
@@ -76,9 +75,16 @@ class Collector:
             keep = (stamps >= first) & (stamps <= last)
             samples[name] = np.array(self.values[name])[keep]
         seconds = (last - first) * 1e-9
-        found = reading(cell.speed_rad_s, cell.preload_n, samples, seconds, self.model)
         count = min(len(value) for value in samples.values())
+        if count < _LEAST_SAMPLES:  # a clock that was set back, say
+            return self._nothing(cell, lost_frames, attempt, "the signals share too few samples")
+        found = reading(cell.speed_rad_s, cell.preload_n, samples, seconds, self.model)
         return CellResult(cell, found, count, lost_frames, attempt, _problems(found, lost_frames))
+
+    @staticmethod
+    def _nothing(cell: PlannedCell, lost_frames: int, attempt: int, problem: str) -> CellResult:
+        nothing = Cell(cell.speed_rad_s, cell.preload_n, *(float("nan"),) * 3)
+        return CellResult(cell, nothing, 0, lost_frames, attempt, (problem,))
 
 
 def _problems(found: Cell, lost_frames: int) -> tuple[str, ...]:

@@ -74,3 +74,22 @@ def test_without_a_good_cell_it_is_not_done(
     said = capsys.readouterr()
     assert "no cell of 16 may be used" in said.err
     assert (tmp_path / "out" / "cells.csv").exists()
+
+
+@pytest.mark.parametrize("option", ["--json", "--write-model"])
+def test_nothing_that_it_reads_is_written_over(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    option: str,
+) -> None:
+    """A result took the place of the configuration's model file."""
+    words = ran(tmp_path, monkeypatch, ())
+    model = tmp_path / "own.yaml"
+    model.write_text((ROOT / "configs" / "reference_rig.yaml").read_text())
+    line = f"model: {ROOT / 'configs' / 'reference_rig.yaml'}"
+    (tmp_path / "c.yaml").write_text(CONFIG.replace(line, f"model: {model}"))
+    before = model.read_text()
+    assert main([*words, option, str(model)]) == 2
+    assert "own.yaml: is read by this command" in capsys.readouterr().err
+    assert model.read_text() == before

@@ -132,6 +132,16 @@ class TestRecord:
         assert not result.accepted
         assert word in "; ".join(result.problems)
 
+    def test_a_clock_that_is_set_back_amid_a_pass(self) -> None:
+        """No instant is shared then: it ended in a traceback."""
+        collector = self.collected()
+        for ms in range(500):
+            for name in cell_record.MEASURED:
+                collector.take([Sample(name, ms * MS - 3600 * 1000 * MS, 20.0)])
+        result = collector.result(self.CELL, 0, 1)
+        assert result.problems == ("the signals share too few samples",)
+        assert math.isnan(result.measured.friction_nm)
+
     def test_lost_frames_and_missing_signals(self, tmp_path: Path) -> None:
         assert self.collected().result(self.CELL, 7, 1).problems == ("7 frames lost",)
         nothing = Collector(MODEL).result(self.CELL, 0, 1)
