@@ -138,8 +138,10 @@ def fitted(cells: Sequence[Cell], friction: Friction) -> tuple[Friction, dict[st
     """Eq. 3 by least squares, one fit per direction: the friction block and 95 % half widths.
 
     What eq. 3 does not hold (σ0, σ1, ω_σ1) is taken over from ``friction``. Each direction needs
-    cells of which :func:`enough` is said.
+    cells of which :func:`enough` is said. A number that would come out below zero is zero, and the
+    others are the best beside that.
     """
+    from scipy.optimize import nnls
     from scipy.stats import t as student
 
     values, widths = {}, {}
@@ -151,8 +153,10 @@ def fitted(cells: Sequence[Cell], friction: Friction) -> tuple[Friction, dict[st
         free = len(own) - a.shape[1]
         variance = float(np.sum((y - a @ solution) ** 2)) / free * np.linalg.inv(a.T @ a)
         wide = student.ppf(0.975, free) * np.sqrt(np.diag(variance))
+        if solution.min() < 0.0:  # friction that falls with speed or load
+            solution = nnls(a, y)[0]
         for name, unit, value, width in zip(_NAMES, _UNITS, solution, wide, strict=True):
-            values[f"{name}_{side}_{unit}"] = max(float(value), 0.0)
+            values[f"{name}_{side}_{unit}"] = float(value)
             widths[f"{name}_{side}_{unit}"] = float(width)
     return replace(friction, **values), widths
 

@@ -100,6 +100,19 @@ class TestFrictionCells:
         for name in widths:
             assert getattr(friction, name) == pytest.approx(getattr(MODEL.friction, name))
 
+    def test_friction_that_falls_with_speed_keeps_its_level(self) -> None:
+        """The slope was cut to zero, and the offset stayed at what it is with the slope."""
+        speeds = [cell.speed_rad_s for cell in self.cells()]
+        falling = [
+            replace(cell, friction_nm=math.copysign(0.1 - 1e-3 * abs(speed), speed))
+            for cell, speed in zip(self.cells(), speeds, strict=True)
+        ]
+        friction, _ = fitted(falling, MODEL.friction)
+        mean = float(np.mean([abs(cell.friction_nm) for cell in falling]))
+        assert friction.viscous_pos_nm_s_per_rad == friction.viscous_neg_nm_s_per_rad == 0.0
+        assert friction.offset_pos_nm == pytest.approx(mean)
+        assert friction.offset_neg_nm == pytest.approx(mean)
+
     def test_three_cells_have_no_error_of_their_own(self) -> None:
         """They fit exactly: the half width was 2e-15 Nm; two on a diagonal ended in a traceback."""
         forth = [cell for cell in self.cells(1e-3)[::4] if cell.speed_rad_s > 2.0]
