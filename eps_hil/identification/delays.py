@@ -1,7 +1,7 @@
 """From skews to delays: only differences show, so one signal is held at the model file's value."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -77,6 +77,8 @@ def timing(
         )
     if with_angle and angle is not None:
         value["motor_angle"] = speed + angle.seconds
+    elif angle is None and before.motor_angle is not None:
+        value["motor_angle"] = before.motor_angle
     for key in found:
         if reference and key != reference:
             value[key] = _not_negative(value[key], quantile * between(key, reference))
@@ -98,6 +100,27 @@ def timing(
     }
     delays = Delays(**{key: late + moved for key, late in value.items()})
     return Timing(delays, estimates, skews, reference, moved)
+
+
+def clocked_by_angle(before: Delays) -> Delays:
+    """The file's delays where only the angle was recorded, which then stands in for the speed."""
+    return replace(before, motor_speed=before.of("motor_angle_rad"), motor_angle=None)
+
+
+def of_angle(found: Timing, before: Delays, kept: str) -> Timing:
+    """What was found with :func:`clocked_by_angle` under the angle's own name.
+
+    ``before`` are the file's delays; the speed's is kept, and ``kept`` says why.
+    """
+    late, was = before.motor_speed + found.moved_s, before.motor_angle
+    mine = replace(found.estimates["motor_speed"], from_model=was)
+    speed = Estimate(late, "s", None, before.motor_speed, "kept", kept)
+    return replace(
+        found,
+        delays=replace(found.delays, motor_angle=found.delays.motor_speed, motor_speed=late),
+        estimates={**found.estimates, "motor_speed": speed, "motor_angle": mine},
+        skews={k.replace("motor_speed", "motor_angle"): one for k, one in found.skews.items()},
+    )
 
 
 def _delay(

@@ -47,6 +47,7 @@ OFFSET_EFFECTS = {
     "motor_torque_nm": ("motor_torque_offset", -1.0),
 }
 """The effect that takes a signal's offset (Nm, of the reading) off, and the sign that it has."""
+_NO_DELAY = "hardly changes, or was not recorded: its delay cannot be seen"
 LEAST_OFFSET_NM = {"torque_sensor_nm": 0.005, "motor_torque_nm": 0.001}
 
 Progress = Callable[[float], None]
@@ -74,6 +75,9 @@ def identify(
         with_model_effects(model),
         {k: Spring() for k, one in enumerate(ready) if not one.has("rack_force_n")},
     )
+    if not any(one.has("motor_speed_rad_s") for one in ready):
+        by_angle = delays.clocked_by_angle(start.model.delays_s)
+        start = replace(start, model=replace(start.model, delays_s=by_angle))
     rows = cases(ready, [kinematics.kinematics(one, late_s) for one in ready])
     say(0.05)
     plausibility.check(rows, start)
@@ -161,8 +165,11 @@ def _result(
         start.model.delays_s,
         quantile,
         METHOD_SAMPLES * filters.STEP_S,
-        "hardly changes, or was not recorded: its delay cannot be seen",
+        _NO_DELAY,
     )
+    was = with_model_effects(before).delays_s
+    if was.motor_angle is not None and start.model.delays_s.motor_angle is None:
+        timing = delays.of_angle(timing, was, _NO_DELAY)
     parameters = _sliding_estimates(fit, start, quantile)
     parameters |= {f"delays_s.{key}": one for key, one in timing.estimates.items()}
     bristle = _bristle_estimates(found.bristle, start)
