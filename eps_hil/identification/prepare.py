@@ -21,6 +21,8 @@ Masks = npt.NDArray[np.bool_]
 SHORTEST_S = 3.0
 SLOWEST_S = 0.05
 """Between values of torque and motion: beyond it, reversals and inertia fall between them."""
+LONG_S, LEAST_SHARE = 3600.0, 0.5
+"""Of a recording that is longer, more than this part has to be there: the grid is as long as it."""
 _SPIKE_SIGMA = 12.0
 _USED = (
     "motor_torque_nm",
@@ -99,7 +101,7 @@ def prepare(name: str, series: Mapping[str, Series]) -> Prepared:
 def check_rate(name: str, series: Mapping[str, Series]) -> None:
     """:class:`InputError` for values too far apart, before any array is as long as they say.
 
-    What makes hours of a few seconds is a time in ms.
+    What makes hours of a few seconds is a time in ms, or a clock that jumped once.
     """
     for key in ("motor_torque_nm", "motor_speed_rad_s", "motor_angle_rad"):
         t_ns = series[key].t_ns if key in series else np.zeros(0, dtype=np.int64)
@@ -111,6 +113,21 @@ def check_rate(name: str, series: Mapping[str, Series]) -> None:
                 f"{1 / SLOWEST_S:g} a second are needed: is the time in ms?"
             )
             raise InputError(name, key, problem, "give the time in s")
+        _check_whole(name, key, t_ns, step)
+
+
+def _check_whole(name: str, key: str, t_ns: npt.NDArray[np.int64], step_s: float) -> None:
+    """:class:`InputError` where most of a long recording is a stretch without values."""
+    whole_s, there_s = 1e-9 * float(t_ns[-1] - t_ns[0]) if len(t_ns) else 0.0, len(t_ns) * step_s
+    if whole_s <= LONG_S or there_s >= LEAST_SHARE * whole_s:
+        return
+    k = int(np.argmax(np.diff(t_ns)))
+    hole_s, after_s = 1e-9 * float(t_ns[k + 1] - t_ns[k]), 1e-9 * float(t_ns[k] - t_ns[0])
+    problem = (
+        f"values for {there_s:.5g} s of {whole_s:.5g} s, the longest stretch without any "
+        f"{hole_s:.5g} s, after {after_s:.5g} s"
+    )
+    raise InputError(name, key, problem, "split the recording there, or mend its clock")
 
 
 def noise_of(values: Floats) -> float:

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eps_hil.errors import InputError
 from eps_hil.identification import gaps
 from eps_hil.identification.prepare import prepare
 from eps_hil.series import Series
@@ -53,6 +54,14 @@ def test_single_lost_frames_are_bridged(every: int) -> None:
     one = prepare("drive", turning(kept, kept))
     assert one.findings == ()
     assert one.good.all()
+
+
+@pytest.mark.parametrize(("jump_s", "said"), [(1.7e9, "1.7e[+]09 s"), (7200.0, "7200 s")])
+def test_a_long_recording_with_next_to_nothing_in_it_is_refused(jump_s: float, said: str) -> None:
+    """A clock that is set while it records: the grid was as long as the jump."""
+    stamps = T + np.where(np.arange(len(T)) >= HOLE[0], jump_s, 0.0)
+    with pytest.raises(InputError, match=f"without any {said}, after 2.999 s; split"):
+        prepare("drive", turning(T, stamps))
 
 
 def test_a_slow_signal_has_no_gaps_between_its_samples() -> None:
