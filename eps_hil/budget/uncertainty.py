@@ -4,6 +4,8 @@ Sizes are standard deviations. The defaults are those of a rig that was calibrat
 (docs/howto-error-budget.md says where each comes from).
 """
 
+import json
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,19 +108,27 @@ def _from_identification(path: Path, model: Model) -> Uncertainty:
     delays: dict[str, float] = {}
     offsets: dict[str, float] = {}
     for keys, interval in _intervals(content):
-        half = 0.5 * (float(interval[1]) - float(interval[0])) / _HALF_WIDTH_95
         if keys[-1] in model_parameters():
-            parameters[keys[-1]] = abs(half)
+            parameters[keys[-1]] = _deviation(path, keys, interval)
         elif keys[-1] in DELAYED and "skews_s" not in keys:  # a skew is a difference of two
-            delays[keys[-1]] = abs(half)
+            delays[keys[-1]] = _deviation(path, keys, interval)
         elif "offsets" in keys and (name := keys[-1].replace("_offset_nm", "_nm")) in OFFSETS:
-            offsets[name] = abs(half)
+            offsets[name] = _deviation(path, keys, interval)
     if not parameters and not delays and not offsets:
         raise InputError(
             path, "", "holds no interval (ci95) of a model parameter or delay",
             "give the file of eps-hil identify --json, or a YAML file",
         )  # fmt: skip
     return Uncertainty(model=parameters, delays_s=delays, offsets=offsets)
+
+
+def _deviation(path: Path, keys: tuple[str, ...], interval: list[Any]) -> float:
+    """Of a 95 % interval; :class:`InputError` where its ends are no finite numbers."""
+    low, high = (one if isinstance(one, int | float) else math.nan for one in interval)
+    if not math.isfinite(high - low):
+        problem = f"{json.dumps(interval)} is no interval"
+        raise InputError(path, ".".join((*keys, "ci95")), problem, "give two numbers, or null")
+    return 0.5 * abs(high - low) / _HALF_WIDTH_95
 
 
 def _intervals(content: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:

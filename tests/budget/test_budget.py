@@ -193,6 +193,10 @@ def test_sizes_come_from_yaml_and_from_an_identification(
         ("u.yaml", "uncertainty: {percent: {inertia_kg_m2: -3}}\n", "greater than or equal"),
         ("u.json", "{}", "ci95"),
         ("u.json", "{", "JSON"),
+        ("u.json", '{"p": {"inertia_kg_m2": {"ci95": [null, 1]}}}', "p.inertia_kg_m2.ci95: "),
+        ("u.json", '{"inertia_kg_m2": {"ci95": ["a", 1]}}', "is no interval"),
+        ("u.json", '{"delays_s": {"motor_speed": {"ci95": [NaN, 1]}}}', "is no interval"),
+        ("u.json", '{"inertia_kg_m2": {"ci95": [0, 1e999]}}', "is no interval"),
     ],
 )
 def test_wrong_sizes(
