@@ -16,9 +16,12 @@ class RateMeter:
 
     def add(self, t_ns: int, amount: float = 1.0) -> None:
         """Something came at ``t_ns``."""
+        index = t_ns // _BUCKET_NS
         if self._first_ns is None:
             self._first_ns = t_ns
-        index = t_ns // _BUCKET_NS
+        elif self._buckets and index < self._buckets[-1][0] - _BUCKETS:  # the clock was set back
+            self._first_ns = t_ns
+            self._buckets.clear()
         if self._buckets and self._buckets[-1][0] == index:
             self._buckets[-1][1] += amount
         else:

@@ -27,6 +27,16 @@ def test_a_rate_falls_to_zero_within_a_second_of_silence() -> None:
     assert meter.per_s(T0 + 2_100 * MS) == 0.0
 
 
+def test_a_clock_that_is_set_back_is_counted_from_there() -> None:
+    """For an hour there was no rate, and a signal four times too slow was fine."""
+    track = fed(1)
+    for k in range(500):
+        track.take(T0 - 3_600_000 * MS + k * 4 * MS, 1.0)
+    now_ns = T0 - 3_600_000 * MS + 2_000 * MS
+    assert track.rate_hz(now_ns) == pytest.approx(250.0)
+    assert track.verdict(now_ns) == "too slow"
+
+
 def fed(period_ms: int, count: int = 2_000, value: float = 1.0) -> SignalTrack:
     track = SignalTrack(1e-3)
     for k in range(count):
