@@ -28,6 +28,7 @@ from eps_hil.errors import BusError, InputError, SafetyStop
 from eps_hil.physics.model import Model
 from eps_hil.programme.cell_record import MEASURED
 from eps_hil.programme.conductor import TICK_S, Reading, Wanted
+from eps_hil.programme.follows import Follows
 from eps_hil.programme.set_points import check_set_points
 
 COMMAND = "RIG_Command"
@@ -231,10 +232,10 @@ class RigLink:
         """Ticks until the leader is over.
 
         :class:`SafetyStop` where a signal that is needed has been silent or bad for too long, the
-        bus takes no set-point, or this process was late (:data:`_LATE_S`). Whatever is raised, the
-        rig is at rest and released before.
+        rack position does not follow the rotor, the bus takes no set-point, or this process was
+        late (:data:`_LATE_S`). Whatever is raised, the rig is at rest and released before.
         """
-        self._log = log
+        self._log, follows = log, Follows(self._model.rack_to_rotor_ratio_rad_per_m)
         try:
             self._take_up_again()
             deadline_s = self._sent_s = time.monotonic()
@@ -242,8 +243,10 @@ class RigLink:
                 sink = before_tick()
                 deadline_s += TICK_S
                 self._receive_until(deadline_s, sink)
-                self._readings.check(time.monotonic())
-                wanted = leader.step(self._readings.now())
+                self._readings.check(now_s := time.monotonic())
+                reading = self._readings.now()
+                follows.check(reading, now_s)
+                wanted = leader.step(reading)
                 late_s = time.monotonic() - deadline_s
                 if late_s > _LATE_S:
                     raise SafetyStop(
