@@ -99,7 +99,10 @@ def _number(content: Any) -> Any:
 @with_config(_STRICT)
 @dataclass(frozen=True, slots=True)
 class _Profile:
-    """Sum of the terms that are given; ``points`` are [time_s, value] pairs joined by lines."""
+    """Sum of the terms that are given; ``points`` are [time_s, value] pairs joined by lines.
+
+    Two points at one time are a step, from the first to the second.
+    """
 
     constant: Finite = 0.0
     sine: Sine | None = None
@@ -115,7 +118,7 @@ class _Profile:
             if term is not None:
                 total += term.values(time_s, duration_s, seed)
         if self.points is not None:
-            at, value = zip(*sorted(self.points), strict=True)
+            at, value = zip(*sorted(self.points, key=lambda point: point[0]), strict=True)
             total += np.interp(time_s, at, value)
         return total
 

@@ -69,6 +69,16 @@ def test_the_robot_passes_every_speed_both_ways_and_comes_back() -> None:
     assert abs(table[-1, HAND_ANGLE]) < 0.01
 
 
+@pytest.mark.parametrize("after", [0.0, 9.0])
+def test_two_points_at_one_time_are_a_step_either_way(tmp_path: Path, after: float) -> None:
+    """Down, it became a sawtooth: points were ordered by their values too."""
+    points = f"[[0, 5], [0.05, 5], [0.05, {after}], [0.1, {after}]]"
+    path = write(tmp_path, f"    - {{duration_s: 0.1, rack_force_n: {{points: {points}}}}}\n")
+    force = load_manoeuvre(path).table()[:-1, LOAD_FORCE]
+    assert force[:50] == pytest.approx(5.0)
+    assert force[51:] == pytest.approx(after)
+
+
 def test_segments_follow_each_other_and_repeat(tmp_path: Path) -> None:
     path = write(
         tmp_path,
