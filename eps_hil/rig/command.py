@@ -19,6 +19,7 @@ import numpy.typing as npt
 from eps_hil.bus.codec import data_id_of
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.protection import E2E_P01, CrcRule, crc_byte
+from eps_hil.bus.signal_codec import no_value_raws
 from eps_hil.errors import InputError
 from eps_hil.physics.chain import HAND_ANGLE, HAND_DAMPING, HAND_STIFFNESS, LOAD_FORCE
 from eps_hil.rig.manoeuvre import COLUMNS, PRELOAD_COMPENSATION
@@ -91,11 +92,13 @@ class SetPointReader:
             self._value("MotorShare", raw) / 100.0,
         )
 
-    def _value(self, name: str, raw: dict[str, int]) -> float:
+    def _value(self, name: str, raw: dict[str, float]) -> float:
         signal = self._message.get_signal_by_name(name)
-        value = int(raw[name]) * float(signal.scale)
-        inside = signal.minimum <= value <= signal.maximum
-        return value if inside else math.nan
+        value = float(raw[name]) * float(signal.scale) + float(signal.offset)
+        low = -math.inf if signal.minimum is None else signal.minimum
+        high = math.inf if signal.maximum is None else signal.maximum
+        none = raw[name] in no_value_raws(signal)
+        return value if not none and low <= value <= high else math.nan
 
 
 class RigControl:

@@ -14,6 +14,7 @@ from typing import Any
 from eps_hil.bus.codec import data_id_of
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.protection import E2E_P01, CrcRule, crc_byte
+from eps_hil.bus.signal_codec import no_value_raws
 from eps_hil.errors import InputError
 
 COMMAND = "EPSHIL_TorqueOverride"
@@ -61,16 +62,16 @@ class CommandReader:
             raise InputError("DBC", f"{COMMAND}.Crc", "is not one whole byte")
         self._crc = CrcRule.make(byte, E2E_P01, data_id_of(message))
         torque = message.get_signal_by_name("RequestedMotorTorque")
-        self._absent = -(2 ** (torque.length - 1))
-        self._scale = float(torque.scale)
+        self._absent = no_value_raws(torque)
+        self._scale, self._offset = float(torque.scale), float(torque.offset)
 
     def read(self, frame: Frame) -> Command | None:
         """The command, or None where CRC or length is wrong."""
         if len(frame.data) != self._message.length or not self._crc.good(frame.data):
             return None
         raw = self._message.decode(frame.data, decode_choices=False, scaling=False)
-        request, torque = int(raw["OverrideRequest"]), int(raw["RequestedMotorTorque"])
-        value = math.nan if torque == self._absent else torque * self._scale
+        request, torque = int(raw["OverrideRequest"]), raw["RequestedMotorTorque"]
+        value = math.nan if torque in self._absent else torque * self._scale + self._offset
         return Command(int(raw["Counter"]), request == _ENABLE, value)
 
 

@@ -63,6 +63,21 @@ class TestReader:
             assert command is not None
             assert not command.within_limits
 
+    def test_offset_and_no_range_of_another_database(self, tmp_path: Path) -> None:
+        """The offset was left out, and a signal without a range ended the rig in a traceback."""
+        file = Path(__file__).parents[2] / "dbc" / "eps_rig.dbc"
+        text = file.read_text().replace("(0.001,0) [-32.767|32.767]", "(0.001,-2) [0|0]")
+        (tmp_path / "own.dbc").write_text(text)
+        database = load_database([tmp_path / "own.dbc"])
+        own = SetPointReader(find_message(database, RIG_COMMAND))
+        values = {"WheelSpeedSetPoint": 1.5, "RackForceSetPoint": 0.0, "MotorShare": 0.0}
+        sent = FrameEncoder(database, RIG_COMMAND).frame(values | {"CommandRequest": 1.0})
+        assert own.read(sent) == SetPoint(0, True, 1.5, 0.0, 0.0)
+        sent = FrameEncoder(database, RIG_COMMAND).frame(values | {"WheelSpeedSetPoint": np.nan})
+        command = own.read(sent)
+        assert command is not None
+        assert not command.within_limits
+
 
 class TestControl:
     def control(self) -> RigControl:

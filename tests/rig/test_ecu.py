@@ -54,6 +54,18 @@ class TestReader:
         assert command is not None
         assert math.isnan(command.torque_nm)
 
+    def test_an_offset_of_another_database_is_part_of_the_torque(self, tmp_path: Path) -> None:
+        """The ECU applied 1 Nm more than was asked for, and than the guard had judged."""
+        file = Path(__file__).parents[2] / "dbc" / "eps_rig.dbc"
+        own = file.read_text().replace("(1e-06,0) [-8.388607|8.388607]", "(1e-06,-1) [-9|7]")
+        (tmp_path / "own.dbc").write_text(own)
+        database = load_database([tmp_path / "own.dbc"])
+        values = {"RequestedMotorTorque": 0.5, "OverrideRequest": 1.0}
+        sent = FrameEncoder(database, COMMAND).frame(values)
+        command = CommandReader(find_message(database, COMMAND)).read(sent)
+        assert command is not None
+        assert command.torque_nm == pytest.approx(0.5)
+
     @pytest.mark.parametrize("byte", range(8))
     def test_a_flipped_bit_anywhere_fails_the_crc(self, byte: int) -> None:
         data = bytearray(self.frame(1.0, 1).data)
