@@ -153,11 +153,16 @@ def same_file(path: Path, others: Sequence[Path]) -> bool:
     return path.resolve() in {other.resolve() for other in others}
 
 
-def read_all(paths: Sequence[Path], reading: Reading) -> "dict[str, Mapping[str, Series]]":
-    """All recordings' signals by path, as the user wrote it; the same file twice is refused."""
+def check_once(paths: Sequence[Path]) -> None:
+    """Refuse the same file twice: what it holds would count as seen twice."""
     for k, path in enumerate(paths):
         if same_file(path, paths[:k]):
             raise InputError(path, "", "is given twice", "name each recording once")
+
+
+def read_all(paths: Sequence[Path], reading: Reading) -> "dict[str, Mapping[str, Series]]":
+    """All recordings' signals by path, as the user wrote it; the same file twice is refused."""
+    check_once(paths)
     if len(paths) < 2:
         return {str(path): one.series for path, one in read_each(paths, reading)}
     return _read_side_by_side(paths, reading)

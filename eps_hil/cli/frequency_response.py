@@ -12,6 +12,7 @@ from eps_hil.cli._inputs import (
     ModelPath,
     Reading,
     RecordingPaths,
+    check_once,
     progress,
     read_each,
     reads_recordings,
@@ -72,6 +73,7 @@ def frequency_response(
     from eps_hil.errors import InputError
     from eps_hil.identification.frequency_response import (
         ESTIMATORS,
+        BandError,
         ResponseSettings,
         responses,
     )
@@ -90,6 +92,9 @@ def frequency_response(
     parts = _stretches(recordings, rig, reading)
     try:
         measured = responses(parts, settings)
+    except BandError as error:
+        remedy = "widen it (--from-hz, --to-hz), or lower --resolution-hz"
+        raise InputError("--from-hz", "", str(error), remedy) from error
     except ValueError as error:
         remedy = "record longer without gaps, or raise --resolution-hz"
         raise InputError(recordings[0], "", str(error), remedy) from error
@@ -112,6 +117,7 @@ def frequency_response(
 def _stretches(paths: list[Path], rig: "Model", reading: Reading) -> "list[Stretch]":
     from eps_hil.identification.frequency_response import stretches
 
+    check_once(paths)
     parts: list[Stretch] = []
     for path, recording in read_each(paths, reading):
         with told_what_it_holds(path, recording):

@@ -46,6 +46,8 @@ from eps_hil.physics.model import Model
 
 ORDERS = (1, 2, 3, 4, 5)
 _STEPS_PER_MS = 20
+_LEAST_ROWS = 100
+"""Two periods of the filter's corner: its own ends are most of a shorter stretch."""
 _SIGNALS = (
     "motor_speed_rad_s",
     "rack_position_m",
@@ -83,7 +85,8 @@ class Agreement:
 def fitted_load(parts: Sequence[Stretch]) -> Load:
     """Spring and damper of the linear motor by least squares: F = k (x − x0) + d ẋ.
 
-    ``ValueError`` where rack force or rack position is missing, or what comes out is no spring.
+    Stretches that are too short for the filter are left out. ``ValueError`` where rack force or
+    rack position is missing, or what comes out is no spring.
     """
     rows, target = [], []
     for part in parts:
@@ -91,9 +94,13 @@ def fitted_load(parts: Sequence[Stretch]) -> Load:
             raise ValueError(
                 "rack_force_n and rack_position_m are needed to find the load's spring"
             )
+        if part.rows < _LEAST_ROWS:
+            continue
         x = _smoothed(part.columns["rack_position_m"])
         rows.append(np.column_stack([x, np.gradient(x, 1e-3), np.ones_like(x)]))
         target.append(_smoothed(part.columns["rack_force_n"]))
+    if not rows:
+        raise ValueError(f"no stretch without gaps is as long as {_LEAST_ROWS} ms")
     (k, d, constant), *_ = np.linalg.lstsq(np.concatenate(rows), np.concatenate(target), rcond=None)
     if k <= 0.0 or d < 0.0:
         raise ValueError(f"the rack force is no spring-damper's ({k:.3g} N/m, {d:.3g} Ns/m)")

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ConfigDict, Field, with_config
 
+from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -41,6 +42,10 @@ _OVERLAP = 0.5
 _WINDOWS_SHARED = 1.0 + 2.0 / 36.0
 """Hann windows at half overlap correlate by 1/6: n of them average like n/(1 + 2/36) (Welch)."""
 _CONFIDENCE = 0.95
+
+
+class BandError(ValueError):
+    """A band in which no response can be had, whatever was recorded."""
 
 
 @with_config(ConfigDict(extra="forbid"))
@@ -119,9 +124,10 @@ def coherence_limit(averages: float) -> float:
 def stretches(series: Mapping[str, Series], model: Model) -> list[Stretch]:
     """The recording on a 1 kHz grid of physical instants, cut at gaps (5 periods of a signal).
 
-    A speed that is missing is taken from its angle by central difference. ``ValueError`` where the
-    motor torque or every output is missing.
+    A speed that is missing is taken from its angle by central difference. The model's effects on
+    delays act. ``ValueError`` where the motor torque or every output is missing.
     """
+    model = with_model_effects(model)
     if INPUT not in series:
         raise ValueError(f"{INPUT} is missing")
     used = {INPUT: series[INPUT]}
@@ -144,12 +150,18 @@ def responses(
 ) -> dict[str, Response]:
     """Responses of every output that all stretches hold, averaged over all their windows.
 
-    ``ValueError`` where no stretch is as long as one window, or fewer than two windows fit in all.
+    ``ValueError`` where the band holds no line, no stretch is as long as one window, or fewer than
+    two windows fit in all.
     """
     s = settings or ResponseSettings()
     if not s.from_hz < s.to_hz < 500.0:
-        raise ValueError(f"the band {s.from_hz:g} to {s.to_hz:g} Hz is empty or beyond 500 Hz")
+        raise BandError(f"the band {s.from_hz:g} to {s.to_hz:g} Hz is empty or beyond 500 Hz")
     window = round(1000.0 / s.resolution_hz)
+    lines_hz = 1000.0 / window * np.arange(window // 2 + 1)
+    if not _in_band(lines_hz, s).any():
+        raise BandError(
+            f"the band {s.from_hz:g} to {s.to_hz:g} Hz holds no line, {1000.0 / window:g} Hz apart"
+        )
     long_enough = [part for part in parts if part.rows >= window]
     windows = sum(_windows(part.rows, window) for part in long_enough)
     if windows < 2:
@@ -178,7 +190,7 @@ def _response(
         total[0] = total[0] + weight * s_xx
         total[1] = total[1] + weight * welch(y, **options)[1]
         total[2] = total[2] + weight * csd(x, y, **options)[1]
-    keep = (frequency >= s.from_hz - 1e-9) & (frequency <= s.to_hz + 1e-9)
+    keep = _in_band(frequency, s)
     s_xx, s_yy, s_xy = (np.asarray(each)[keep] for each in total)
     return _from_spectra(name, frequency[keep], s_xx.real, s_yy.real, s_xy, averages, s.estimator)
 
@@ -210,6 +222,10 @@ def _from_spectra(
     return Response(name, frequency_hz, gain, coherence, radius, averages)
 
 
+def _in_band(frequency_hz: Floats, s: ResponseSettings) -> npt.NDArray[np.bool_]:
+    return np.asarray((frequency_hz >= s.from_hz - 1e-9) & (frequency_hz <= s.to_hz + 1e-9))
+
+
 def _windows(rows: int, window: int) -> int:
     hop = window - int(window * _OVERLAP)
     return 1 + (rows - window) // hop if rows >= window else 0
@@ -218,10 +234,15 @@ def _windows(rows: int, window: int) -> int:
 def _physical(
     name: str, one: Series, series: Mapping[str, Series], model: Model
 ) -> tuple[npt.NDArray[np.int64], Floats]:
-    """Good samples of a signal and the physical instants that they speak of, in ns."""
+    """Good samples of a signal and the physical instants that they speak of, in ns.
+
+    A shaft that follows the motor torque late is in the chain (a negative delay): not here too.
+    """
     source = name if name in series else _DERIVED[name]
-    good = np.isfinite(one.value)
-    return one.t_ns[good] - round(model.delays_s.of(source) * 1e9), one.value[good]
+    good, late_s = np.isfinite(one.value), model.delays_s.of(source)
+    if name == INPUT:
+        late_s = max(late_s, 0.0)
+    return one.t_ns[good] - round(late_s * 1e9), one.value[good]
 
 
 def _grids(signals: Sequence[tuple[npt.NDArray[np.int64], Floats]]) -> list[npt.NDArray[np.int64]]:

@@ -62,9 +62,17 @@ def test_measured_and_models(
 def test_without_a_chain_only_what_was_measured(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["frequency-response", str(recording), str(recording), "--model", MODEL]
+    words = ["frequency-response", str(recording), "--model", MODEL]
     assert main([*words, "--estimator", "hv"]) == 0
     assert "masses" not in capsys.readouterr().out
+
+
+def test_the_same_recording_twice_is_refused(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It counted as two, and made every band too narrow."""
+    assert main(["frequency-response", str(recording), str(recording), "--model", MODEL]) == 2
+    assert "is given twice" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -73,6 +81,8 @@ def test_without_a_chain_only_what_was_measured(
         (["--estimator", "h3"], "h3"),
         (["--load-stiffness", "5"], "--load-damping"),
         (["--resolution-hz", "0.1"], "too few"),
+        (["--resolution-hz", "5", "--to-hz", "4"], "--from-hz: the band 0.5 to 4 Hz holds no line"),
+        (["--from-hz", "9"], "--from-hz: the band 9 to 8 Hz is empty"),
         (["--chain", "gone.yaml"], "gone.yaml"),
     ],
 )

@@ -177,6 +177,22 @@ class TestStretches:
         one = responses(stretches(shifted, late))[SPEED]
         assert relative_error(one) < 0.01
 
+    def test_delays_are_those_with_the_models_effects(self, model: Model) -> None:
+        """A delay that a diagnosis had found stayed in the phase: 8.6 degrees at 8 Hz."""
+        torque = white(60.0, 8)
+        effects = ({"effect": "speed_sensor_delay", "delay_s": 0.003},)
+        late = replace(model, delays_s=Delays(motor_speed=0.001), effects=effects)
+        one = Series(self.series(1, torque).t_ns + 4_000_000, low_pass(torque))
+        found = responses(stretches({INPUT: self.series(1, torque), SPEED: one}, late))[SPEED]
+        assert relative_error(found) < 0.01
+
+    def test_a_shaft_that_follows_late_is_in_the_chain(self, model: Model) -> None:
+        effects = ({"effect": "motor_torque_delay", "delay_s": 0.003},)
+        late = replace(model, delays_s=Delays(motor_torque=0.001), effects=effects)
+        torque = self.series(1, white(2.0, 8))
+        (part,) = stretches({INPUT: torque, SPEED: torque}, late)
+        assert part.columns[INPUT][100:200] == pytest.approx(part.columns[SPEED][100:200])
+
     def test_slow_samples_and_an_angle_instead_of_its_speed(self, model: Model) -> None:
         torque = white(60.0, 9)
         prompt = replace(model, delays_s=Delays())
@@ -262,3 +278,7 @@ class TestChains:
         assert found.damping_n_s_per_m == pytest.approx(2.0e4, rel=0.02)
         with pytest.raises(ValueError, match="needed"):
             fitted_load([Stretch({INPUT: np.zeros(10)})])
+        short = Stretch({name: value[:5] for name, value in part.columns.items()})
+        assert fitted_load([short, part, short]) == found
+        with pytest.raises(ValueError, match="no stretch without gaps is as long as 100 ms"):
+            fitted_load([short])
