@@ -74,7 +74,7 @@ def budget(
     from eps_hil.physics.chain_parameters import load_chain
     from eps_hil.physics.model import load_model
     from eps_hil.report import figures, page
-    from eps_hil.rig.config import REFERENCE_CHAIN
+    from eps_hil.rig.assumed_chain import assumed_chain
     from eps_hil.rig.manoeuvre import load_manoeuvre
 
     if report:
@@ -99,7 +99,7 @@ def budget(
         world = simulated_world(
             rig,
             chosen,
-            load_chain(chain or REFERENCE_CHAIN),
+            load_chain(chain) if chain else assumed_chain(rig),
             load_manoeuvre(manoeuvre),
             order=order,
             angle=angle,

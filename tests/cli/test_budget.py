@@ -2,10 +2,15 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from eps_hil.cli.main import main
+from eps_hil.errors import InputError
+from eps_hil.physics.chain import build_chain
+from eps_hil.physics.chain_parameters import ChainParameters
+from eps_hil.physics.model import Model
 
 ROOT = Path(__file__).parents[2]
 MODEL = str(ROOT / "configs" / "reference_rig.yaml")
@@ -21,6 +26,25 @@ def short(tmp_path: Path) -> Path:
         encoding="utf-8",
     )
     return path
+
+
+def test_a_lighter_gear_needs_no_chain_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reference chain's masses left nothing for the rotor, and nobody had given that file."""
+    light = tmp_path / "light.yaml"
+    light.write_text(Path(MODEL).read_text().replace("2.0e-4 ", "5.0e-5 "), encoding="utf-8")
+    chains = []
+
+    def simulated(
+        rig: Model, _settings: object, chain: ChainParameters, *_: Any, **__: Any
+    ) -> None:
+        chains.append(build_chain(rig, chain, 5))
+        raise InputError("far", "", "enough")
+
+    monkeypatch.setattr("eps_hil.budget.simulated.simulated_world", simulated)
+    assert main(["budget", "--model", str(light)]) == 2
+    assert len(chains) == 1
 
 
 @pytest.mark.slow
