@@ -157,7 +157,7 @@ def responses(
     if not s.from_hz < s.to_hz < 500.0:
         raise BandError(f"the band {s.from_hz:g} to {s.to_hz:g} Hz is empty or beyond 500 Hz")
     window = round(1000.0 / s.resolution_hz)
-    lines_hz = 1000.0 / window * np.arange(window // 2 + 1)
+    lines_hz = np.asarray(1000.0 / window * np.arange(window // 2 + 1), dtype=np.float64)
     if not _in_band(lines_hz, s).any():
         raise BandError(
             f"the band {s.from_hz:g} to {s.to_hz:g} Hz holds no line, {1000.0 / window:g} Hz apart"
