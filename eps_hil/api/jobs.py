@@ -86,19 +86,12 @@ def estimate(
     mapping says of a derived speed and of the cycle goes before). ``changes``: friction levels that
     were taken over while it ran (those within the recording count).
     """
-    from eps_hil import yaml_file
     from eps_hil.estimation import batch
     from eps_hil.estimation.score import score
     from eps_hil.estimation.settings import at_pace, problem
 
     read, rig = _recording(recording), _model(model)
-    if isinstance(settings, str | Path):
-        settings = yaml_file.load(settings, EstimatorSettings)
-    chosen = settings or EstimatorSettings()
-    if not isinstance(chosen, EstimatorSettings):
-        kind = type(chosen).__name__
-        raise InputError("settings", "", f"are of type {kind}", "give a file or EstimatorSettings")
-    chosen = at_pace(chosen, read.pace)
+    chosen = at_pace(_settings(settings), read.pace)
     if wrong := problem(chosen, live=False):
         raise InputError("settings", "kind", wrong)
     try:
@@ -261,22 +254,32 @@ def changes(before: Sources, after: Sources, model: Rig) -> Diagnosis:
 def compare(
     recording: Source,
     model: Rig,
-    settings: EstimatorSettings | None = None,
+    settings: EstimatorSettings | str | Path | None = None,
     *,
     published: Trace | None = None,
     second: bool = False,
 ) -> Comparison:
     """The estimator with and without compensation and extensions, against the load cell.
 
-    ``published``: what a running service made of it; ``second`` adds the estimators beside the
-    paper's.
+    ``settings``: as of :func:`estimate`. ``published``: what a running service made of it;
+    ``second`` adds the estimators beside the paper's.
     """
     from eps_hil.report import comparison
 
     read, rig = _recording(recording), _model(model)
-    chosen = settings or EstimatorSettings()
-    found = comparison.compare(read, rig, chosen, published, second=second)
+    found = comparison.compare(read, rig, _settings(settings), published, second=second)
     return Comparison(read, rig, tuple(found))
+
+
+def _settings(given: EstimatorSettings | str | Path | None) -> EstimatorSettings:
+    from eps_hil import yaml_file
+
+    if isinstance(given, str | Path):
+        return yaml_file.load(given, EstimatorSettings)
+    if given is not None and not isinstance(given, EstimatorSettings):
+        kind = type(given).__name__
+        raise InputError("settings", "", f"are of type {kind}", "give a file or EstimatorSettings")
+    return given or EstimatorSettings()
 
 
 def _recording(source: Source) -> Recording:

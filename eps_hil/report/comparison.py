@@ -63,7 +63,9 @@ def compare(
         batch.check_rate(recording.series)
         for name in (*VARIANTS, *(SECOND if second else ())):
             chosen = variant(settings, name)
-            traces[name] = batch.estimate(recording.series, model, chosen)
+            traces[name] = batch.estimate(
+                recording.series, model, chosen, arrivals=recording.arrivals
+            )
     except ValueError as error:
         there = ", ".join(sorted(recording.series))
         raise InputError(recording.name, "", str(error), f"it holds {there}") from error

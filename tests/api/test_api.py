@@ -23,7 +23,7 @@ from eps_hil.estimation.score import Score
 from eps_hil.estimation.stream import Trace
 from eps_hil.physics.model import Model
 from eps_hil.recordings.read import read_recording
-from eps_hil.series import Series
+from eps_hil.series import Arrivals, Series
 
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "configs" / "reference_rig.yaml"
@@ -241,6 +241,24 @@ def test_a_comparison_judges_the_variants(drive: eps_hil.Recording) -> None:
     assert "2Q-fa" in found._repr_html_()
     assert repr(found).startswith("<Comparison on sweep.csv, rms error moving in N: 2Q-fa ")
     assert found.plot()._repr_png_().startswith(b"\x89PNG")
+
+
+def test_a_comparison_takes_settings_and_late_frames_as_an_estimate_does(
+    drive: eps_hil.Recording, tmp_path: Path
+) -> None:
+    """Frames that waited 0.3 s are as little valid in a comparison as live."""
+    slow = tmp_path / "slow.yaml"
+    slow.write_text("stale_after_s: 0.05\n")
+    sample_ns = drive.series["motor_speed_rad_s"].t_ns
+    receive_ns = sample_ns.copy()
+    receive_ns[2000:2300] = receive_ns[2300]
+    held_up = replace(drive, arrivals=Arrivals(receive_ns, sample_ns, np.zeros_like(sample_ns)))
+    found = eps_hil.compare(held_up, MODEL, slow).candidates[0].trace
+    alone = eps_hil.estimate(held_up, MODEL, slow).trace
+    assert np.array_equal(found.reason, alone.reason)
+    assert found.valid.sum() < eps_hil.estimate(drive, MODEL, slow).trace.valid.sum()
+    with pytest.raises(eps_hil.InputError, match="settings: are of type int"):
+        eps_hil.compare(drive, MODEL, 5)  # type: ignore[arg-type]
 
 
 def test_a_model_is_read_and_written(tmp_path: Path) -> None:
