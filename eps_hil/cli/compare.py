@@ -1,5 +1,6 @@
 """``eps-hil compare REC``: what friction compensation and extensions are worth on a recording."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -95,7 +96,7 @@ def _zoom(text: str) -> tuple[float, float]:
         span = (float(since), float(until))
     except ValueError:
         span = (0.0, 0.0)
-    if not 0.0 <= span[0] < span[1]:
+    if not 0.0 <= span[0] < span[1] < math.inf:
         raise typer.BadParameter(f"'{text}' is not FROM:TO in seconds", param_hint="'--zoom'")
     return span
 
