@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from eps_hil import provenance
+from eps_hil.cli._outputs import check_apart
 from eps_hil.errors import InputError
 
 
@@ -22,17 +23,10 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def check_places(*paths: Path | None) -> None:
-    """Refuse files that cannot be written before long work begins, not after it.
-
-    And one name for two of them: the second would replace the first.
-    """
-    taken: set[Path] = set()
+    """Refuse files that cannot be written before long work begins, not after it."""
     for path in paths:
         if path is None:
             continue
-        if path.resolve() in taken:
-            raise InputError(path, "", "is the name of two outputs", "give each its own name")
-        taken.add(path.resolve())
         folder = path.resolve().parent
         if path.is_dir():
             raise InputError(path, "", "is a folder, a file name was expected", "name the file")
@@ -45,13 +39,10 @@ def check_kept(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) ->
     from eps_hil.recordings.files import check_writable
 
     written = [path for path in outputs if path is not None]
+    check_apart(written, inputs)
     check_places(*written)
     for path in written:
         check_writable(path)
-    read = {path.resolve() for path in inputs if path is not None}
-    for path in written:
-        if path.resolve() in read:
-            raise InputError(path, "", "is read by this command", "write to another file")
 
 
 def check_model_place(path: Path | None) -> None:
@@ -97,12 +88,6 @@ def output_for(out: Path, recording: Path, several: bool) -> Path:
             "put {name} into it, for example out/{name}_estimate.csv",
         )
     return out
-
-
-def check_different(out: Path, recording: Path) -> None:
-    """Refuse to write over the recording that is being read."""
-    if out.exists() and recording.exists() and out.resolve() == recording.resolve():
-        raise InputError(out, "--out", "is the recording itself", "choose another name")
 
 
 def _plain(content: Any) -> Any:

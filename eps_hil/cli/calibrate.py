@@ -13,6 +13,7 @@ from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import reads_recordings
 from eps_hil.cli._levels import accept, check_calibrated_place, reset_levels
 from eps_hil.cli._lines import Lines
+from eps_hil.cli._outputs import check_apart
 from eps_hil.cli._reversals import reversals
 from eps_hil.errors import EpsHilError, InputError, SafetyStop
 
@@ -85,6 +86,8 @@ def torque_injection(
     from eps_hil.service.override_setup import prepare_override
 
     setup = load_config(config)
+    kept = journal_place(journal, write_model)
+    check_apart((write_model, kept), ())
     check_calibrated_place(setup, write_model)
     if reset:
         reset_levels(setup, write_model)
@@ -97,7 +100,6 @@ def torque_injection(
     for line in _plan(parts, settings, dry_run):
         typer.echo(line)
     parts.estimator.warm_up()
-    kept = journal_place(journal, write_model)
     if not dry_run:
         typer.echo(f"journal    {kept}")
     _inject(parts, source, settings, kept, duration, dry_run=dry_run, alone=yes_i_stand_clear)

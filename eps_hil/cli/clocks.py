@@ -41,16 +41,15 @@ def clocks(
 
     from rich.console import Console
 
-    from eps_hil.cli._files import check_different, check_kept, outputs_for, write_json
+    from eps_hil.cli._files import check_kept, outputs_for, write_json
     from eps_hil.cli._inputs import check_extras, progress, say_notes
     from eps_hil.clocks.audit import audit
     from eps_hil.clocks.corrected import check_suffix, write_corrected
 
     check_extras([recordings])
     targets = {} if out is None else outputs_for(out, recordings)
-    for path, target in targets.items():
+    for target in targets.values():
         check_suffix(target)
-        check_different(target, path)
     check_kept([json, *targets.values()], recordings)
     width = None if sys.stdout.isatty() else 110
     console = Console(width=width, highlight=False, soft_wrap=True)

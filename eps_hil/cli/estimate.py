@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eps_hil.cli._files import (
-    check_different,
     check_kept,
     output_for,
     outputs_for,
@@ -91,7 +90,8 @@ def estimate(
     from eps_hil.physics.model import load_model
 
     targets = _targets(out, recordings) if out else []
-    check_kept([json, *targets], [model, settings, *recordings, *reading.files()])
+    given = (model, settings, friction_journal, *recordings, *reading.files())
+    check_kept([json, *targets], given)
     rig = load_model(model)
     chosen = _settings(settings, without or [], friction, kind)
     changes = _changes(friction_journal)
@@ -149,9 +149,8 @@ def _targets(out: Path, recordings: list[Path]) -> list[Path]:
     from eps_hil.recordings.write import check_writable_suffix
 
     targets = outputs_for(out, recordings)
-    for path, target in targets.items():
+    for target in targets.values():
         check_writable_suffix(target)
-        check_different(target, path)
     return list(targets.values())
 
 

@@ -11,6 +11,7 @@ import typer
 from eps_hil.cli._files import check_kept, write_json
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import waiting
+from eps_hil.cli._outputs import check_apart, named_in
 from eps_hil.errors import EpsHilError, InputError
 
 if TYPE_CHECKING:
@@ -110,6 +111,11 @@ def check(
 
         figures.check(figure)
     read = [read_golden(path) for path in goldens]  # every file before any work
+    for path, golden in zip(goldens, read, strict=True):
+        made_from = path.parent / golden.provenance.config
+        check_apart(
+            (json, figure), (path.parent / golden.provenance.log, made_from, *named_in(made_from))
+        )
     found: list[dict[str, Any]] = []
     bad = []
     for path, golden in zip(goldens, read, strict=True):

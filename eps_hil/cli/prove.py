@@ -9,6 +9,7 @@ import typer
 from eps_hil.cli._files import write_json
 from eps_hil.cli._first_answer import say_if_it_compiles, say_if_others_compile
 from eps_hil.cli._inputs import progress, waiting
+from eps_hil.cli._outputs import check_apart
 from eps_hil.errors import InputError
 
 
@@ -182,9 +183,10 @@ def emps(
     Everything is fitted on DATA_EMPS. In DATA_EMPS_PULSES a square wave of force is withheld, is
     estimated as the rack force is, and is opened at the end.
     """
-    from eps_hil.axis.emps import read
+    from eps_hil.axis.emps import FITTED, HELD_OUT, read
     from eps_hil.axis.proof import prove
 
+    check_apart((json, figure), (data_dir / FITTED, data_dir / HELD_OUT))
     fitted, heldout = read(data_dir)
     say_if_it_compiles()
     with progress("proving") as bar:

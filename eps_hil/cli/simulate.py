@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from eps_hil.cli._files import check_different, check_kept
+from eps_hil.cli._files import check_kept
 from eps_hil.cli._first_answer import say_if_it_compiles
 from eps_hil.cli._inputs import (
     ModelPath,
@@ -43,8 +43,7 @@ def simulate(
 
     rig = load_model(model)
     check_writable_suffix(out)
-    check_different(out, inputs)
-    check_kept((out,), (model, *reading.files()))
+    check_kept((out,), (model, inputs, *reading.files()))
     recording = read_recording(inputs, reading)
     read = eps_hil.Recording(str(inputs), recording.series, recording.notes)
     say_if_it_compiles()

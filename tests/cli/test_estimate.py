@@ -230,7 +230,7 @@ def test_out_may_not_be_the_recording(weave: Path, capsys: pytest.CaptureFixture
     before = weave.read_bytes()
     assert main(["estimate", str(weave), "--model", MODEL, "--out", str(weave)]) == 2
     assert weave.read_bytes() == before
-    assert "recording itself" in capsys.readouterr().err
+    assert "is read by this command" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", ["bristle_filter", "smoother"])
