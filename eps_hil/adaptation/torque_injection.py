@@ -1,8 +1,8 @@
 """Torque injection (PAPER fig. 14): ramp until the rack moves, both ways, and read off k0±.
 
 One call of :meth:`TorqueInjection.step` per sample at 1 kHz of *sample* time; what it returns is a
-wish, which the torque guard may refuse. No I/O, no clock. Signs: CONTRACT 1 (positive motor torque
-turns towards positive speed; k0+ belongs to ω ≥ 0).
+wish, which the torque guard may refuse. No I/O, no clock of its own. Signs: CONTRACT 1 (positive
+motor torque turns towards positive speed; k0+ belongs to ω ≥ 0).
 """
 
 import math
@@ -116,6 +116,7 @@ class TorqueInjection:
         self._evaluation: Generator[None, None, SlideLevel | None] | None = None
         self._found: list[Repetition] = []
         self._t_ns: int | None = None
+        self._now_ns: int | None = None
         self._since_s = self._held_s = self._torque_nm = self._integral_nm = 0.0
         self._direction = -1
         self._failures = 0
@@ -138,10 +139,20 @@ class TorqueInjection:
             self.reason = reason
             self._enter(Phase.ABORTING if self.phase.active else Phase.ABORTED)
 
-    def step(self, t_ns: int, inputs: InjectionInputs) -> InjectionCommand:
-        """Take the newest values, reported by sample time ``t_ns``, and say what to ask for."""
+    def step(
+        self, t_ns: int, inputs: InjectionInputs, now_ns: int | None = None
+    ) -> InjectionCommand:
+        """Take the newest values, reported by sample time ``t_ns``, and say what to ask for.
+
+        ``now_ns``: a steady clock of the caller's (ns; None: there is none but sample time). By it
+        a torque is lowered after an abort, for sample time may stand still.
+        """
         before, self._t_ns = self._t_ns, t_ns
         dt_s = 1e-3 if before is None else (t_ns - before) * _NS
+        passed_s = 0.0
+        if now_ns is not None and self._now_ns is not None:
+            passed_s = (now_ns - self._now_ns) * _NS
+        self._now_ns = now_ns
         self._gates.update(max(dt_s, 0.0), inputs)
         if self.phase.over:
             return self._command()
@@ -153,7 +164,7 @@ class TorqueInjection:
             self._record.add(t_ns, inputs)
         self._since_s += max(dt_s, 0.0)
         if self.phase is Phase.ABORTING:
-            self._lower(dt_s, self.settings.abort_nm_per_s)
+            self._lower(max(dt_s, passed_s), self.settings.abort_nm_per_s)
             if self._torque_nm == 0.0:
                 self._enter(Phase.ABORTED)
         elif not bad:

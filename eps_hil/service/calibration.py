@@ -80,7 +80,9 @@ class TorqueInjectionSource:
         """Why it gave up; empty where it did not."""
         return self.injection.reason if self.injection.phase is Phase.ABORTED else ""
 
-    def step(self, t_ns: int, values: Mapping[str, float], *, engaged: bool) -> float | None:
+    def step(
+        self, t_ns: int, values: Mapping[str, float], *, engaged: bool, now_ns: int
+    ) -> float | None:
         """See :class:`~eps_hil.service.override_core.Source`."""
         inputs = newest(values)
         if not engaged and self.command is None:
@@ -88,7 +90,7 @@ class TorqueInjectionSource:
             self._gates.update(min(max(since_s, 0.0), 1.0), inputs)
             self._t_ns = t_ns
             return None
-        self.command = self.injection.step(t_ns, inputs)
+        self.command = self.injection.step(t_ns, inputs, now_ns)
         return self.command.torque_nm if self.command.active else None
 
 

@@ -65,6 +65,7 @@ class CommandReplay:
     def __init__(self, commands: Sequence[LoggedCommand]) -> None:
         self._commands = commands
         self._start_ns: int | None = None
+        self._newest_ns = self._went_on_ns = -(10**18)
         self._next = 0
         self.over = False
         """The last command has been asked for."""
@@ -74,10 +75,16 @@ class CommandReplay:
         """(commands asked for so far, all)."""
         return self._next, len(self._commands)
 
-    def step(self, t_ns: int, values: Mapping[str, float], *, engaged: bool) -> float | None:
+    def step(
+        self, t_ns: int, values: Mapping[str, float], *, engaged: bool, now_ns: int
+    ) -> float | None:
         """What the log asked for as long after its first command as this is after the first
-        engaged step; None where it asked for nothing for 20 ms."""
+        engaged step; None where it asked for nothing for 20 ms, or sample time stood so long."""
+        if t_ns > self._newest_ns:
+            self._newest_ns, self._went_on_ns = t_ns, now_ns
         if not engaged or self.over:
+            return None
+        if now_ns - self._went_on_ns > HOLD_NS:
             return None
         if self._start_ns is None:
             self._start_ns = t_ns

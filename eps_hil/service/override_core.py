@@ -33,11 +33,14 @@ _RELEASE = Command(0.0, False)
 class Source(Protocol):
     """Who wants a torque."""
 
-    def step(self, t_ns: int, values: Mapping[str, float], *, engaged: bool) -> float | None:
+    def step(
+        self, t_ns: int, values: Mapping[str, float], *, engaged: bool, now_ns: int
+    ) -> float | None:
         """Wanted torque (Nm, rotor) at a sync frame; None: none, release.
 
         ``values``: the newest of each canonical signal. ``engaged``: armed and the operator there;
-        without it nothing that is wanted reaches the bus.
+        without it nothing that is wanted reaches the bus. ``now_ns``: the session's steady clock,
+        which goes on where sample time stands still.
         """
 
 
@@ -201,7 +204,9 @@ class OverrideCore:
             self._syncs += 1
             self.values = self._latest.at(samples[0].t_ns)
             engaged = self.state in _LIVE and self._beaten and self._armed_ticks > RELEASES
-            wanted = self._source.step(samples[0].t_ns, self.values, engaged=engaged)
+            wanted = self._source.step(
+                samples[0].t_ns, self.values, engaged=engaged, now_ns=self._now_ns
+            )
             self._request_nm = wanted if engaged else None
 
     def _hear_ecu(self, frame: Frame) -> None:

@@ -246,6 +246,24 @@ def test_time_that_stops_or_jumps_ends_the_run(reference_model: Model, step_ns: 
     assert "sample time" in injection.reason
 
 
+@pytest.mark.parametrize("step_ns", [0, -1])
+def test_a_torque_is_lowered_where_sample_time_stands_still(
+    reference_model: Model, step_ns: int
+) -> None:
+    injection, t_ns, now_ns = TorqueInjection(QUICK, reference_model), 0, 10**15
+    for _ in range(1500):
+        t_ns, now_ns = t_ns + 1_000_000, now_ns + 1_000_000
+        command = injection.step(t_ns, run_inputs(), now_ns)
+    before_nm = abs(command.torque_nm)
+    assert before_nm > 0.05
+    for _ in range(1 + math.ceil(before_nm / QUICK.abort_nm_per_s * 1e3)):
+        t_ns, now_ns = t_ns + step_ns, now_ns + 1_000_000
+        last_nm, command = abs(command.torque_nm), injection.step(t_ns, run_inputs(), now_ns)
+        assert abs(command.torque_nm) <= max(last_nm - 0.99e-3 * QUICK.abort_nm_per_s, 0.0)
+    assert command.phase is Phase.ABORTED
+    assert command.torque_nm == 0.0
+
+
 def test_a_ramp_too_long_to_be_kept_gives_no_level(reference_model: Model) -> None:
     record = SlideRecord(reference_model)
     inputs = run_inputs()

@@ -42,7 +42,9 @@ class Sawtooth:
         self.wish: Callable[[float], float | None] = lambda wanted_nm: wanted_nm
         """What becomes of it on its way: the place for a source that has gone mad."""
 
-    def step(self, t_ns: int, values: Mapping[str, float], *, engaged: bool) -> float | None:
+    def step(
+        self, t_ns: int, values: Mapping[str, float], *, engaged: bool, now_ns: int
+    ) -> float | None:
         if not engaged:
             return None
         self.wanted_nm += self._step_nm

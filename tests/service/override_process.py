@@ -25,7 +25,9 @@ class Hold:
     def __init__(self, peak_nm: float) -> None:
         self._peak_nm, self._wanted_nm = peak_nm, 0.0
 
-    def step(self, t_ns: int, values: Mapping[str, float], *, engaged: bool) -> float | None:
+    def step(
+        self, t_ns: int, values: Mapping[str, float], *, engaged: bool, now_ns: int
+    ) -> float | None:
         if not engaged:
             return None
         self._wanted_nm = min(self._wanted_nm + self._peak_nm / 500, self._peak_nm)

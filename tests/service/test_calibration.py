@@ -84,7 +84,7 @@ def test_before_it_is_engaged_only_the_gates_live() -> None:
     source = TorqueInjectionSource(InjectionSettings(), MODEL)
     values = {"vehicle_speed_m_s": 0.0, "torque_sensor_nm": 2.0, "rack_position_m": 0.0}
     for k in range(5):
-        assert source.step(k * MS, values, engaged=False) is None
+        assert source.step(k * MS, values, engaged=False, now_ns=k * MS) is None
     met = {gate.name: gate.met for gate in source.gates}
     assert met["vehicle_speed_m_s"]
     assert met["rack_position_m"]

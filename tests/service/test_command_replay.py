@@ -126,12 +126,27 @@ def test_letting_go_of_the_dead_man_ends_it(parts: OverrideParts) -> None:
 
 def test_a_gap_in_the_log_is_a_release(parts: OverrideParts) -> None:
     source = CommandReplay([LoggedCommand(0, 0.1), LoggedCommand(100 * MS, 0.2)])
-    wants = [source.step(k * MS, {}, engaged=True) for k in range(150)]
+    wants = [source.step(k * MS, {}, engaged=True, now_ns=k * MS) for k in range(150)]
     assert wants[0] == wants[20] == 0.1
     assert wants[21:100] == [None] * 79
     assert wants[100] == wants[120] == 0.2
     assert wants[121:] == [None] * 29
     assert source.over
+
+
+@pytest.mark.parametrize("back_ns", [0, 3_600_000 * MS])
+def test_a_sample_time_that_stands_or_goes_back_is_a_release(back_ns: int) -> None:
+    """By it the last command would be wanted for ever, or for an hour more."""
+    source = CommandReplay([LoggedCommand(k * MS, 0.1) for k in range(1000)])
+    start_ns = 10_000_000 * MS
+
+    def wanted(t_ns: int, k: int) -> float | None:
+        return source.step(start_ns + t_ns, {}, engaged=True, now_ns=k * MS)
+
+    assert [wanted(k * MS, k) for k in range(100)] == [0.1] * 100
+    stood = [wanted(99 * MS - back_ns, k) for k in range(100, 200)]
+    assert stood == [0.1] * 20 + [None] * 80
+    assert wanted(100 * MS, 200) == 0.1, "the guard judges what comes after"
 
 
 def test_the_configuration_of_the_tests_has_a_guard() -> None:
