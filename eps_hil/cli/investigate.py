@@ -158,7 +158,9 @@ def _on_bus(setup: "BusSetup", model: "Model", most: "Wanted") -> "OpenRig":
     """The rig on the bus, opened for each experiment and let go of after it; ``most``: asked."""
     from eps_hil.investigate.run import InterruptedInvestigationError
     from eps_hil.programme.link import RigLink
+    from eps_hil.service.input_check import check_mapped
 
+    check_mapped(setup, model)
     link = RigLink(setup, model, most)
 
     def stopped() -> Exception:

@@ -59,12 +59,14 @@ def programme(
         identify_logs,
         table_file,
     )
+    from eps_hil.service.input_check import check_mapped
 
     check_kept((write_model, json), (file, config))
     check_model_place(write_model)
     setup = load_bus_setup(config)
     check_kept((write_model, json), (setup.model, setup.signals, *setup.dbc))
     model = load_model(setup.model)
+    check_mapped(setup, model)
     plan = load_plan(file, model)
     if write_model and cells_only and (twice := counted_twice(model)):
         raise InputError(setup.model, "effects", twice, "leave --cells-only out, or take them off")

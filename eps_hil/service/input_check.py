@@ -1,6 +1,7 @@
-"""Whether what the torque guard judges by comes in the unit and from the shaft that it believes.
+"""Whether what guard and gates judge by comes in the unit and from the shaft that they believe.
 
-A torsion bar that counts a twentieth never reads as a hand in the wheel. So a scale of the mapping
+A torsion bar that counts a twentieth never reads as a hand in the wheel, and a load cell that does
+ends no cell of a programme. So a scale of the mapping
 must be the one of the unit that the database gives the signal, or of another shaft of the gear.
 """
 
@@ -8,15 +9,16 @@ import math
 from typing import Any
 
 from eps_hil.bus import units
-from eps_hil.bus.database import find_message
-from eps_hil.bus.mapping import SignalMapping, SignalSource
+from eps_hil.bus.config import BusSetup
+from eps_hil.bus.database import find_message, load_database
+from eps_hil.bus.mapping import SignalMapping, SignalSource, load_mapping
 from eps_hil.errors import InputError
 from eps_hil.physics.model import Model
 from eps_hil.signals import CANONICAL
 
 JUDGED = (
     "motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "motor_angle_rad",
-    "rack_position_m",
+    "rack_position_m", "rack_force_n",
 )  # fmt: skip
 _SAME = 0.01
 """By so much a scale may differ from what unit and gear say."""
@@ -67,6 +69,7 @@ def _shafts(name: str, quantity: str, model: Model) -> tuple[float, ...]:
         ("motor_angle_rad", "angle"): (1.0, gear),
         ("motor_angle_rad", "length"): (abs(rotor),),
         ("rack_position_m", "length"): (1.0,),
+        ("rack_force_n", "force"): (1.0,),
         ("rack_position_m", "angle"): (1.0 / abs(rotor), 1.0 / abs(pinion)),
     }.get((name, quantity), ())
 
@@ -77,3 +80,9 @@ def check_inputs(mapping: SignalMapping, database: Any, model: Model, file: obje
         problem = scale_problem(name, source, database, model)
         if problem is not None:
             raise InputError(file, f"signals.{name}", *problem)
+
+
+def check_mapped(setup: BusSetup, model: Model) -> None:
+    """:func:`check_inputs` of the mapping and database that a configuration names."""
+    mapping = load_mapping(setup.signals)
+    check_inputs(mapping, load_database(setup.dbc, strict=mapping.strict), model, setup.signals)

@@ -121,9 +121,11 @@ def test_a_scale_that_fits_no_shaft_is_warned_of_without_an_override_too(tmp_pat
     config = copied(tmp_path)
     signals = tmp_path / "configs" / "eps_rig_signals.yaml"
     change(signals, "signals", "torque_sensor_nm", "scale", to=0.05)
+    change(signals, "signals", "rack_force_n", "scale", to=0.001)
     change(signals, "signals", "vehicle_speed_m_s", "scale", to=1.0)
     lines = "\n".join(said(config))
     assert "signals.torque_sensor_nm: TorsionBarTorque is in Nm, scale is 0.05; to Nm it" in lines
+    assert "signals.rack_force_n: RackForce is in N, scale is 0.001; to N it is 1" in lines
     assert "signals.vehicle_speed_m_s: VehicleSpeed is in km/h, scale is 1; to m/s it is" in lines
 
 

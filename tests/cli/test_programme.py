@@ -93,3 +93,23 @@ def test_nothing_that_it_reads_is_written_over(
     assert main([*words, option, str(model)]) == 2
     assert "own.yaml: is read by this command" in capsys.readouterr().err
     assert model.read_text() == before
+
+
+@pytest.mark.parametrize("verb", ["programme", "investigate"])
+@pytest.mark.parametrize("name", ["rack_force_n", "torque_sensor_nm"])
+def test_a_rig_is_not_led_by_what_counts_a_twentieth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, verb: str
+) -> None:
+    """No preload and no torque in the torsion bar would end a cell."""
+    signals, config = tmp_path / "signals.yaml", tmp_path / "c.yaml"
+    mapped = (ROOT / "configs" / "eps_rig_signals.yaml").read_text()
+    signals.write_text(mapped.replace(f"{name}: {{", f"{name}: {{scale: 0.05, "))
+    line = f"signals: {ROOT / 'configs' / 'eps_rig_signals.yaml'}"
+    assert line in CONFIG
+    config.write_text(CONFIG.replace(line, f"signals: {signals}"))
+    plan = [str(ROOT / "configs" / "programmes" / "friction_map.yaml")]
+    words = plan if verb == "programme" else ["--budget", "1min"]
+    words = [verb, *words, "--config", str(config), "--out", str(tmp_path / "out")]
+    assert main(words) == 2
+    assert f"signals.{name}: " in (said := capsys.readouterr().err)
+    assert "scale is 0.05" in said

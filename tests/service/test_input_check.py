@@ -46,6 +46,9 @@ def prepared(
         ("motor_speed_rad_s", 0.1, {}, "to rad/s it is 1 or 19.9"),
         ("motor_angle_rad", 1.0, {"MotorAngle": "deg"}, "to rad it is 0.01745329 or 0.34"),
         ("rack_position_m", 1.0, {"RackPosition": "cm"}, "to m it is 0.01"),
+        ("rack_force_n", 0.05, {}, "RackForce is in N, scale is 0.05; to N it is 1"),
+        ("rack_force_n", -1.0, {"RackForce": "kN"}, "to N it is -1000"),
+        ("rack_force_n", 1.0, {"RackForce": "Nm"}, "is in Nm (torque)"),
     ],
 )
 def test_a_scale_that_fits_neither_unit_nor_shaft_is_refused(
@@ -70,6 +73,9 @@ def test_a_scale_that_fits_neither_unit_nor_shaft_is_refused(
         ("motor_speed_rad_s", {"scale": -GEAR * math.pi / 180}, {"MotorSpeed": "deg/s"}),
         ("motor_angle_rad", {"scale": 2513.0}, {"MotorAngle": "m"}),
         ("rack_position_m", {"scale": 1 / 125.7}, {"RackPosition": "rad"}),
+        ("rack_force_n", {"scale": -10.0}, {"RackForce": "daN"}),
+        ("rack_force_n", {"scale": 2500.0}, {"RackForce": "mV"}),
+        ("rack_force_n", {"scale": 250.0}, {"RackForce": "V"}),
     ],
 )
 def test_units_and_shafts_that_may_be_meant(
