@@ -7,6 +7,7 @@ there). python-can knows no error base for broken files and logs as it goes; bot
 
 import contextlib
 import logging
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,12 @@ _NS = 1_000_000_000
 _RELATIVE_S = 1e6  # smaller stamps count from the start and are exact to the nanosecond
 _MUCH = 1 << 16
 _LOGGERS = ("can", "asammdf")
+_BY_LINE = (".asc", ".trc")
+_EVENT = re.compile(r"\s*\d+\)?\s+\d")
+
+
+class _ShortError(ValueError):
+    """A line that holds less of a frame than it says."""
 
 
 class VendorLog:
@@ -70,6 +77,8 @@ class VendorLog:
         self._reader = reader
         first_channel = 1 if self._kind in (".blf", ".asc") else 0
         for message in reader:
+            if self._kind in _BY_LINE:
+                _refuse_short(message, code=self._kind == ".trc")
             self._frames += 1
             number = message.channel
             channel = str(number + first_channel) if isinstance(number, int) else str(number)
@@ -92,7 +101,7 @@ class VendorLog:
             return can.MF4Reader(self._path), 0
         if self._kind == ".trc":
             self._file = TextLines(self._path)
-            return can.TRCReader(self._file), 0
+            return _trc_reader(self._file), 0
         self._file = AscLines(self._path)
         return can.ASCReader(self._file), 0
 
@@ -111,8 +120,40 @@ class VendorLog:
         if isinstance(self._file, AscLines) and self._file.has_names():
             problem = "has a message's name in place of an id"
             return InputError(self._path, self.place, problem, "export it with numeric ids")
+        if isinstance(error, _ShortError):
+            problem = "a frame has fewer bytes than its length says"
+            return InputError(self._path, self.place, problem, "export or record it again")
         place = f"after {self.place}" if self._frames else ""
         return InputError(self._path, place, problem, "export or record it again")
+
+
+def _trc_reader(file: TextLines) -> Any:
+    """python-can's, which by itself leaves out lines that end too early and says nothing."""
+    import can
+
+    class Reader(can.TRCReader):
+        def _parse_line(self, line: str) -> Any:
+            try:
+                return self._parse_cols(tuple(line.split(maxsplit=self._num_columns)))
+            except IndexError:
+                if _EVENT.match(line):
+                    raise _ShortError from None
+                return None
+
+    return Reader(file)
+
+
+def _refuse_short(message: Any, *, code: bool) -> None:
+    """``code``: the reader gives the length of a CAN FD frame as its code, and not in bytes."""
+    if message.is_remote_frame or message.is_error_frame:
+        return
+    length = message.dlc if message.is_fd else min(message.dlc, 8)
+    if message.is_fd and code:
+        from can.util import dlc2len
+
+        length = dlc2len(length)
+    if len(message.data) < length:
+        raise _ShortError
 
 
 def _frame(message: Any, start_ns: int) -> Frame:

@@ -112,6 +112,37 @@ def test_bad_candump_line_is_named(tmp_path: Path, line: str) -> None:
     assert "a.log: line 2: " in _refused(_candump(tmp_path, text))
 
 
+TRC_HEAD = ";$FILEVERSION={}\n;$STARTTIME=45917.79\n"
+TRC_COLUMNS = ";$COLUMNS=N,O,T,I,d,{},D\n"
+ASC_HEAD = "date Thu Sep 11 19:03:51.821 2025\nbase hex  timestamps absolute\n"
+SHORT = [
+    ("a.trc", TRC_HEAD.format("1.1"), "{}) {}.0 Rx 0123 8 {}"),
+    ("a.trc", "", "{}) {}.0 0123 8 {}"),
+    ("a.trc", TRC_HEAD.format("1.3"), "{}) {}.0 1 Rx 0123 - 8 {}"),
+    ("a.trc", TRC_HEAD.format("2.1") + TRC_COLUMNS.format("L"), "{} {}.0 DT 0123 Rx 8 {}"),
+    ("a.trc", TRC_HEAD.format("2.1") + TRC_COLUMNS.format("l"), "{} {}.0 FD 0123 Rx 12 {}"),
+    ("a.asc", ASC_HEAD, "{}.{} 1 123 Rx d 8 {}"),
+]
+
+
+@pytest.mark.parametrize(("name", "head", "line"), SHORT, ids=lambda one: one[:25])
+def test_a_frame_with_fewer_bytes_than_it_says_is_no_data(
+    tmp_path: Path, name: str, head: str, line: str
+) -> None:
+    path, whole = tmp_path / name, " ".join(["01"] * (12 if "FD" in line else 8))
+    notes: list[str] = []
+    lines = [line.format(1, 1, whole), line.format(2, 2, "01 02"), line.format(3, 3, whole)]
+    path.write_text(head + "\n".join(lines) + "\n")
+    place = f"{name}: line {head.count(chr(10)) + 2}: a frame has fewer bytes than its length says"
+    assert place in _refused(path)
+    path.write_text(head + "\n".join(lines[:2]))  # the logger was stopped amid a frame
+    frames = list(read_frames(path, notes=notes))
+    assert [frame.data for frame in frames] == [bytes.fromhex(whole)]
+    assert notes == ["the file is damaged or cut off after 1 frames"]
+    path.write_text(head + "\n".join([lines[0], lines[2]]) + "\n")
+    assert len(list(read_frames(path))) == 2
+
+
 def test_log_that_was_cut_off_is_read_up_to_there(tmp_path: Path) -> None:
     notes: list[str] = []
     path = _candump(tmp_path, "(1.0) can0 123#00\n(2.0) can0 12")
