@@ -96,6 +96,8 @@ class Monitor:
                 continue
             self._frames.add(frame.t_ns)
             self._bits.add(frame.t_ns, frame_bits(frame))
+            if frame.remote:
+                continue
             key = (frame.can_id, frame.extended)
             if self._estimate is not None and key == self._estimate.key:
                 self._take_estimate(self._estimate, frame)

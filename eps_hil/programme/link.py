@@ -355,8 +355,9 @@ class RigLink:
     def _take(self, frames: Sequence[Frame], sink: OnSamples | None, now_s: float) -> None:
         foreign = False
         for frame in frames:
-            if frame.can_id == self._encoder.can_id and not frame.own and not frame.error:
-                foreign = True
+            if frame.own or frame.error or frame.remote:
+                continue
+            foreign |= frame.can_id == self._encoder.can_id
             samples = self._decoder.decode(frame)
             if not samples:
                 continue

@@ -189,7 +189,7 @@ class ServiceCore:
         newest: tuple[int, Estimate] | None = None
         sync, send_ids, live = self.decoder.sync, self._send_ids, self.live
         for frame in frames:
-            if frame.error or frame.own:
+            if frame.error or frame.own or frame.remote:
                 continue
             key = frame.can_id, frame.extended
             if key in send_ids:

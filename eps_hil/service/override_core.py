@@ -211,7 +211,7 @@ class OverrideCore:
 
     def _hear_ecu(self, frame: Frame) -> None:
         status = self._parts.status
-        if status is None or frame.error or frame.own:
+        if status is None or frame.error or frame.own or frame.remote:
             return
         value = status.read(frame)
         if value is not None:

@@ -163,6 +163,8 @@ def test_a_damaged_estimate_is_not_taken(bench: Make) -> None:
     assert not told.take(Frame(before + 1, 0x120, bytes(8)))
     assert told.t_ns == before
     assert told.bad == 1
+    rig.monitor.take([Frame(before + 1, 0x120, b"", remote=True)])
+    assert told.bad == 1, "a request holds no data"
 
 
 def test_the_labels_of_a_state_are_no_missing_values(bench: Make) -> None:

@@ -241,6 +241,12 @@ class TestPauses:
         assert leader.readings[-1].speed_rad_s > 20.0
         again.let_go()
 
+    def test_a_request_for_the_command_is_nobody_who_commands(self, bench: LinkBench) -> None:
+        bench.frames = lambda frames: [*frames, Frame(0, RIG_COMMAND, b"", remote=True)]
+        bench.open()
+        bench.link.lead(Turning(30), None, lambda: None)
+        bench.link.let_go()
+
     def test_nothing_is_released_that_somebody_else_commands(self, bench: LinkBench) -> None:
         def with_another(frames: list[Frame]) -> list[Frame]:
             other = (

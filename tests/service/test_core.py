@@ -251,6 +251,8 @@ def test_own_and_error_frames_and_strangers_change_nothing(parts: Parts, rig: Ti
     strangers = [
         Frame(0, 0x120, bytes(8), own=True),
         Frame(0, 0x100, bytes(8), error=True),
+        Frame(0, 0x120, b"", remote=True),
+        Frame(0, 0x100, b"", remote=True),
         Frame(0, 0x7FF, bytes(8)),
         Frame(0, 0x100, bytes(8), extended=True),
     ]

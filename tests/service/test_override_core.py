@@ -33,7 +33,7 @@ from eps_hil.service.override_setup import (
 from .lockstep import CONFIG, ROOT, Lockstep, Sawtooth, parts_of
 
 DATABASE = load_database([ROOT / "dbc" / "eps_rig.dbc"])
-COMMAND, STATE = 0x80, 0x140
+COMMAND, STATE, STATUS = 0x80, 0x140, 0x130
 TIMEOUT_MS = 20
 
 
@@ -246,6 +246,17 @@ class TestTrips:
         bench.waiting.append(replace(frame, t_ns=bench.wall_ns))
         zero_from_here(bench, 2)
         assert trips(bench) == Trip.OTHER_TRANSMITTER | Trip.INVALID_INPUT
+
+    @pytest.mark.parametrize("can_id", [COMMAND, STATE, 0x120, STATUS])
+    def test_a_remote_request_is_neither_a_transmitter_nor_data(
+        self, bench: Lockstep, can_id: int
+    ) -> None:
+        injecting(bench)
+        for _ in range(30):
+            bench.waiting.append(Frame(bench.wall_ns, can_id, b"", remote=True))
+            bench.step(1)
+        assert bench.state is State.INJECTING, bench.story()
+        assert not trips(bench)
 
     @pytest.mark.parametrize(
         ("disturb", "trip"),
