@@ -292,6 +292,36 @@ def test_parameters_and_start_values_are_taken(stribeck: Path) -> None:
     assert _apart(found, _expected(other, given, speed_rad_s=-20.0)) < 1e-9
 
 
+@pytest.mark.parametrize(("step_s", "kept"), [(2e-6, True), (1e-6, False)])
+def test_a_late_torque_is_not_forgotten_in_silence(
+    step_s: float, kept: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """19 ms of steps of 1 us are more than it keeps: the torque came 3 ms early."""
+    late = {"effect": "motor_torque_delay", "delay_s": 0.02, "lag_share": 0.0}
+    export_fmu(replace(MODEL, effects=(late,)), tmp_path / "late.fmu")
+    slave = _slave(tmp_path / "late.fmu", tmp_path / "a")
+    _start(slave)
+    torque, speed, said = slave.vr["motor_torque_nm"], [], ""
+    for k in range(round(0.022 / step_s)):
+        slave.setReal([torque], [1.0 if k * step_s >= 1e-4 else 0.0])
+        try:
+            slave.doStep(currentCommunicationPoint=k * step_s, communicationStepSize=step_s)
+        except fmpy.fmi1.FMICallException as error:
+            said = str(error)
+            break
+        speed.append(_speed(slave))
+    moved = np.flatnonzero(np.abs(speed) > 1e-9)
+    if kept:
+        assert not said
+        assert moved[0] * step_s == pytest.approx(0.0191, abs=2 * step_s)
+    else:
+        assert said
+        assert moved.size == 0, "nothing came too early"
+        assert "is 0.019 s late and 16384 steps of it are kept: take steps of 1.16" in (
+            capfd.readouterr().out
+        )
+
+
 def test_instances_are_apart_and_reset_begins_anew(stribeck: Path, tmp_path: Path) -> None:
     one, other = _slave(stribeck, tmp_path / "a"), _slave(stribeck, tmp_path / "a", "two")
     _start(one)

@@ -15,6 +15,7 @@ typedef struct {
     double row[INPUTS]; /* inputs that act now */
     Piece piece[HISTORY]; /* of the motor torque, where the shaft has it late */
     int pieces, newest;
+    int forgot; /* 1: of that torque what the shaft has now, for steps were too short */
     int begun;
 } Core;
 
@@ -48,6 +49,9 @@ static void core_remember(Core *c)
         one = &c->piece[c->newest];
     else {
         c->newest = (c->newest + 1) % HISTORY;
+        if (c->pieces == HISTORY
+            && c->piece[(c->newest + 1) % HISTORY].start_s > c->time_s - LATE_S)
+            c->forgot = 1;
         c->pieces = c->pieces < HISTORY ? c->pieces + 1 : HISTORY;
         one = &c->piece[c->newest];
     }
@@ -106,7 +110,7 @@ static void core_begin(Core *c)
     c->speed = c->r[START_SPEED];
     c->angle = c->r[START_ANGLE];
     c->bristle = c->r[START_BRISTLE];
-    c->pieces = 0;
+    c->pieces = c->forgot = 0;
     memset(c->state, 0, sizeof c->state);
     core_set(c);
 #if JOINED

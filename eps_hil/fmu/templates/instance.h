@@ -134,9 +134,12 @@ static Status go(Instance *i, Real time, Real step)
         return complain(i, "a step of %g s, expected more than 0 and at most 10", step);
     if (in_bounds(i) != OK)
         return ERROR;
-    if (core_step(&i->core, time - i->start_s, step))
+    if (core_step(&i->core, time - i->start_s, step) && !i->core.forgot)
         return OK;
     i->failed = 1;
+    if (i->core.forgot)
+        return complain(i, "the motor torque is %g s late and %d steps of it are kept: "
+                        "take steps of %.3g s or more", LATE_S, HISTORY, LATE_S / (HISTORY - 2));
     return complain(i, "the motion is no number any more after %g s", time + step);
 }
 
