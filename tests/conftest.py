@@ -38,8 +38,8 @@ NO_CLOCK = frozenset(
         "bus": "bit_packing bits codec database e2e eps_rig_dbc fast_clock frame lanes lanes_anew "
         "mapping protection sample_clock seen stamp_offset supply_power",
         "cli": "bad_input budget compare completion convert diagnose each_verb estimate export "
-        "extras first_answer frequency_response gap identify inputs main prove_concealed schema "
-        "tune",
+        "extras first_answer frequency_response gap identify inputs main numbers outputs "
+        "prove_concealed schema tune",
         "dashboard": "collect decimate diagnosis events feed mismatch recording stretch",
         "monitor": "alarm meters view_model",
         "programme": "conductor identify_logs plan recordings",
