@@ -31,7 +31,7 @@ class Begun:
 
 def from_database(path: Path, interface: str, channel: str) -> Begun:
     """Mapping, model and configuration for a DBC; :class:`InputError` where nothing is found."""
-    database = load_database([path], strict=False)
+    database, contradiction = _read(path)
     found = guess(
         Candidate(signal.name, signal.unit, message.name)
         for message in database.messages
@@ -59,6 +59,9 @@ def from_database(path: Path, interface: str, channel: str) -> Begun:
             unknown.append(f"{message.name} has no cycle time in the database")
     if lines[-1] == "messages:":
         lines.pop()
+    if contradiction:
+        lines.append("strict: false  # the database contradicts itself, and is read all the same")
+        unknown.append(f"which of it is right: {contradiction}")
     unknown += [
         "signs: a database does not say them (positive motor torque, torsion-bar torque and speed"
         " turn the same way, rack force opposes)",
@@ -79,6 +82,14 @@ def from_database(path: Path, interface: str, channel: str) -> Begun:
         "rig.yaml": f"{head}{config}",
     }
     return Begun(files, tuple(found.values()), tuple(unknown))
+
+
+def _read(path: Path) -> tuple[Any, str]:
+    """The database, and where it contradicts itself; "" if nowhere."""
+    try:
+        return load_database([path]), ""
+    except InputError as error:
+        return load_database([path], strict=False), error.problem
 
 
 def from_table(path: Path) -> Begun:

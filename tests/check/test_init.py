@@ -33,6 +33,25 @@ def test_the_projects_own_database_is_mapped_as_by_hand(
     assert main(["init", str(DBC / "eps_rig.dbc"), str(tmp_path)]) == 2  # never over one's own
 
 
+def test_a_database_that_contradicts_itself_is_written_as_it_was_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing could be begun with: every other verb read the database strictly."""
+    text = (DBC / "eps_rig.dbc").read_text(encoding="cp1252")
+    place = text.index(" SG_ MotorSpeed ")
+    odd = text[:place] + ' SG_ Odd : 0|16@1+ (1,0) [0|0] "" X\n' + text[place:]
+    (tmp_path / "odd.dbc").write_text(odd, encoding="cp1252")
+    assert main(["init", str(tmp_path / "odd.dbc"), str(tmp_path / "rig")]) == 0
+    said = capsys.readouterr().out
+    assert "not known: which of it is right: inconsistent database: " in said
+    assert "overlapping" in said
+    assert not load_mapping(tmp_path / "rig" / "signals.yaml").strict
+    found = check(tmp_path / "rig" / "rig.yaml")
+    assert found.good, found.remarks
+    assert main(["init", str(DBC / "eps_rig.dbc"), str(tmp_path / "good")]) == 0
+    assert load_mapping(tmp_path / "good" / "signals.yaml").strict
+
+
 def test_a_database_without_a_rotor_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["init", str(DBC / "ford_gt350.dbc"), "nowhere"]) == 2
     assert "no signal looks like the rotor's speed or angle" in capsys.readouterr().err
