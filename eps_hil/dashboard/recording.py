@@ -119,10 +119,8 @@ def balance_of_recording(series: Mapping[str, Series], model: Model) -> dict[str
     needed = {"motor_torque_nm", "rack_force_n"} - series.keys()
     if needed or not {SPEED, ANGLE} & series.keys():
         return {}
-    begin = min(int(one.t_ns[0]) for one in series.values())
-    end = max(int(one.t_ns[-1]) for one in series.values())
     t_ns, left_n = list[Int64](), list[Float64]()
-    for first in range(begin, end, _PIECE_NS):
+    for first in _pieces(series):
         try:
             piece = {
                 name: _between(one, first - _LAP_NS, first + _PIECE_NS + _LAP_NS)
@@ -136,6 +134,13 @@ def balance_of_recording(series: Mapping[str, Series], model: Model) -> dict[str
         t_ns.append(at_ns[own])
         left_n.append(value[own])
     return {BALANCE: (np.concatenate(t_ns), np.concatenate(left_n))} if t_ns else {}
+
+
+def _pieces(series: Mapping[str, Series]) -> list[int]:
+    """Where the pieces begin in which anything is; a clock that was set may leave decades."""
+    begin = min(int(one.t_ns[0]) for one in series.values())
+    there = [np.unique((one.t_ns - begin) // _PIECE_NS) for one in series.values()]
+    return [begin + k * _PIECE_NS for k in np.unique(np.concatenate(there)).tolist()]
 
 
 def _between(one: Series, begin_ns: int, end_ns: int) -> Series:

@@ -2,14 +2,18 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from eps_hil.bus.codec import FrameEncoder
 from eps_hil.bus.database import load_database
-from eps_hil.dashboard.recording import store_of
-from eps_hil.dashboard.traces import ESTIMATE, FRICTION, SPEED
+from eps_hil.dashboard import recording
+from eps_hil.dashboard.recording import balance_of_recording, store_of
+from eps_hil.dashboard.traces import BALANCE, ESTIMATE, FRICTION, SPEED
+from eps_hil.physics.model import load_model
+from eps_hil.series import Series
 from eps_hil.service.config import load_config
 from eps_hil.service.core import Status
 
@@ -63,3 +67,34 @@ def test_an_estimate_that_a_table_calls_invalid_is_a_gap(tmp_path: Path) -> None
         there = np.isfinite(track.value)
         assert np.array_equal(since_ms[there], [*range(1000, 2000), *range(2100, 3000)])
         assert not np.any(there[(since_ms >= 2000) & (since_ms < 2100)])
+
+
+def test_a_clock_that_jumps_by_decades_makes_no_pieces_of_them(
+    weave_truth: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """50 years are 26 million pieces, each looked at: the page never came."""
+    model = load_model(ROOT / "configs" / "reference_rig.yaml")
+    names = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s", "rack_force_n")
+    columns = {name: np.asarray(weave_truth.columns[name])[:8000] for name in names}
+    since_ns = np.arange(8000, dtype=np.int64) * MS
+    alone = {name: Series(since_ns, value) for name, value in columns.items()}
+    apart_ns = 60 * 10**9 * (50 * 365 * 1440)
+    both = {
+        name: Series(np.concatenate([since_ns, since_ns + apart_ns]), np.tile(value, 2))
+        for name, value in columns.items()
+    }
+    cuts: list[int] = []
+    between = recording._between
+
+    def counted(one: Series, *of: int) -> Series:
+        cuts.append(1)
+        return between(one, *of)
+
+    monkeypatch.setattr(recording, "_between", counted)
+    (at_ns, left_n), (both_ns, both_n) = (
+        balance_of_recording(one, model)[BALANCE] for one in (alone, both)
+    )
+    assert len(cuts) == (1 + 2) * len(names)
+    assert len(at_ns) > 900
+    assert np.array_equal(both_ns, np.concatenate([at_ns, at_ns + apart_ns]))
+    np.testing.assert_allclose(both_n, np.tile(left_n, 2), equal_nan=True)
