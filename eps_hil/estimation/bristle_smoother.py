@@ -200,8 +200,7 @@ def smooth(
     c, x, e = like.constants, like.physics, new_carried()
     assert isinstance(x, PhysicsInside)
     b = x.belief
-    kind, t_ns, _ = events
-    rows = int((t_ns[-1] - t_ns[0]) // settings.step_ns) + 2 * int(np.count_nonzero(kind < 0)) + 2
+    rows = _most_rows(*events[:2], settings.step_ns)
     t, inputs, wrong = np.empty(rows, np.int64), np.empty((rows, 5)), np.empty(rows, np.int64)
     doubt = np.empty(rows, np.int64)
     n = int(_gather(beside.memory, beside.timing, c, beside.physics, *events,
@@ -230,6 +229,13 @@ def smooth(
     if like.timing.limits.on:
         reason |= np.where(np.abs(out[:, 0]) > like.timing.limits.estimate_n, _IMPLAUSIBLE, 0)
     return Smoothed(t, out[:, 0], out[:, 1], reason, nis)
+
+
+def _most_rows(kind: npt.NDArray[np.int8], t_ns: Int64, step_ns: int) -> int:
+    """How many steps there can be: a jump of the clock has none, be it by decades."""
+    sync = t_ns[kind < 0]
+    seen = np.clip(np.diff(sync), 0, steps.JUMP_NS)
+    return int(np.sum(seen) // step_ns) + 2 * len(sync) + 2
 
 
 def _foreseen(wrong: Int64, before: int) -> Int64:

@@ -60,7 +60,7 @@ _SOUND = int(Reason.SETTLING | Reason.OUT_OF_RANGE)
 _BAD, _IMPLAUSIBLE = int(Reason.BAD_SAMPLE), int(Reason.IMPLAUSIBLE)
 _FAR_LESS = 0.1
 """Share of a known variance of noise below which that of the last samples is believed."""
-_JUMP_NS = 1_000_000_000
+JUMP_NS = 1_000_000_000
 BATCH_ROWS = 11_000
 """Steps that one sync frame can make due: a jump of a second and more starts anew."""
 WAITING = 64
@@ -138,7 +138,7 @@ def time_jumped(grid: Int64, step_ns: int, t: int) -> bool:
     by less than a step makes nothing due until it has caught up; further back, what is in the
     rings is of a future that does not come.
     """
-    return t - grid[0] > _JUMP_NS or grid[2] - t > step_ns
+    return t - grid[0] > JUMP_NS or grid[2] - t > step_ns
 
 
 @kernel
@@ -319,13 +319,13 @@ def advance(m: Memory, timing: Timing, c: Constants, x: Physics, t: int) -> int:
     elif time_jumped(m.grid, timing.step_ns, t):
         levels.hand_over(m.levels, m.carried.rig[0], m.grid[0])
         m.carried.rig[0].clock_s += max(t - m.grid[0], 0) * 1e-9
-        if t - m.grid[0] > _JUMP_NS:
+        if t - m.grid[0] > JUMP_NS:
             _remember(m.carried, c, x, (t - m.grid[0]) * 1e-9)
             begin_anew(m.carried)
             m.kept.steps[2] = 0
         else:  # the clock was set back: for how long nothing was seen, nobody knows
-            unseen = _JUMP_NS // timing.step_ns
-            if m.grid[0] - t > _JUMP_NS:
+            unseen = JUMP_NS // timing.step_ns
+            if m.grid[0] - t > JUMP_NS:
                 unseen = NOBODY_KNOWS
             m.carried.moment[0].held_steps += unseen
             m.kept.steps[0] += unseen

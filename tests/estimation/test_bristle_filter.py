@@ -424,6 +424,27 @@ def test_a_torque_that_nothing_follows_is_not_believed(reference_model: Model, k
     assert np.mean(np.abs(rig.error_n(trace)[valid]) > 100.0) < 0.005
 
 
+def test_a_clock_that_jumps_by_decades_asks_for_no_room(
+    reference_model: Model, weave_truth: Any
+) -> None:
+    """The smoother wanted 12 TiB for the steps that were not in the recording."""
+    alone = series_of(weave_truth, ANGLE, 3000)
+    jump_ns = 50 * 365 * 86_400 * 10**9
+    both = {
+        name: Series(np.concatenate([one.t_ns, one.t_ns + jump_ns]), np.tile(one.value, 2))
+        for name, one in alone.items()
+    }
+    first, trace = (estimate(one, reference_model, SMOOTHER) for one in (alone, both))
+    later = trace.t_ns > jump_ns // 2
+    assert np.count_nonzero(~later) == pytest.approx(len(first.t_ns), abs=2)
+    assert np.count_nonzero(later) > 2900
+    assert np.mean(trace.valid[later][1500:]) > 0.9
+    at_ns, same, twin = np.intersect1d(first.t_ns, trace.t_ns[later] - jump_ns, return_indices=True)
+    late = at_ns > 1_500_000_000
+    off = trace.rack_force_n[later][twin][late] - first.rack_force_n[same][late]
+    assert np.max(np.abs(off)) < 20.0
+
+
 @pytest.mark.parametrize("speed", [-120.0, 120.0])
 def test_an_effect_that_scales_friction_scales_its_viscous_part(
     reference_model: Model, speed: float
