@@ -205,7 +205,7 @@ def smooth(
     doubt = np.empty(rows, np.int64)
     n = int(_gather(beside.memory, beside.timing, c, beside.physics, *events,
                     t, inputs, wrong, doubt))  # fmt: skip
-    t, inputs, wrong, doubt = t[:n], inputs[:n], _foreseen(wrong[:n], c.keep_steps), doubt[:n]
+    t, inputs, wrong, doubt = t[:n], inputs[:n], _foreseen(wrong[:n], 2 * c.keep_steps), doubt[:n]
     began, crept = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
     out, reason, nis = np.empty((n, 2)), np.empty(n, np.int64), np.full((n, 2), np.nan)
     room = _room(min(n, BLOCK_STEPS + AHEAD_STEPS))
@@ -226,6 +226,7 @@ def smooth(
         stepped = room.kind[:own] != _HELD
         nis[since : since + own][stepped] = (room.innovation**2 / room.spread)[:own][stepped]
     reason = _hindsight(reason, began) | doubt | np.where(crept, _UNKNOWN, 0)
+    reason |= np.where(_beside(wrong & _REFUSED != 0, c.keep_steps), _SETTLING, 0)
     if like.timing.limits.on:
         reason |= np.where(np.abs(out[:, 0]) > like.timing.limits.estimate_n, _IMPLAUSIBLE, 0)
     return Smoothed(t, out[:, 0], out[:, 1], reason, nis)
@@ -239,11 +240,23 @@ def _most_rows(kind: npt.NDArray[np.int8], t_ns: Int64, step_ns: int) -> int:
 
 
 def _foreseen(wrong: Int64, before: int) -> Int64:
-    """What is refused, from so many steps ``before`` it was: a doubt comes some steps late."""
+    """What is refused, from so many steps ``before`` it was: a doubt comes some steps late.
+
+    As far as the live filter goes back at most, to the older of two states.
+    """
     told, bits = wrong.copy(), wrong & _REFUSED
     for k in np.flatnonzero((bits[1:] != 0) & (bits[:-1] == 0)) + 1:
         told[max(k - before, 0) : k] |= bits[k]
     return told
+
+
+def _beside(refused: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:
+    """Rows so near a refused stretch that what is known of them leans on it: there the force is
+    the model's alone, and measurements beside it take some steps to bind it."""
+    number = np.cumsum(np.concatenate([[0], refused]))
+    k = np.arange(len(refused))
+    since, until = np.maximum(k - steps, 0), np.minimum(k + steps + 1, len(refused))
+    return (number[until] > number[since]) & ~refused
 
 
 def _hindsight(reason: Int64, began: npt.NDArray[np.bool_]) -> Int64:

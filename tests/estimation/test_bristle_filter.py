@@ -32,6 +32,7 @@ from eps_hil.physics.model import Delays, Friction, Model
 from eps_hil.series import Series
 
 from .prescribed import SPEED_ONLY, Prescribed, at, friction_nm, ramp
+from .recorded import INPUTS, recorded
 
 BASE = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s")
 ANGLE = (*BASE, "motor_angle_rad")
@@ -443,6 +444,28 @@ def test_a_clock_that_jumps_by_decades_asks_for_no_room(
     late = at_ns > 1_500_000_000
     off = trace.rack_force_n[later][twin][late] - first.rack_force_n[same][late]
     assert np.max(np.abs(off)) < 20.0
+
+
+@pytest.mark.parametrize(("off", "begin_s"), [(0.5, 15.3), (1.0, 6.0), (2.0, 6.0)])
+def test_the_smoother_believes_nothing_beside_a_doubt(off: float, begin_s: float) -> None:
+    """A speed that is off by little is doubted now and then: between and beside the doubts up to
+    25 ms were 380 N wrong and valid, where nothing live was."""
+    rig, speed = recorded("demo"), "motor_speed_rad_s"
+    false = rig.signals[speed] + off * ((rig.time_s >= begin_s) & (rig.time_s < begin_s + 1.0))
+    right, wrong = (
+        estimate(
+            {n: Series(rig.t_ns, v) for n, v in (rig.signals | changed).items() if n in INPUTS},
+            rig.model, SMOOTHER,
+        )
+        for changed in ({}, {speed: false})
+    )  # fmt: skip
+    assert np.array_equal(right.t_ns, wrong.t_ns)
+    assert np.any(wrong.reason & int(Reason.INCONSISTENT))
+    apart = np.abs(wrong.rack_force_n - right.rack_force_n) > 100.0
+    assert np.any(apart)
+    assert not np.any(apart & wrong.valid & right.valid)
+    far = np.abs((wrong.t_ns - rig.t_ns[0]) * 1e-9 - begin_s - 0.5) > 0.8
+    assert np.array_equal(wrong.valid[far], right.valid[far])
 
 
 @pytest.mark.parametrize("speed", [-120.0, 120.0])
