@@ -12,8 +12,8 @@ from eps_hil.diagnosis.accept.beside_law import beside_law
 from eps_hil.diagnosis.accept.holdout_support import augmented_by, holdout_support
 from eps_hil.diagnosis.accept.measured_ratio import settled
 from eps_hil.diagnosis.accept.named_terms import named_terms
-from eps_hil.diagnosis.accept.nameless import nameless, simulated_too
-from eps_hil.diagnosis.accept.proof_of_fit import Holdout
+from eps_hil.diagnosis.accept.nameless import nameless, sensitivities, simulated_too
+from eps_hil.diagnosis.accept.proof_of_fit import MUCH_MORE, Holdout
 from eps_hil.diagnosis.accept.standing import only_noise, price, price_of_one, standing
 from eps_hil.diagnosis.attribute.beside import not_whitened, selected_beside
 from eps_hil.diagnosis.attribute.channel_fault import (
@@ -29,8 +29,10 @@ from eps_hil.diagnosis.balance.resting import problem_of
 from eps_hil.diagnosis.direct.reversals import bristle, reversals_agree
 from eps_hil.diagnosis.direct.zero_reading import ZeroReadings
 from eps_hil.diagnosis.first_look import FirstLook
+from eps_hil.diagnosis.mismatch.curve import ID as CURVE
+from eps_hil.diagnosis.mismatch.curve import winds
 from eps_hil.diagnosis.mismatch.leftover import Leftover, leftover
-from eps_hil.diagnosis.remainder.find import Remainder
+from eps_hil.diagnosis.remainder.find import Remainder, find, with_remainder
 from eps_hil.series import Series
 
 
@@ -168,7 +170,11 @@ def _selected(
     problem: Problem, look: FirstLook, say: Say | None, without: Collection[str]
 ) -> Selection:
     """Effects that the balance shows, its constant as sensors with nothing on them have settled."""
-    selection = select(problem, say, without, look.zero.settled)
+    settled_there = look.zero.settled
+    selection = select(problem, say, without, settled_there)
+    if any(winds(entry, problem.visited_m) for entry in selection.found.entries):
+        # a pattern over the rack's position is no place on it: the curve stood in for its name
+        selection = select(problem, say, {*without, CURVE}, settled_there)
     selection.possible = frozenset(look.zero.possible)
     return selection
 
@@ -231,8 +237,56 @@ def modelled(
 ) -> Names:
     """With a model of what has no name, and the names that stand beside that.
 
-    ``ordinary``: what was found before anything was weighed beside what is left.
+    ``ordinary``: what was found before anything was weighed beside what is left. Where that leaves
+    hold-outs no more than as much again as noise it stands, with a model of its own rest, unless
+    what comes out of the weighing costs less there: much that is small, together, is no reason to
+    give up what is named.
     """
+    found = _beside_unknown(problem, now, ordinary, judged, look, force, tied, say)
+    least = _price(problem, ordinary, judged, tied)
+    if not ordinary.findings or not only_noise(least, problem, judged, MUCH_MORE):
+        return found
+    there = [ordinary, _with_rest(problem, ordinary, judged, tied, say), found]
+    return min(there, key=lambda one: _price(problem, one, judged, tied))
+
+
+def _price(
+    problem: Problem, names: Names, judged: Sequence[Holdout], tied: Mapping[str, float]
+) -> float:
+    shown, findings, extra = names.shown, names.findings, names.extra
+    written = with_remainder(augmented_by(problem, shown.found, findings, tied), extra)
+    return price(problem, shown, findings, judged, written, extra)
+
+
+def _with_rest(
+    problem: Problem,
+    names: Names,
+    judged: Sequence[Holdout],
+    tied: Mapping[str, float],
+    say: Say | None,
+) -> Names:
+    """The names, and a model of what they leave if there is one."""
+    kept = problem.apart([one.prepared for one in judged])
+    shown, findings = names.shown, names.findings
+    given = augmented_by(problem, shown.found, findings, tied)
+    part = (lambda done: say("modelling the rest", done)) if say else None
+    extra = find(problem, kept, given, sensitivities(shown.found, findings), part)
+    if extra is not None and not tied:
+        extra = simulated_too(problem, shown, findings, extra, judged)
+    return replace(names, extra=extra)
+
+
+def _beside_unknown(
+    problem: Problem,
+    now: Names,
+    ordinary: Names,
+    judged: Sequence[Holdout],
+    look: FirstLook,
+    force: Leftover | None,
+    tied: Mapping[str, float],
+    say: Say | None,
+) -> Names:
+    """Names weighed beside all that is left, and a model of what has none."""
     starts = () if tied else tuple((one.shown, one.findings) for one in (now, ordinary))
     ratio = look.ratio_is_measured
     found, whole = beside_law(problem, starts, judged, measured=ratio, say=say), None

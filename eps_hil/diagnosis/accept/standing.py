@@ -89,9 +89,14 @@ def price_of_one(problem: Problem, judged: Sequence[Holdout]) -> float:
     return float(np.log(max(_samples(problem, judged), 1)))
 
 
-def only_noise(price: float, problem: Problem, judged: Sequence[Holdout]) -> bool:
-    """Whether what costs ``price`` leaves the hold-outs hardly more than the sensors' noise."""
-    return price < CLEARLY**2 * _samples(problem, judged)
+def only_noise(
+    price: float, problem: Problem, judged: Sequence[Holdout], most: float = CLEARLY**2
+) -> bool:
+    """Whether what costs ``price`` leaves the hold-outs hardly more than the sensors' noise.
+
+    ``most``: times its energy.
+    """
+    return price < most * _samples(problem, judged)
 
 
 def _samples(problem: Problem, judged: Sequence[Holdout]) -> int:
