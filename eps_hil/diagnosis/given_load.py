@@ -21,6 +21,7 @@ from eps_hil.diagnosis.accept.holdout_support import (
 )
 from eps_hil.diagnosis.accept.improvement import Judged, improvement
 from eps_hil.diagnosis.accept.measured_ratio import settled
+from eps_hil.diagnosis.accept.only_kept import OnlyKept, only_kept, with_only_kept
 from eps_hil.diagnosis.accept.other_times import (
     gone,
     only_at_one_time,
@@ -31,7 +32,6 @@ from eps_hil.diagnosis.accept.placebo import as_lucky, placebos
 from eps_hil.diagnosis.accept.proof_of_fit import (
     Holdout,
     beside_a_gap,
-    only_kept,
     still_left,
     worse_force,
 )
@@ -64,7 +64,7 @@ from eps_hil.diagnosis.data.intake import (
 from eps_hil.diagnosis.data.prepare import CLEAR_SIGMA, THIN, Prepared
 from eps_hil.diagnosis.direct.at_rest import turns_otherwise
 from eps_hil.diagnosis.direct.kinematics import small_ratio, where_friction_acts
-from eps_hil.diagnosis.first_look import first_look
+from eps_hil.diagnosis.first_look import FirstLook, first_look
 from eps_hil.diagnosis.mismatch.between import between_recordings
 from eps_hil.diagnosis.mismatch.leftover import how_held, late_torque
 from eps_hil.diagnosis.remainder.find import Remainder, with_remainder
@@ -312,15 +312,9 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         extra, findings, written = None, [], problem.model
     final = load is None or load.form == "free"  # else judged again once the load is written
     shown = look.put_right_in_no_file or wrong is not None
-    as_read: list[Holdout] = []
     ready_to_write = look.in_model(written)
-    if look.model is not model or look.put_right or look.entries or wrong is not None:
-        as_read = [
-            Holdout(one.changed(barred=right.barred), series, data)
-            for (one, series), right, data in zip(
-                case.asked.kept, look.kept, look.kept_quality, strict=True
-            )
-        ]
+    put_right = look.model is not model or look.put_right or look.entries or wrong is not None
+    as_read = _as_read(case, look) if put_right else []
     simulated = final and (shown or not as_read)  # else they are simulated as they were read
     content = look.added_to(
         content_of(problem, selection, findings, left, judged, extra, written, simulated=simulated)
@@ -328,6 +322,9 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     if wrong is not None:
         content = with_channel_fault(content, wrong.finding(model))
     content["findings"] = or_a_time(doubted(content["findings"], load), places, without)
+    shown_there = _only_kept(problem, selection, findings, judged)
+    told_there = [] if hidden else shown_there  # what is left may be the load
+    content = with_only_kept(content, told_there, problem, written, without)
     content["fit"]["placebo"] = placebo if findings else []
     if as_read:
         content["fit"]["holdout"] = as_the_file_does(
@@ -354,7 +351,7 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
         *only_part(problem, selection.part),
         *_not_explained(
             content,
-            _only_kept(problem, selection, findings, judged),
+            [one.sentence() for one in shown_there],
             [] if left is not None or hidden else how_held(problem, selection.found),
         ),
         *between_recordings([*look.fitted, *(one.prepared for one in judged)], written),
@@ -387,9 +384,19 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     )
 
 
+def _as_read(case: _Case, look: FirstLook) -> list[Holdout]:
+    """The hold-outs as their files have them, without what the first look put right."""
+    return [
+        Holdout(one.changed(barred=right.barred), series, data)
+        for (one, series), right, data in zip(
+            case.asked.kept, look.kept, look.kept_quality, strict=True
+        )
+    ]
+
+
 def _only_kept(
     problem: Problem, selection: Selection, findings: Sequence[int], judged: Sequence[Holdout]
-) -> list[str]:
+) -> list[OnlyKept]:
     """What hold-outs show and the fitted recordings, with the findings, do not."""
     after = augmented_by(problem, selection.found, findings)
     left = problem.residual(after)[problem.sliding]

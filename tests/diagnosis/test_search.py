@@ -1,15 +1,19 @@
-"""A law, or a signal that is wrong: what hold-outs cost less beside, and the other where near."""
+"""Which of two explanations is told: a law or a signal that is wrong, names or what has none."""
 
-from types import SimpleNamespace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import ModuleType, SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from eps_hil.diagnosis import search
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
-from eps_hil.diagnosis.attribute.select import Selection
+from eps_hil.diagnosis.attribute.select import Selection, select
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
-from eps_hil.diagnosis.search import Searched, likelier
+from eps_hil.diagnosis.first_look import FirstLook
+from eps_hil.diagnosis.search import Names, Searched, likelier, modelled
 
 LAW = SimpleNamespace(entries=({"shapes": ["linear"]},))
 
@@ -42,3 +46,29 @@ def test_of_two_explanations_the_dearer_is_told_where_it_is_hardly_dearer(
         return SimpleNamespace(words=f"{best.words}, or {other.words}")
 
     assert likelier(given, right, told, beside).words == said
+
+
+@pytest.mark.parametrize(("more", "told"), [(0.0, ["stribeck"]), (4.0, [])])
+def test_names_that_leave_little_are_not_given_up_for_something_unknown(
+    monkeypatch: pytest.MonkeyPatch,
+    fitted_and_kept: Callable[[Mapping[int, float]], tuple[Problem, list[Holdout]]],
+    other_rig: ModuleType,
+    more: float,
+    told: list[str],
+) -> None:
+    """Names that leave hold-outs ``more`` than as much again as noise may stand in for it."""
+    problem, judged = fitted_and_kept({other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0})
+    selection = select(problem)
+    names = Names(problem, selection, selection, [0], None)
+    nothing = replace(names, findings=[])
+    monkeypatch.setattr(search, "_beside_unknown", lambda *_all: nothing)
+    price = search.price
+
+    def dearer(*given: Any) -> float:
+        samples = sum(int(one.judging(problem.model).sum()) for one in judged)
+        return price(*given) + more * samples
+
+    monkeypatch.setattr(search, "price", dearer)
+    look = cast("FirstLook", None)
+    found = modelled(problem, nothing, names, judged, look, None, {}, None)
+    assert [found.shown.found.entries[k]["effect"] for k in found.findings] == told

@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eps_hil.diagnosis.accept.free_run import free_run, speed_fit_percent
-from eps_hil.diagnosis.balance.problem import Problem, sliding
+from eps_hil.diagnosis.balance.problem import sliding
 from eps_hil.diagnosis.data.prepare import Prepared
 from eps_hil.diagnosis.data.quality import Quality
-from eps_hil.diagnosis.mismatch import locate
 from eps_hil.estimation import batch
 from eps_hil.estimation.score import score
 from eps_hil.estimation.stream import Trace
@@ -98,31 +97,6 @@ def rack_force_error_n(holdouts: Sequence[Holdout], common: Model, model: Model)
     errors = [one.rmse_moving_n for one in found if one is not None]
     errors = [one for one in errors if np.isfinite(one)]
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
-
-
-def only_kept(holdouts: Sequence[Holdout], before: Model, after: Model, fitted: float) -> list[str]:
-    """A sentence for each hold-out that shows what nothing fitted does (a stop met only there).
-
-    ``after``: the model with what was found; ``fitted``: the mean square, in noise variances, that
-    it leaves of what was fitted. The balance is judged while sliding under ``before``.
-    """
-    told = []
-    for one in holdouts:
-        kept = Problem([one.prepared], before)
-        energy = np.where(kept.sliding, kept.residual(after) ** 2, 0.0)
-        left = float(np.sum(energy)) / max(int(np.sum(kept.sliding)), 1)
-        if left < MUCH_MORE * max(fitted, 1.0):
-            continue
-        places = [
-            f"{region.signal} {region.low:.4g} to {region.high:.4g}"
-            for region in locate.where(kept, energy)
-        ]
-        told.append(
-            f"{one.prepared.name} leaves {np.sqrt(left):.2g} {NOISES}, which what was fitted "
-            f"does not{': most of it at ' + ' and '.join(places) if places else ''}. "
-            "What acts there only cannot be named from the others; fit a recording like it too."
-        )
-    return told
 
 
 def still_left(told: Mapping[str, Mapping[str, float]]) -> list[str]:
