@@ -14,7 +14,13 @@ from eps_hil.diagnosis.accept.measured_ratio import settled
 from eps_hil.diagnosis.accept.named_terms import named_terms
 from eps_hil.diagnosis.accept.nameless import nameless, sensitivities, simulated_too
 from eps_hil.diagnosis.accept.proof_of_fit import MUCH_MORE, Holdout
-from eps_hil.diagnosis.accept.standing import only_noise, price, price_of_one, standing
+from eps_hil.diagnosis.accept.standing import (
+    noise_energy,
+    only_noise,
+    price,
+    price_of_one,
+    standing,
+)
 from eps_hil.diagnosis.attribute.beside import not_whitened, selected_beside
 from eps_hil.diagnosis.attribute.channel_fault import (
     ChannelFault,
@@ -31,7 +37,7 @@ from eps_hil.diagnosis.direct.zero_reading import ZeroReadings
 from eps_hil.diagnosis.first_look import FirstLook
 from eps_hil.diagnosis.mismatch.curve import ID as CURVE
 from eps_hil.diagnosis.mismatch.curve import winds
-from eps_hil.diagnosis.mismatch.leftover import Leftover, leftover
+from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN, Leftover, leftover
 from eps_hil.diagnosis.remainder.find import Remainder, find, with_remainder
 from eps_hil.series import Series
 
@@ -237,17 +243,30 @@ def modelled(
 ) -> Names:
     """With a model of what has no name, and the names that stand beside that.
 
-    ``ordinary``: what was found before anything was weighed beside what is left. Where that leaves
-    hold-outs no more than as much again as noise it stands, with a model of its own rest, unless
-    what comes out of the weighing costs less there: much that is small, together, is no reason to
-    give up what is named.
+    ``ordinary``: what was found before anything was weighed beside what is left. Where that
+    explains most of hold-outs it stands, with a model of its own rest, unless what comes out of the
+    weighing costs less there: much that is small, together, is no reason to give up what is named.
     """
     found = _beside_unknown(problem, now, ordinary, judged, look, force, tied, say)
-    least = _price(problem, ordinary, judged, tied)
-    if not ordinary.findings or not only_noise(least, problem, judged, MUCH_MORE):
+    if not _explains_most(problem, ordinary, judged, tied):
         return found
     there = [ordinary, _with_rest(problem, ordinary, judged, tied, say), found]
     return min(there, key=lambda one: _price(problem, one, judged, tied))
+
+
+def _explains_most(
+    problem: Problem, names: Names, judged: Sequence[Holdout], tied: Mapping[str, float]
+) -> bool:
+    """Whether names leave hold-outs no more than as much again as noise, and explain together as
+    many times that as a name has to (:data:`BESIDE_UNKNOWN`).
+    """
+    if not names.findings:
+        return False
+    before = _price(problem, replace(names, findings=()), judged, tied)
+    after = _price(problem, names, judged, tied)
+    beyond = after - noise_energy(problem, judged)
+    little = only_noise(after, problem, judged, MUCH_MORE)
+    return little and before - after > BESIDE_UNKNOWN * beyond
 
 
 def _price(

@@ -57,6 +57,12 @@ class _Rows:
     direction: Floats
     place: Floats
 
+    def part(self, some: slice) -> "_Rows":
+        """Those samples only."""
+        return _Rows(
+            self.torques[:, some], self.motion[some], self.direction[some], self.place[some]
+        )
+
     def with_spring(self) -> "_Rows":
         """The same, where a spring of either sign may be missing too."""
         motion = np.column_stack([self.motion, self.place, -self.place])
@@ -153,7 +159,8 @@ def _check(
     if least < min(_CLEARLY * as_is, most):
         likely = [one for one, left, _ in found if left < _AS_SIMPLE * least]
         wrong = min(likely, key=lambda one: one.hard)
-        raise InputError(name, wrong.signal, wrong.problem, wrong.remedy)
+        if _in_halves(rows, wrong, inertia) < _CLEARLY * _in_halves(rows, tried[0], inertia):
+            raise InputError(name, wrong.signal, wrong.problem, wrong.remedy)
     if not plausible and as_is < _CLOSED and apart > 0:
         problem = (
             f"the inertia comes out {apart:.2g} times the model file's: is the motion in degrees, "
@@ -247,6 +254,17 @@ def _left(rows: Sequence[_Rows], wrong: _Wrong, inertia: float) -> tuple[float, 
             accelerated = max(scale[0] * inertia, found) > _MATTERS * size
             best, apart = left, found / scale[0] / inertia if accelerated else 1.0
     return best, apart
+
+
+def _in_halves(rows: Sequence[_Rows], wrong: _Wrong, inertia: float) -> float:
+    """What is left (rms, of the torques' own) where each half in time is fitted by itself.
+
+    A friction that warms up is another one in each half, and a torque that happens to fall as it
+    does explains neither; a channel is wrong in both.
+    """
+    middle = rows[0].torques.shape[1] // 2
+    halves = [[one.part(some) for one in rows] for some in (slice(middle), slice(middle, None))]
+    return float(np.sqrt(np.mean([_left(half, wrong, inertia)[0] ** 2 for half in halves])))
 
 
 def _likely(apart: float) -> bool:

@@ -8,6 +8,7 @@ from typing import Any, cast
 import pytest
 
 from eps_hil.diagnosis import search
+from eps_hil.diagnosis.accept import standing
 from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.attribute.select import Selection, select
 from eps_hil.diagnosis.balance.fit import fit
@@ -62,11 +63,10 @@ def test_names_that_leave_little_are_not_given_up_for_something_unknown(
     names = Names(problem, selection, selection, [0], None)
     nothing = replace(names, findings=[])
     monkeypatch.setattr(search, "_beside_unknown", lambda *_all: nothing)
-    price = search.price
 
     def dearer(*given: Any) -> float:
         samples = sum(int(one.judging(problem.model).sum()) for one in judged)
-        return price(*given) + more * samples
+        return standing.price(*given) + more * samples
 
     monkeypatch.setattr(search, "price", dearer)
     look = cast("FirstLook", None)

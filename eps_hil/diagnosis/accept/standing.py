@@ -96,7 +96,12 @@ def only_noise(
 
     ``most``: times its energy.
     """
-    return price < most * _samples(problem, judged)
+    return price < most * noise_energy(problem, judged)
+
+
+def noise_energy(problem: Problem, judged: Sequence[Holdout]) -> float:
+    """What the sensors' noise alone leaves of the hold-outs, in its variances: their samples."""
+    return float(_samples(problem, judged))
 
 
 def _samples(problem: Problem, judged: Sequence[Holdout]) -> int:
