@@ -77,11 +77,11 @@ def separation(
     ]
     if beyond:
         left = solved(rows, [name for name in names if name not in beyond])[1]
-    best = _best(rows, left)
-    if best is None or best.share < LEAST_SHARE or best.share * _energy(left) < LEAST_GAIN:
+    best = _clear(_best(rows, left), left)
+    if best is None:
         return None
     bare = solved(rows, columns_of(()))[1]
-    curve = _best(rows, bare)
+    curve = _clear(_best(rows, bare), bare)
     alone = curve is not None and (1.0 - curve.share) * _energy(bare) < _energy(left)
     return replace(curve, alone=True) if curve is not None and alone else best
 
@@ -99,6 +99,13 @@ def shown(one: Separation, kept: Sequence[Rows], accepted: Sequence[str]) -> boo
     sigma = np.concatenate([np.full(len(row.e), row.sigma) for row in kept])
     curve = np.interp(x, [point[0] for point in one.curve], [point[1] for point in one.curve])
     return _energy(left - curve / sigma) < _energy(left)
+
+
+def _clear(curve: Separation | None, left: Floats) -> Separation | None:
+    """The curve if it explains enough of what is ``left``; else None."""
+    if curve is None or curve.share < LEAST_SHARE or curve.share * _energy(left) < LEAST_GAIN:
+        return None
+    return curve
 
 
 def _energy(left: Floats) -> float:
