@@ -81,6 +81,7 @@ from eps_hil.diagnosis.search import (
 from eps_hil.diagnosis.search import holdouts as kept_holdouts
 from eps_hil.diagnosis.verdict.content import content_of, without_nan
 from eps_hil.diagnosis.verdict.finding import more_masses
+from eps_hil.diagnosis.verdict.order import most_first
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
@@ -321,7 +322,12 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     )
     if wrong is not None:
         content = with_channel_fault(content, wrong.finding(model))
-    content["findings"] = or_a_time(doubted(content["findings"], load), places, without)
+    content["findings"] = most_first(
+        or_a_time(doubted(content["findings"], load), places, without),
+        as_read or judged,
+        model,
+        ready_to_write,
+    )
     shown_there = _only_kept(problem, selection, findings, judged)
     told_there = [] if hidden else shown_there  # what is left may be the load
     content = with_only_kept(content, told_there, problem, written, without)

@@ -43,7 +43,8 @@ def under_unmeasured_load(asked: Asked) -> Diagnosis:
     """The diagnosis under the load that fits best, where nobody measured one."""
     load = load_of(asked.learnt, asked.model)
     beside = load.beside_own_drag(asked.model)
-    told = _under_load(replace(load, drag_nm_s_per_rad=0.0), replace(asked, model=beside))
+    given = replace(load, drag_nm_s_per_rad=0.0)
+    told = _under_load(given, replace(asked, model=beside), asked.model)
     said = [*own_drag(asked.model, told.model), *_may_be_load(told)]
     return replace(told, content={**told.content, "limits": [*said, *told.content["limits"]]})
 
@@ -63,19 +64,23 @@ def _may_be_load(told: Diagnosis) -> list[str]:
     return []
 
 
-def _under_load(load: Load, asked: Asked) -> Diagnosis:
+def _under_load(load: Load, asked: Asked, given: Model) -> Diagnosis:
     """Under the load that follows from the one that fits beside nothing else; or none, with names.
+
+    Names are looked for in the ``given`` model: a drag of its own that only went with a load would
+    come back as one of them.
 
     Numbers that stand for a load hold whatever follows the motion as it does. Where there may be
     no load, and names cost less of the hold-outs (``standing.py``), it is the rig's own: a load
     that is written has three numbers, and one that is not leaves what they held. Where the search
-    finds no name that a load hides, there is nothing to weigh.
+    finds no name that a load hides, and nothing stayed unknown beside the load, there is nothing to
+    weigh.
     """
     told = _under_likely_load(load, asked)
     if load.form == "arbitrary" or not may_be_free(load, asked.every, asked.model):
         return told
-    search = begun(NAMED, asked)
-    if search.names.isdisjoint(LIKE_LOAD):
+    search = begun(NAMED, replace(asked, model=given))
+    if search.names.isdisjoint(LIKE_LOAD) and told.remainder is None:
         return told
     named = search.told()
     if not named.content["findings"]:
