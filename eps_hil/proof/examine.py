@@ -30,10 +30,8 @@ PROBLEM = ".problem.txt"
 """What went wrong with a case stands in ``<id>.problem.txt`` instead of ``<id>.json``."""
 _TIMEOUT_S = 900.0
 """Of processor time."""
-_ASKED_FOR = (
-    *("--json", "diagnosis.json", "--write-model", "augmented.yaml"),
-    *("--report", "report.html"),
-)
+_ASKED_FOR = ("--json", "diagnosis.json", "--write-model", "augmented.yaml")
+_PAGE = ("--report", "report.html")
 _HANDED_IN = {"diagnosis.json": ".json", "augmented.yaml": ".yaml", "report.html": ".html"}
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
 """Environment that keeps linear algebra on one core."""
@@ -73,9 +71,9 @@ class Diagnoser:
         self._process.terminate()
         self._process.communicate()
 
-    def diagnose(self, case: Path, results: Path) -> Examined:
+    def diagnose(self, case: Path, results: Path, *, page: bool = True) -> Examined:
         """Diagnose one case folder; results/<id>.json, .yaml (the augmented model), .html."""
-        return self.ask(_words(case), case, results)
+        return self.ask(_words(case, page=page), case, results)
 
     def ask(self, words: Sequence[str], case: Path, results: Path) -> Examined:
         """Have a verb answer in a copy of the case folder; what it hands in goes to results."""
@@ -109,9 +107,9 @@ class Diagnoser:
         return ""
 
 
-def _words(case: Path) -> Sequence[str]:
+def _words(case: Path, *, page: bool = True) -> Sequence[str]:
     given = arguments(sorted(path.name for path in case.iterdir()), case)
-    return ["diagnose", *_ASKED_FOR, *given]
+    return ["diagnose", *_ASKED_FOR, *(_PAGE if page else ()), *given]
 
 
 def arguments(names: Sequence[str], case: Path | None = None) -> list[str]:

@@ -18,7 +18,7 @@ MINUTES = 20.0
 
 
 def seconds_to_diagnose(seed: int, minutes: float = MINUTES) -> float | None:
-    """Wall-clock seconds of one ``eps-hil diagnose``, start and reading included.
+    """Wall-clock seconds of one ``eps-hil diagnose``, start and reading included; no page.
 
     The rig has a Stribeck effect of 0.03 Nm; recordings of 40 and 45 s until ``minutes`` are full.
     None where the diagnosis failed.
@@ -43,5 +43,5 @@ def seconds_to_diagnose(seed: int, minutes: float = MINUTES) -> float | None:
         columns = measured(reported(world.run(last), world.instruments), world.instruments, rng)
         write_csv(case / "holdout.csv", columns)
         with Diagnoser() as diagnoser:
-            done = diagnoser.diagnose(case, results)
+            done = diagnoser.diagnose(case, results, page=False)
     return None if done.problem else done.seconds
