@@ -160,6 +160,21 @@ def _signed(entry: Entry) -> bool:
     return any(of.get(one) in entry["inputs"] for one in entry["inputs"])
 
 
+def _proportional(entry: Entry, name: str) -> bool:
+    """Whether a torque at the rotor grows with one signal and nothing else.
+
+    The catalogue holds such effects; where one stands as a law, the model's own numbers could
+    nearly do what it does, or the search had no turn of its own for it.
+    """
+    return (
+        _at(entry, "rotor")
+        and entry.get("how") == "sum"
+        and list(entry["inputs"]) == [name]
+        and entry.get("shapes") == ["linear"]
+        and list(entry["memory"]) == ["none"]
+    )
+
+
 _KNOWN: Sequence[tuple[str, str, Callable[[Entry], bool]]] = (
     ("load cell that reads too much or too little", "the rack force is worth another share",
      lambda e: _at(e, "load") and e.get("shapes") == ["one"]),
@@ -201,6 +216,14 @@ _KNOWN: Sequence[tuple[str, str, Callable[[Entry], bool]]] = (
      lambda e: _at(e, "rotor") and _has(e, _SPEED, ("rational",))),
     ("thrust bearing under load", "friction grows beyond a force, in one direction of it",
      lambda e: _at(e, "friction") and _has(e, _FORCE, ("above", "below"))),
+    ("motor that gives another share of what it reports", "its torque is worth another factor",
+     lambda e: _proportional(e, _TORQUE)),
+    ("torsion bar that reads too much or too little", "its torque is worth another factor",
+     lambda e: _proportional(e, _SENSOR)),
+    ("spring", "a torque that grows with the way from the middle",
+     lambda e: _proportional(e, _PLACE) or _proportional(e, _ANGLE)),
+    ("drag in proportion to speed", "a viscous friction that the model has not",
+     lambda e: _proportional(e, _SPEED)),
 )  # fmt: skip
 
 

@@ -82,10 +82,26 @@ def test_a_map_over_two_signals_is_like_nothing() -> None:
         (law(where="friction", inputs=["abs_rack_force_n", "load_power_sign"],
              memory=["none", "none"], shapes=["linear", "above"], size=5e-5, centre_2=0.0),
          "mesh efficiency, driving against driven"),
+        (law(where="rotor", inputs=["motor_torque_nm"], shapes=["linear"], size=0.03),
+         "motor that gives another share of what it reports"),
+        (law(where="rotor", inputs=["torque_sensor_nm"], shapes=["linear"], size=0.03),
+         "torsion bar that reads too much or too little"),
+        (law(where="rotor", inputs=["rack_position_m"], shapes=["linear"], size=1.9), "spring"),
+        (law(where="rotor", inputs=["motor_speed_rad_s"], shapes=["linear"], size=1e-4),
+         "drag in proportion to speed"),
     ],
 )  # fmt: skip
 def test_known_families_get_their_name(entry: dict[str, Any], what: str) -> None:
     assert resembles(entry)[0]["what"] == what
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"shapes": ["saturating"]}, {"memory": ["lag"]}, {"where": "friction"}, {"how": "factor"}],
+)
+def test_only_what_is_in_proportion_is_a_spring(other: dict[str, Any]) -> None:
+    given = {"where": "rotor", "inputs": ["rack_position_m"], "shapes": ["linear"], "size": 1.9}
+    assert "spring" not in {one["what"] for one in resembles(law(**{**given, **other}))}
 
 
 def test_what_is_like_nothing_gets_no_name() -> None:
