@@ -164,7 +164,7 @@ def _follow_unknown(
     level = max(level + b.extra[0], SMALLEST_LEVEL_NM)
     slides = abs(speed) > _slip_from(f, b)
     slip = abs(speed) * f.drive.step_s if slides else 0.0
-    learned = sigma0 / _RELAXED * math.sqrt(b.cov[BRISTLE, BRISTLE])
+    learned = unknown_torque_nm(law, b.cov[BRISTLE, BRISTLE])
     s.unknown_nm = min(still_unknown(s.unknown_nm, slip, level, sigma0), learned)
     s.unseen_nm = still_unknown(s.unseen_nm, slip, level, sigma0)
     if not slides and not f.angle:
@@ -174,6 +174,12 @@ def _follow_unknown(
     s.unseen_nm = min(s.unseen_nm, learned)
     s.unknown_n = (s.unknown_nm + s.unseen_nm) * f.drive.ratio * s.local
     s.speed, s.last_angle = u.motor_speed_rad_s, u.motor_angle_rad
+
+
+@kernel
+def unknown_torque_nm(law: FrictionLaw, variance: float) -> float:
+    """By how much the friction (Nm) may be off where z has that ``variance`` (rad²)."""
+    return law.sigma0_nm_per_rad / _RELAXED * math.sqrt(max(variance, 0.0))
 
 
 @kernel

@@ -2,11 +2,12 @@
 
 Forward the filter of ``bristle_filter.py``, without what it refuses live; backward the modified
 Bryson-Frazier recursion, which needs no inverse of a covariance that sliding makes singular. A
-stretch that begins with a start (first samples, a gap) is smoothed by itself. Done in blocks that
-look ``AHEAD_STEPS`` beyond their end, so memory does not grow with the recording.
+stretch that begins with a start (first samples, a gap) is smoothed by itself, and a bristle that
+nobody knew there is known as far back as the smoothed covariance says: sliding makes it known by
+forgetting what it was. Done in blocks that look ``AHEAD_STEPS`` beyond their end, so memory does
+not grow with the recording.
 """
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -16,8 +17,14 @@ import numpy.typing as npt
 
 from eps_hil.compiled import njit
 from eps_hil.estimation import stream_steps as steps
-from eps_hil.estimation.bristle_filter import PhysicsInside, filter_step, friction_nm, in_mid_travel
-from eps_hil.estimation.bristle_setup import FORCE, OMEGA, PHI, SIZE
+from eps_hil.estimation.bristle_filter import (
+    PhysicsInside,
+    filter_step,
+    friction_nm,
+    in_mid_travel,
+    unknown_torque_nm,
+)
+from eps_hil.estimation.bristle_setup import BRISTLE, FORCE, OMEGA, PHI, SIZE
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Constants, Inputs, Physics
 from eps_hil.estimation.state import Carried, begin_anew, new_carried
@@ -45,11 +52,12 @@ _START, _HELD, _STEP = 0, 1, 2
 class Forward(NamedTuple):
     """What the backward pass needs of each step; ``kind`` says start, held or step.
 
-    ``crept``: 1 where the rotor may have crept at rest, and no angle shows it.
+    ``lost``: 1 where the friction is unknown, and no later motion tells of it: the rotor may have
+    crept at rest and no angle shows it, or effects remember what nobody saw.
     """
 
     kind: npt.NDArray[np.int8]
-    crept: npt.NDArray[np.int8]
+    lost: npt.NDArray[np.int8]
     reason: Int64
     mean: Floats
     cov: Floats
@@ -130,8 +138,12 @@ def _forward(
         to.kind[k] = _HELD
         if wrong[k] == 0 and why & _DIVERGED == 0:
             to.kind[k] = _START if b.place[1] == 1 else _STEP
-        to.reason[k] = why & ~_SETTLING
-        to.crept[k] = 1 if s.unseen_nm * s.local * c.ratio > c.unknown_limit_n else 0
+        to.reason[k] = why & ~(_SETTLING | _UNKNOWN)
+        at_rack = s.local * c.ratio
+        if wrong[k] == 0 and s.unknown_nm * at_rack > c.unknown_limit_n:
+            to.reason[k] |= _UNKNOWN
+        lost_n = max(s.unseen_nm * at_rack, e.rig[0].memory_n)
+        to.lost[k] = 1 if lost_n > c.unknown_limit_n else 0
         to.mean[k], to.cov[k], to.jacobian[k] = b.mean, b.cov, b.jacobian
         to.gain[k], to.innovation[k], to.spread[k], to.extra[k] = (
             b.gain,
@@ -142,32 +154,74 @@ def _forward(
 
 
 @njit
+def _tell(told: Floats, at: int, gain: Floats, spread: float, scratch: Floats) -> None:
+    """What a measurement of state ``at`` tells, added to what later ones ``told`` (SIZE, SIZE)."""
+    taken = 1.0 / spread
+    for i in range(SIZE):
+        scratch[i] = 0.0
+        for j in range(SIZE):
+            scratch[i] += told[i, j] * gain[j]
+        taken += gain[i] * scratch[i]
+    for i in range(SIZE):
+        told[i, at] -= scratch[i]
+        told[at, i] -= scratch[i]
+    told[at, at] += taken
+
+
+@njit
+def _before(told: Floats, jacobian: Floats, scratch: Floats) -> None:
+    """What is ``told`` (SIZE, SIZE) of a state, of the one a step before."""
+    for i in range(SIZE):
+        for j in range(SIZE):
+            scratch[i, j] = 0.0
+            for m in range(SIZE):
+                scratch[i, j] += told[i, m] * jacobian[m, j]
+    for i in range(SIZE):
+        for j in range(i, SIZE):
+            told[i, j] = 0.0
+            for m in range(SIZE):
+                told[i, j] += jacobian[m, i] * scratch[m, j]
+            told[j, i] = told[i, j]
+
+
+@njit
 def _backward(angle: bool, law: FrictionLaw, of: Forward, n: int, out: Floats) -> None:
-    """[rack force (N), friction (Nm)] (n, 2) given all measurements up to step ``n``."""
+    """[rack force (N), friction (Nm), what is unknown of it (Nm)] (n, 3) given all measurements up
+    to step ``n``: the adjoint state and its covariance."""
     adjoint, scratch, smooth = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE)
+    told, square = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
     for k in range(n - 1, -1, -1):
+        variance = of.cov[k, BRISTLE, BRISTLE]
         for i in range(SIZE):
             smooth[i] = of.mean[k, i]
             for j in range(SIZE):
                 smooth[i] -= of.cov[k, i, j] * adjoint[j]
+                variance -= of.cov[k, BRISTLE, i] * told[i, j] * of.cov[k, j, BRISTLE]
         local = of.extra[k, 2]
         out[k, 0] = local * smooth[FORCE]
         out[k, 1] = friction_nm(in_mid_travel(law, local), of.extra[k], smooth)
+        out[k, 2] = unknown_torque_nm(law, variance)
         if of.kind[k] == _HELD:
             continue
         for which in range(1, -1, -1):
             if which == 1 and not angle:
                 continue
-            taken = of.innovation[k, which] / of.spread[k, which]
+            at, gain = PHI if which == 1 else OMEGA, of.gain[k, which]
+            taken, spread = 0.0, of.spread[k, which]
             for j in range(SIZE):
-                taken += of.gain[k, which, j] * adjoint[j]
-            adjoint[PHI if which == 1 else OMEGA] -= taken
+                taken += gain[j] * adjoint[j]
+            adjoint[at] -= taken + of.innovation[k, which] / spread
+            _tell(told, at, gain, spread, scratch)
+        if of.kind[k] != _STEP:
+            adjoint[:] = 0.0
+            told[:, :] = 0.0
+            continue
         for j in range(SIZE):
             scratch[j] = 0.0
-            if of.kind[k] == _STEP:
-                for i in range(SIZE):
-                    scratch[j] += of.jacobian[k, i, j] * adjoint[i]
+            for i in range(SIZE):
+                scratch[j] += of.jacobian[k, i, j] * adjoint[i]
         adjoint[:] = scratch
+        _before(told, of.jacobian[k], square)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,8 +260,8 @@ def smooth(
     n = int(_gather(beside.memory, beside.timing, c, beside.physics, *events,
                     t, inputs, wrong, doubt))  # fmt: skip
     t, inputs, wrong, doubt = t[:n], inputs[:n], _foreseen(wrong[:n], 2 * c.keep_steps), doubt[:n]
-    began, crept = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
-    out, reason, nis = np.empty((n, 2)), np.empty(n, np.int64), np.full((n, 2), np.nan)
+    lost = np.zeros(n, np.bool_)
+    out, reason, nis = np.empty((n, 3)), np.empty(n, np.int64), np.full((n, 2), np.nan)
     room = _room(min(n, BLOCK_STEPS + AHEAD_STEPS))
     for since in range(0, n, BLOCK_STEPS):
         own, whole = min(BLOCK_STEPS, n - since), min(BLOCK_STEPS + AHEAD_STEPS, n - since)
@@ -215,17 +269,17 @@ def smooth(
         _forward(c, x, e, inputs[part], wrong[part], room, 0, own)
         kept = [array.copy() for array in (*b, *e, x.effects.state)]
         _forward(c, x, e, inputs[part], wrong[part], room, own, whole)
-        both = np.empty((whole, 2))
+        both = np.empty((whole, 3))
         _backward(x.filter.angle, x.law, room, whole, both)
         for array, before in zip((*b, *e, x.effects.state), kept, strict=True):
             array[...] = before
         out[since : since + own] = both[:own]
-        reason[since : since + own] = room.reason[:own]
-        began[since : since + own] = room.kind[:own] == _START
-        crept[since : since + own] = room.crept[:own] != 0
+        known = both[:own, 2] * room.extra[:own, 2] * c.ratio <= c.unknown_limit_n
+        reason[since : since + own] = room.reason[:own] & np.where(known, ~_UNKNOWN, -1)
+        lost[since : since + own] = room.lost[:own] != 0
         stepped = room.kind[:own] != _HELD
         nis[since : since + own][stepped] = (room.innovation**2 / room.spread)[:own][stepped]
-    reason = _hindsight(reason, began) | doubt | np.where(crept, _UNKNOWN, 0)
+    reason |= doubt | np.where(lost, _UNKNOWN, 0)
     reason |= np.where(_beside(wrong & _REFUSED != 0, c.keep_steps), _SETTLING, 0)
     if like.timing.limits.on:
         reason |= np.where(np.abs(out[:, 0]) > like.timing.limits.estimate_n, _IMPLAUSIBLE, 0)
@@ -257,14 +311,3 @@ def _beside(refused: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]
     k = np.arange(len(refused))
     since, until = np.maximum(k - steps, 0), np.minimum(k + steps + 1, len(refused))
     return (number[until] > number[since]) & ~refused
-
-
-def _hindsight(reason: Int64, began: npt.NDArray[np.bool_]) -> Int64:
-    """A bristle that later motion of the same stretch told of is known all along (backward)."""
-    told = reason.copy()
-    edges = [0, *np.flatnonzero(began).tolist(), len(reason)]
-    for since, until in itertools.pairwise(edges):
-        part = reason[since:until]
-        if np.any(part & _UNKNOWN == 0):
-            told[since:until] = part & ~_UNKNOWN
-    return told

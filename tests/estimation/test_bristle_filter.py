@@ -12,7 +12,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from eps_hil.estimation import bristle_smoother
 from eps_hil.estimation.batch import estimate, events, lanes, latency_s, sample_periods_s
-from eps_hil.estimation.bristle_filter import PhysicsInside, filter_step
+from eps_hil.estimation.bristle_filter import PhysicsInside, filter_step, unknown_torque_nm
 from eps_hil.estimation.bristle_model import Step, transition
 from eps_hil.estimation.bristle_setup import BRISTLE, FORCE, OMEGA, PHI, RATE, SIZE, Drive
 from eps_hil.estimation.bristle_smoother import smooth
@@ -315,6 +315,35 @@ def test_smoothing_in_blocks_is_smoothing(
     assert np.max(np.abs(whole.rack_force_n - cut.rack_force_n)) < 1.0
 
 
+def test_what_is_unknown_is_that_of_rauch_tung_and_striebel() -> None:
+    """Smoothed variances of the deflection by their recursion, on a random linear system."""
+    rng, n, starts = np.random.default_rng(3), 60, 25
+    room = bristle_smoother._room(n)
+    noise, ahead = np.diag([1e-6, 1e-2, 1e-8, 1.0, 10.0]), np.zeros((n, SIZE, SIZE))
+    for k in range(n):
+        a = np.eye(SIZE) + 0.05 * rng.standard_normal((SIZE, SIZE))
+        start = k in (0, starts)
+        room.kind[k] = bristle_smoother._START if start else bristle_smoother._STEP
+        p = np.diag([1e-4, 0.1, 1e-3, 100.0, 10.0]) if start else a @ room.cov[k - 1] @ a.T + noise
+        room.jacobian[k], ahead[k] = a, p
+        for which, i in enumerate((OMEGA, PHI)):
+            room.spread[k, which] = p[i, i] + (0.1, 1e-6)[which]
+            room.gain[k, which] = p[i] / room.spread[k, which]
+            p = p - np.outer(room.gain[k, which], p[i])
+        room.cov[k] = p
+    room.extra[:, 2] = 1.0
+    out, law = np.empty((n, 3)), friction_law(NO_FRICTION)
+    bristle_smoother._backward(True, law, room, n, out)
+    expected, later = [], room.cov[-1]
+    for k in range(n - 1, -1, -1):
+        if k < n - 1:
+            back = room.cov[k] @ room.jacobian[k + 1].T @ np.linalg.inv(ahead[k + 1])
+            told = room.cov[k] + back @ (later - ahead[k + 1]) @ back.T
+            later = room.cov[k] if k + 1 == starts else told
+        expected.append(unknown_torque_nm(law, later[BRISTLE, BRISTLE]))
+    assert out[:, 2] == pytest.approx(expected[::-1], rel=1e-6)
+
+
 # --- behaviour in the stream ---------------------------------------------------------------------
 
 
@@ -466,6 +495,45 @@ def test_the_smoother_believes_nothing_beside_a_doubt(off: float, begin_s: float
     assert not np.any(apart & wrong.valid & right.valid)
     far = np.abs((wrong.t_ns - rig.t_ns[0]) * 1e-9 - begin_s - 0.5) > 0.8
     assert np.array_equal(wrong.valid[far], right.valid[far])
+
+
+@pytest.mark.parametrize("off", [0.05, -0.05, 0.3])
+def test_a_bristle_that_slid_later_is_not_known_before(off: float) -> None:
+    """A false step of the angle at rest makes it unknown. The sliding a second later forgets what
+    it was, and tells little of it: 145 N wrong, and valid, until then."""
+    rig, angle = recorded("demo"), "motor_angle_rad"
+    false = rig.signals[angle] + off * (rig.time_s >= 21.0)
+    right, wrong, live = (
+        estimate(
+            {n: Series(rig.t_ns, v) for n, v in (rig.signals | changed).items() if n in INPUTS},
+            rig.model, settings,
+        )
+        for changed, settings in (
+            ({}, SMOOTHER), ({angle: false}, SMOOTHER), ({angle: false}, FILTER)
+        )
+    )  # fmt: skip
+    apart = np.abs(wrong.rack_force_n - right.rack_force_n) > 100.0
+    assert np.count_nonzero(apart) > 500
+    assert not np.any(apart & wrong.valid)
+    time_s = (wrong.t_ns - rig.t_ns[0]) * 1e-9
+    rests = (time_s > 21.1) & (time_s < 21.95)
+    assert np.all(wrong.reason[rests] & int(Reason.FRICTION_UNKNOWN))
+    assert np.all(wrong.valid[(time_s > 0.5) & (time_s < 20.8) | (time_s > 22.1)])
+    lost = np.count_nonzero(~wrong.valid[time_s > 1.0])
+    assert lost < np.count_nonzero(~live.valid[live.t_ns > rig.t_ns[0] + 10**9]) + 60
+
+
+def test_a_recording_that_begins_at_rest_begins_unknown() -> None:
+    """At a load of 1000 N that friction helps to hold it was 140 N wrong, and valid."""
+    rig = recorded("demo")
+    late = rig.time_s >= 21.0
+    series = {n: Series(rig.t_ns[late], rig.signals[n][late]) for n in INPUTS}
+    trace = estimate(series, rig.model, SMOOTHER)
+    error, time_s = trace.rack_force_n - rig.load_n(trace), (trace.t_ns - rig.t_ns[0]) * 1e-9
+    rests = (time_s > 21.1) & (time_s < 21.9)
+    assert np.all(np.abs(error[rests]) > 40.0)
+    assert not np.any(trace.valid[rests])
+    assert np.mean(trace.valid[time_s > 22.08]) == 1.0
 
 
 @pytest.mark.parametrize("speed", [-120.0, 120.0])
