@@ -183,6 +183,18 @@ def unknown_torque_nm(law: FrictionLaw, variance: float) -> float:
 
 
 @kernel
+def take_bristle(
+    c: Constants, law: FrictionLaw, s: Moment, u: Inputs, bristle: float, unknown_nm: float
+) -> None:
+    """A held state whose ``bristle`` is known otherwise, as of the step before ``u``."""
+    s.bristle, s.unknown_nm = bristle, unknown_nm
+    s.bristle_rms = max(s.bristle_rms, _RELAXED * unknown_nm / law.sigma0_nm_per_rad)
+    s.speed, s.acceleration, s.held_steps = u.motor_speed_rad_s, 0.0, 1
+    s.last_angle = u.motor_angle_rad - u.motor_speed_rad_s * c.step_s
+    s.angle = s.held = s.last_angle
+
+
+@kernel
 def _slip_from(f: FilterConstants, b: Belief) -> float:
     """Speed (rad/s) from which the rotor is taken to slide."""
     return max(f.slip_least_rad_s, f.slip_sigma * math.sqrt(b.cov[OMEGA, OMEGA]))

@@ -22,12 +22,13 @@ from eps_hil.estimation.bristle_filter import (
     filter_step,
     friction_nm,
     in_mid_travel,
+    take_bristle,
     unknown_torque_nm,
 )
 from eps_hil.estimation.bristle_setup import BRISTLE, FORCE, OMEGA, PHI, SIZE
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Constants, Inputs, Physics
-from eps_hil.estimation.state import Carried, begin_anew, new_carried
+from eps_hil.estimation.state import HELD, NEVER_RAN, Carried, Moment, begin_anew, new_carried
 from eps_hil.estimation.stream import StreamEstimator
 from eps_hil.estimation.stream_timing import Timing
 from eps_hil.estimation.validity import Reason
@@ -47,6 +48,7 @@ _IMPLAUSIBLE = int(Reason.IMPLAUSIBLE)
 _SETTLING, _DIVERGED = int(Reason.SETTLING), int(Reason.DIVERGED)
 _UNKNOWN = int(Reason.FRICTION_UNKNOWN)
 _START, _HELD, _STEP = 0, 1, 2
+_ANYTHING_NM = 1e9
 
 
 class Forward(NamedTuple):
@@ -84,6 +86,14 @@ def _room(steps: int) -> Forward:
 
 
 @njit
+def _bristle(s: Moment) -> tuple[float, float]:
+    """Deflection (rad), and what is unknown of its torque (Nm)."""
+    if s.running == NEVER_RAN:
+        return 0.0, _ANYTHING_NM
+    return s.bristle, s.unknown_nm + s.unseen_nm
+
+
+@njit
 def _gather(
     m: steps.Memory,
     timing: Timing,
@@ -98,19 +108,24 @@ def _gather(
     out_doubt: Int64,
 ) -> int:
     """All inputs on the grid of the stream, what is wrong with them, and what the filter, which
-    runs beside, has of doubts; rows written."""
+    runs beside, has of doubts, and of the bristle; rows written."""
     rows, lag = 0, int(round(c.output_lag_s * 1e9))
+    bristle, unknown_nm = 0.0, _ANYTHING_NM
     for k in range(len(signal)):
         if signal[k] >= 0:
             steps.push(m, timing, signal[k], t_ns[k], value[k])
             continue
-        for n in range(min(steps.advance(m, timing, c, x, t_ns[k]), len(out_t) - rows)):
+        due = min(steps.advance(m, timing, c, x, t_ns[k]), len(out_t) - rows)
+        for n in range(due):
+            if n == due - 1:
+                bristle, unknown_nm = _bristle(m.carried.moment[0])
             at = m.t_ns[n] + lag
             inputs, reason, _, _ = steps.gather(m, timing, at)
             out_t[rows], out_doubt[rows] = at, m.doubt[n]
             out_wrong[rows] = reason | m.reason[n] & _NOT_FROM_INPUTS | m.doubt[n] & _REFUSED
             out[rows, 0], out[rows, 1], out[rows, 2] = inputs[0], inputs[1], inputs[2]
             out[rows, 3], out[rows, 4] = inputs[3], inputs.speed_noise
+            out[rows, 5], out[rows, 6] = bristle, unknown_nm
             rows += 1
     return rows
 
@@ -134,6 +149,8 @@ def _forward(
             inputs[k, 0], inputs[k, 1], inputs[k, 2], inputs[k, 3], 0.0,
             -1.0, inputs[k, 4], -1.0, 1.0, 1.0,
         )  # fmt: skip
+        if s.running == HELD and inputs[k, 5] == inputs[k, 5]:
+            take_bristle(c, x.law, s, u, inputs[k, 5], inputs[k, 6])
         why = filter_step(c, x, e, u, wrong[k])
         to.kind[k] = _HELD
         if wrong[k] == 0 and why & _DIVERGED == 0:
@@ -255,11 +272,12 @@ def smooth(
     assert isinstance(x, PhysicsInside)
     b = x.belief
     rows = _most_rows(*events[:2], settings.step_ns)
-    t, inputs, wrong = np.empty(rows, np.int64), np.empty((rows, 5)), np.empty(rows, np.int64)
+    t, inputs, wrong = np.empty(rows, np.int64), np.empty((rows, 7)), np.empty(rows, np.int64)
     doubt = np.empty(rows, np.int64)
     n = int(_gather(beside.memory, beside.timing, c, beside.physics, *events,
                     t, inputs, wrong, doubt))  # fmt: skip
     t, inputs, wrong, doubt = t[:n], inputs[:n], _foreseen(wrong[:n], 2 * c.keep_steps), doubt[:n]
+    inputs[~_behind_doubts(wrong), 5:] = np.nan
     lost = np.zeros(n, np.bool_)
     out, reason, nis = np.empty((n, 3)), np.empty(n, np.int64), np.full((n, 2), np.nan)
     room = _room(min(n, BLOCK_STEPS + AHEAD_STEPS))
@@ -302,6 +320,15 @@ def _foreseen(wrong: Int64, before: int) -> Int64:
     for k in np.flatnonzero((bits[1:] != 0) & (bits[:-1] == 0)) + 1:
         told[max(k - before, 0) : k] |= bits[k]
     return told
+
+
+def _behind_doubts(wrong: Int64) -> npt.NDArray[np.bool_]:
+    """Where estimating goes on after a doubt. There the bristle is that of the filter beside, which
+    was told what the doubt was of: an angle that jumped shows no way that a rotor went."""
+    k, number = np.arange(len(wrong)), np.cumsum(np.concatenate([[0], wrong & _REFUSED != 0]))
+    fine = np.maximum.accumulate(np.where(wrong == 0, k, -1))
+    last = np.concatenate([[-1], fine[:-1]])
+    return (wrong == 0) & (number[k] > number[last + 1])
 
 
 def _beside(refused: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:

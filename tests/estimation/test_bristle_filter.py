@@ -523,6 +523,25 @@ def test_a_bristle_that_slid_later_is_not_known_before(off: float) -> None:
     assert lost < np.count_nonzero(~live.valid[live.t_ns > rig.t_ns[0] + 10**9]) + 60
 
 
+def test_behind_a_doubt_at_rest_the_smoother_has_the_bristle_of_the_filter() -> None:
+    """An angle that jumped for 24 ms, and back, bent the smoother's alone: 100 N, and valid, until
+    the rotor slid 1.3 s later."""
+    rig, angle = recorded("demo"), "motor_angle_rad"
+    jumped = (rig.time_s >= 22.566) & (rig.time_s < 22.590)
+    right, wrong = (
+        estimate(
+            {n: Series(rig.t_ns, v) for n, v in (rig.signals | changed).items() if n in INPUTS},
+            rig.model, SMOOTHER,
+        )
+        for changed in ({}, {angle: rig.signals[angle] - 0.21 * jumped})
+    )  # fmt: skip
+    time_s = (wrong.t_ns - rig.t_ns[0]) * 1e-9
+    rests = (time_s > 22.8) & (time_s < 23.9)
+    assert np.any(wrong.reason & int(Reason.INCONSISTENT))
+    assert np.all(wrong.valid[rests])
+    assert np.max(np.abs(wrong.rack_force_n - right.rack_force_n)[rests]) < 40.0
+
+
 def test_a_recording_that_begins_at_rest_begins_unknown() -> None:
     """At a load of 1000 N that friction helps to hold it was 140 N wrong, and valid."""
     rig = recorded("demo")
