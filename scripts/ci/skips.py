@@ -17,7 +17,8 @@ MAY = (
     "REAL DATA MISSING",
     "is not permitted here (CAP_",
     "as root",
-    "about compiled code",  # scripts/kernel_coverage, which interprets it
+    "about compiled code",  # scripts/kernel_coverage, which interprets it…
+    "stopped: what it ran until then counts",  # …and stops what takes long so
 )
 """Words of the reasons for which a test may be skipped."""
 _SKIPPED = re.compile(r"^SKIPPED \[(\d+)\] (\S+?:(?:\d+:)?) (.*)$", re.MULTILINE)

@@ -17,12 +17,13 @@ SKIPPED [2] tests/bus/conftest.py:40: no vcan0 on this machine (No such device);
 SKIPPED [1] tests/service/conftest.py:125: SocketCAN is NOT tested here: [Errno 97]; run scripts/ci
 SKIPPED [3] tests/real/test_ford_gt350.py:116: REAL DATA MISSING: no normalsport.log; set EPS_HIL
 SKIPPED [1] tests/bus/test_recorder.py:605: real-time priority is not permitted here (CAP_SYS_NICE)
+SKIPPED [5] tests/stop_long.py:37: stopped: what it ran until then counts
 """
 
 
 def test_a_machine_without_vcan_real_data_and_rights_is_no_fault() -> None:
     assert (
-        CHECK.problems(f"....ss\n{MAY}3000 passed, 7 skipped, 2 warnings in 411.20s (0:06:51)\n")
+        CHECK.problems(f"....ss\n{MAY}3000 passed, 12 skipped, 2 warnings in 411.20s (0:06:51)\n")
         == []
     )
     assert CHECK.problems("3000 passed in 2.1s\n") == []
@@ -35,18 +36,17 @@ def test_a_machine_without_vcan_real_data_and_rights_is_no_fault() -> None:
         "systemd-analyze is not installed",
         "needs the 'fleet' extra",
         "no C compiler",
-        "stopped: what it ran until then counts",
     ],
 )
 def test_what_is_not_installed_is_named(reason: str) -> None:
     line = f"SKIPPED [1] tests/fmu/test_export.py:19: {reason}\n"
-    log = f"{MAY}7 skipped in 1.0s\n{line}9 passed, 1 skipped in 2.0s\n"
+    log = f"{MAY}12 skipped in 1.0s\n{line}9 passed, 1 skipped in 2.0s\n"
     assert CHECK.problems(log) == [f"skipped: tests/fmu/test_export.py:19: {reason}"]
 
 
 def test_a_skip_whose_reason_is_not_told_is_one() -> None:
-    assert CHECK.problems(f"{MAY}8 skipped in 2.0s\n") == [
-        "8 tests were skipped, and the reasons of 7 are told"
+    assert CHECK.problems(f"{MAY}13 skipped in 2.0s\n") == [
+        "13 tests were skipped, and the reasons of 12 are told"
     ]
 
 
@@ -72,5 +72,7 @@ def test_it_reads_what_pytest_writes(tmp_path: Path) -> None:
     assert subprocess.run(script, capture_output=True, check=False).returncode == 1
 
 
-def test_ci_asks_for_it() -> None:
+def test_ci_asks_for_it_and_every_step_tells_its_reasons() -> None:
+    """Kernel coverage, too, which has options of its own."""
+    assert " -r fs " in (ROOT / "scripts" / "kernel_coverage").read_text()
     assert 'scripts/ci/skips.py "$logs/test"' in (ROOT / ".ci" / "run").read_text()
