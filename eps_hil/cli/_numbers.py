@@ -26,16 +26,6 @@ def takes_numbers(verb: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def everywhere(app: typer.Typer) -> None:
-    """Ask it of all verbs of an app and of its groups."""
-    for verb in app.registered_commands:
-        if verb.callback is not None:
-            verb.callback = takes_numbers(verb.callback)
-    for group in app.registered_groups:
-        if group.typer_instance is not None:
-            everywhere(group.typer_instance)
-
-
 def _option(parameter: inspect.Parameter) -> str:
     """As it is written on the command line."""
     for info in (parameter.default, *getattr(parameter.annotation, "__metadata__", ())):

@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from eps_hil.errors import InputError
 
 WRITTEN = frozenset(
@@ -50,16 +48,6 @@ def keeps_inputs(verb: Callable[..., Any]) -> Callable[..., Any]:
         return verb(*arguments, **values)
 
     return command
-
-
-def everywhere(app: typer.Typer) -> None:
-    """Ask it of all verbs of an app and of its groups."""
-    for verb in app.registered_commands:
-        if verb.callback is not None:
-            verb.callback = keeps_inputs(verb.callback)
-    for group in app.registered_groups:
-        if group.typer_instance is not None:
-            everywhere(group.typer_instance)
 
 
 def _paths(value: Any) -> list[Path]:

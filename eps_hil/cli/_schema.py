@@ -79,16 +79,6 @@ def prints_schemas(verb: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def everywhere(app: typer.Typer) -> None:
-    """Give it to all verbs of an app and of its groups."""
-    for verb in app.registered_commands:
-        if verb.callback is not None:
-            verb.callback = prints_schemas(verb.callback)
-    for group in app.registered_groups:
-        if group.typer_instance is not None:
-            everywhere(group.typer_instance)
-
-
 def with_kind(app: typer.Typer, words: list[str]) -> list[str]:
     """``--schema`` without a kind: the first that the verb takes."""
     if OPTION not in words:

@@ -12,7 +12,7 @@ from typing import Any
 import typer
 
 from eps_hil import __version__, cli, provenance
-from eps_hil.cli import _completion, _numbers, _outputs, _schema
+from eps_hil.cli import _completion, _numbers, _outputs, _schema, _verbs
 from eps_hil.errors import EpsHilError
 
 app = typer.Typer(
@@ -45,9 +45,8 @@ def _options(
 for _file in pkgutil.iter_modules(cli.__path__):
     if _file.name != "main" and not _file.name.startswith("_"):
         importlib.import_module(f"eps_hil.cli.{_file.name}").register(app)
-_outputs.everywhere(app)
-_numbers.everywhere(app)
-_schema.everywhere(app)
+for wrapper in (_outputs.keeps_inputs, _numbers.takes_numbers, _schema.prints_schemas):
+    _verbs.wrap(app, wrapper)
 _completion.keep_quiet_without_the_program()
 
 

@@ -72,6 +72,7 @@ from eps_hil.diagnosis.search import (
     Names,
     Searched,
     beside_left,
+    cheapest,
     left_of,
     likelier,
     modelled,
@@ -294,7 +295,14 @@ def _told(case: _Case, searched_for: Searched, wrong: ChannelFault | None = None
     if left is None and not hidden and HOLD in without:
         left = late_torque(problem, selection.found)
     if left is not None and (force is not None or not left.words) and EMPIRICAL not in without:
-        now = modelled(problem, now, first, judged, look, force, others, say)
+        now = cheapest(
+            problem,
+            first,
+            modelled(problem, now, first, judged, look, force, others, say),
+            judged,
+            others,
+            say,
+        )
         selection, findings, left, extra = now.as_told
     places = places_in_time(problem, selection.found, findings, judged)
     placebo = placebos(now.weighed, now.told, findings, judged)

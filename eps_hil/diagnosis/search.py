@@ -231,23 +231,20 @@ def beside_left(
     return Names(weighed, told, shown, findings, left)
 
 
-def modelled(
+def cheapest(
     problem: Problem,
-    now: Names,
     ordinary: Names,
+    found: Names,
     judged: Sequence[Holdout],
-    look: FirstLook,
-    force: Leftover | None,
     tied: Mapping[str, float],
     say: Say | None,
 ) -> Names:
-    """With a model of what has no name, and the names that stand beside that.
+    """What came out of :func:`modelled`, or the ``ordinary`` names, found before anything was
+    weighed beside what is left, where they explain most and cost hold-outs less.
 
-    ``ordinary``: what was found before anything was weighed beside what is left. Where that
-    explains most of hold-outs it stands, with a model of its own rest, unless what comes out of the
-    weighing costs less there: much that is small, together, is no reason to give up what is named.
+    They stand with a model of their own rest, or without. Much that is small, together, is no
+    reason to give up what is named.
     """
-    found = _beside_unknown(problem, now, ordinary, judged, look, force, tied, say)
     if not _explains_most(problem, ordinary, judged, tied):
         return found
     there = [ordinary, _with_rest(problem, ordinary, judged, tied, say), found]
@@ -295,7 +292,7 @@ def _with_rest(
     return replace(names, extra=extra)
 
 
-def _beside_unknown(
+def modelled(
     problem: Problem,
     now: Names,
     ordinary: Names,
@@ -305,7 +302,10 @@ def _beside_unknown(
     tied: Mapping[str, float],
     say: Say | None,
 ) -> Names:
-    """Names weighed beside all that is left, and a model of what has none."""
+    """With a model of what has no name, and the names that stand beside that.
+
+    ``ordinary``: what was found before anything was weighed beside what is left.
+    """
     starts = () if tied else tuple((one.shown, one.findings) for one in (now, ordinary))
     ratio = look.ratio_is_measured
     found, whole = beside_law(problem, starts, judged, measured=ratio, say=say), None

@@ -13,8 +13,7 @@ from eps_hil.diagnosis.accept.proof_of_fit import Holdout
 from eps_hil.diagnosis.attribute.select import Selection, select
 from eps_hil.diagnosis.balance.fit import fit
 from eps_hil.diagnosis.balance.problem import Problem
-from eps_hil.diagnosis.first_look import FirstLook
-from eps_hil.diagnosis.search import Names, Searched, likelier, modelled
+from eps_hil.diagnosis.search import Names, Searched, cheapest, likelier
 
 LAW = SimpleNamespace(entries=({"shapes": ["linear"]},))
 
@@ -62,13 +61,11 @@ def test_names_that_leave_little_are_not_given_up_for_something_unknown(
     selection = select(problem)
     names = Names(problem, selection, selection, [0], None)
     nothing = replace(names, findings=[])
-    monkeypatch.setattr(search, "_beside_unknown", lambda *_all: nothing)
 
     def dearer(*given: Any) -> float:
         samples = sum(int(one.judging(problem.model).sum()) for one in judged)
         return standing.price(*given) + more * samples
 
     monkeypatch.setattr(search, "price", dearer)
-    look = cast("FirstLook", None)
-    found = modelled(problem, nothing, names, judged, look, None, {}, None)
+    found = cheapest(problem, names, nothing, judged, {}, None)
     assert [found.shown.found.entries[k]["effect"] for k in found.findings] == told

@@ -63,8 +63,8 @@ def test_names_are_weighed_against_a_load_that_hides_them(
 ) -> None:
     """And not told at all where there is nothing to weigh: that takes most of a diagnosis.
 
-    They are looked for in the model as it was given, not with a drag that went with the load: a
-    delay of 4 ms was told with a drag of its own, and that drag taken back by name.
+    They are looked for in the model as it was given: with a drag that was refitted beside an
+    assumed load, a late torque came with the opposite drag as a finding.
     """
     of_load, of_names = (
         cast(

@@ -543,7 +543,7 @@ def test_behind_a_doubt_at_rest_the_smoother_has_the_bristle_of_the_filter() -> 
 
 
 def test_a_recording_that_begins_at_rest_begins_unknown() -> None:
-    """At a load of 1000 N that friction helps to hold it was 140 N wrong, and valid."""
+    """At a load of 1000 N that friction helps to hold it was over 40 N wrong, and valid."""
     rig = recorded("demo")
     late = rig.time_s >= 21.0
     series = {n: Series(rig.t_ns[late], rig.signals[n][late]) for n in INPUTS}

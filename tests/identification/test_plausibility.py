@@ -32,7 +32,7 @@ def judged(one: plausibility._Rows, model: Model) -> float:
 def test_a_torque_that_fell_as_the_friction_did_is_not_turned_round(reference_model: Model) -> None:
     """With the wrong sign it would explain that the friction fell; in no half does it explain more.
 
-    (Issue 19: two of twelve hardly excited recordings of a drive that warmed up were refused.)
+    (Issue 19: hardly excited recordings of a drive that warmed up were refused by chance.)
     """
     first = np.arange(N) < N // 2
     way = np.where(np.arange(N) // 100 % 2, 1.0, -1.0)
