@@ -13,7 +13,7 @@ from eps_hil.identification.cannot_tell import cannot_tell
 from eps_hil.identification.finding import Finding
 from eps_hil.identification.friction_map import friction_map
 from eps_hil.identification.identifiable import beside_sliding, choose, widened
-from eps_hil.identification.least_squares import Fit
+from eps_hil.identification.least_squares import Fit, linearised
 from eps_hil.identification.motion_check import check_place
 from eps_hil.identification.motor_lag import motor_lag
 from eps_hil.identification.noise_bias import corrected
@@ -90,23 +90,58 @@ def identify(
     chosen = choose(rows, start, sliding_parameters(start, signals))
     findings.check_loads(rows, start, chosen.fit.state)
     say(0.3)
-    found = estimate(rows, chosen.fit.state, chosen.fitted, lambda p: say(0.3 + 0.4 * p),
-                     prior=start)  # fmt: skip
-    found = corrected(found, ready, late_s, start, chosen.fitted)
+
+    def fitted_from(state: State, parameters: Sequence[Parameter], **how: Any) -> Found:
+        found = estimate(rows, state, parameters, prior=start, **how)
+        return corrected(found, ready, late_s, start, parameters)
+
+    found = fitted_from(chosen.fit.state, chosen.fitted, on_progress=lambda p: say(0.3 + 0.4 * p))
     shown = _shown_of(found.bristle, rows, start)
     if found.bristle is not None and len(shown) < len(found.bristle.parameters):
         state = _as_in(start, found.sliding.state, found.bristle.parameters, shown)
-        found = estimate(rows, state, chosen.fitted, passes=1, prior=start, bristle_of=shown)
-        found = corrected(found, ready, late_s, start, chosen.fitted)
+        found = fitted_from(state, chosen.fitted, passes=1, bristle_of=shown)
+    found, below = _above_zero(found, rows, fitted_from)
     say(0.9)
     sliding = widened(found.sliding, rows, chosen.kept, found.weights)
     found = replace(found, sliding=sliding)
     if found.bristle is not None:
         own = _method(sliding)
         found = replace(found, bristle=beside_sliding(rows, found.bristle, sliding, own))
-    result = _result(model, start, ready, rows, found, angle, offsets, placed)
+    result = _result(model, start, ready, rows, found, below, angle, offsets, placed)
     say(1.0)
     return result
+
+
+def _above_zero(
+    found: Found, rows: Sequence[Case], fitted_from: Callable[..., Found]
+) -> tuple[Found, dict[str, float]]:
+    """Friction that comes out below zero is zero, and everything else is fitted beside that.
+
+    Returns the fit, and what the recordings alone say of those numbers, by name. Its covariance
+    stays that of the free fit: a bound that holds makes nothing less certain.
+    """
+    free, below = found.sliding, dict[str, float]()
+    bristle = found.bristle.parameters if found.bristle else ()
+    while True:
+        state = found.sliding.state
+        out = {
+            p.name: get(state, p.name)
+            for p in found.sliding.parameters
+            if p.name.startswith("friction.") and get(state, p.name) < 0.0
+        }
+        if not out:
+            break
+        below |= out
+        for name in out:
+            state = put(state, name, 0.0)
+        left = [p for p in found.sliding.parameters if p.name not in out]
+        found = fitted_from(state, left, passes=1, bristle_of=bristle)
+    if not below:
+        return found, below
+    below = {name: get(free.state, name) for name in below}
+    state = found.sliding.state
+    seen = linearised(rows, state, free.parameters, found.weights)
+    return replace(found, sliding=replace(free, state=state, rows=tuple(seen))), below
 
 
 def _method(fit: Fit) -> dict[str, float]:
@@ -152,6 +187,7 @@ def _result(
     ready: Sequence[Prepared],
     rows: Sequence[Case],
     found: Found,
+    below: Mapping[str, float],
     angle: kinematics.Skew | None,
     offsets: Mapping[str, Offset | None],
     placed: Sequence[Finding],
@@ -170,7 +206,7 @@ def _result(
     was = with_model_effects(before).delays_s
     if was.motor_angle is not None and start.model.delays_s.motor_angle is None:
         timing = delays.of_angle(timing, was, _NO_DELAY)
-    parameters = _sliding_estimates(fit, start, quantile)
+    parameters = _sliding_estimates(fit, start, quantile, below)
     parameters |= {f"delays_s.{key}": one for key, one in timing.estimates.items()}
     bristle = _bristle_estimates(found.bristle, start)
     parameters |= bristle
@@ -212,7 +248,9 @@ def _quantile(blocks: int) -> float:
     return float(t.ppf(0.975, max(blocks - 1, 1)))
 
 
-def _sliding_estimates(fit: Fit, start: State, quantile: float) -> dict[str, Estimate]:
+def _sliding_estimates(
+    fit: Fit, start: State, quantile: float, below: Mapping[str, float]
+) -> dict[str, Estimate]:
     fitted = {p.name for p in fit.parameters}
     units = {"inertia_kg_m2": "kg m²"} | {f"friction.{k}": u for k, u in FRICTION_UNITS.items()}
     result = {}
@@ -224,12 +262,11 @@ def _sliding_estimates(fit: Fit, start: State, quantile: float) -> dict[str, Est
         value = get(fit.state, name)
         own = METHOD_INERTIA * value if name == "inertia_kg_m2" else 0.0
         half = quantile * float(np.hypot(fit.sigma(name), own))
-        note = ""
-        if value < 0:
-            note = "the recordings say less than zero; the model file takes zero"
-        result[name] = Estimate(
-            max(value, 0.0), unit, (value - half, value + half), was, "identified", note
-        )
+        free, note = below.get(name, value), ""
+        if name in below:
+            note = "the recordings say less than zero; it is zero, and the rest fitted beside that"
+        ci95 = (free - half, free + half)
+        result[name] = Estimate(value, unit, ci95, was, "identified", note)
     return result
 
 
@@ -321,11 +358,7 @@ def _loads(
 
 
 def _model(before: Model, state: State, late: Any, offsets: Mapping[str, Offset | None]) -> Model:
-    """The model to write: valid by CONTRACT 4, so friction is nowhere negative."""
-    friction = replace(
-        state.model.friction,
-        **{key: max(getattr(state.model.friction, key), 0.0) for key in FRICTION_UNITS},
-    )
+    """The model to write."""
     effects = [dict(entry) for entry in state.model.effects]
     for name, (effect, sign) in OFFSET_EFFECTS.items():
         reading = offsets[name]
@@ -336,7 +369,7 @@ def _model(before: Model, state: State, late: Any, offsets: Mapping[str, Offset 
         inertia_kg_m2=state.model.inertia_kg_m2,
         rack_to_rotor_ratio_rad_per_m=state.model.rack_to_rotor_ratio_rad_per_m,
         delays_s=late,
-        friction=friction,
+        friction=state.model.friction,
         effects=tuple(effects),
     )
 

@@ -313,3 +313,31 @@ def test_a_time_in_ms_is_refused(programme: Recordings, reference_model: Model) 
     }
     with pytest.raises(InputError, match="is the time in ms"):
         identify(slow, reference_model)
+
+
+def test_friction_below_zero_is_zero_and_the_rest_fitted_beside_it(
+    record: Callable[..., Any], reference_model: Model
+) -> None:
+    """A drive that helps with speed: viscous terms were cut, and the levels left as beside them,
+    so that the friction written was too large at every speed."""
+    recordings = record({"constant_speed": 30.0})
+    for series in recordings.values():
+        torque, speed = series["motor_torque_nm"], series["motor_speed_rad_s"]
+        helped = torque.value - 6e-4 * np.interp(torque.t_ns, speed.t_ns, speed.value)
+        series["motor_torque_nm"] = Series(torque.t_ns, helped)
+    found = identify(recordings, reference_model)
+    for name in ("viscous_pos_nm_s_per_rad", "viscous_neg_nm_s_per_rad"):
+        one = found.parameters[f"friction.{name}"]
+        assert getattr(found.model.friction, name) == one.value == 0.0
+        assert one.ci95 is not None
+        assert one.ci95[1] < 0.0
+        assert "less than zero" in one.note
+    f = found.model.friction
+    for sign, level, load in (
+        (1.0, f.offset_pos_nm, f.load_pos_nm_per_n),
+        (-1.0, f.offset_neg_nm, f.load_neg_nm_per_n),
+    ):
+        cells = [c for c in found.map.cells if sign * c.speed_rad_s > 3.0]
+        beyond = [c.friction_nm - level - load * c.load_n for c in cells]
+        assert len(beyond) > 3
+        assert abs(np.average(beyond, weights=[c.seconds for c in cells])) < 4e-3
