@@ -28,7 +28,7 @@ from eps_hil.estimation.bristle_filter import (
 from eps_hil.estimation.bristle_setup import BRISTLE, FORCE, OMEGA, PHI, SIZE
 from eps_hil.estimation.settings import EstimatorSettings
 from eps_hil.estimation.setup import Constants, Inputs, Physics
-from eps_hil.estimation.state import HELD, NEVER_RAN, Carried, Moment, begin_anew, new_carried
+from eps_hil.estimation.state import HELD, NEVER_RAN, Carried, Moment, begin_anew
 from eps_hil.estimation.stream import StreamEstimator
 from eps_hil.estimation.stream_timing import Timing
 from eps_hil.estimation.validity import Reason
@@ -268,7 +268,7 @@ def smooth(
     """
     chosen = replace(settings, kind="bristle_filter")
     beside, like = (StreamEstimator(model, chosen, periods_s) for _ in range(2))
-    c, x, e = like.constants, like.physics, new_carried()
+    c, x, e = like.constants, like.physics, like.memory.carried
     assert isinstance(x, PhysicsInside)
     b = x.belief
     rows = _most_rows(*events[:2], settings.step_ns)

@@ -18,15 +18,11 @@ from eps_hil.physics.friction import friction_law, static_level_nm
 from eps_hil.physics.model import Model
 from eps_hil.series import Series
 
-BASE = ("motor_torque_nm", "torque_sensor_nm", "motor_speed_rad_s")
+from .truths import BASE, series_of
+
 MOVING_RAD_S = 1.0
 
 Array = npt.NDArray[np.floating[Any]]
-
-
-def series_of(truth: Any, names: tuple[str, ...] = BASE) -> dict[str, Series]:
-    t_ns = np.round(truth.columns["time_s"] * 1e9).astype(np.int64)
-    return {name: Series(t_ns, truth.columns[name]) for name in names}
 
 
 def errors(truth: Any, trace: Trace, *, remembered: bool = False) -> tuple[Array, Array, Array]:

@@ -106,11 +106,12 @@ def test_nonsense_forgets_what_it_spoilt(reference_model: Model) -> None:
     assert not np.any(estimator.physics.effects.state)
 
 
-def test_a_start_may_be_of_a_warm_motor(reference_model: Model) -> None:
+@pytest.mark.parametrize("kind", ["observer", "bristle_filter", "smoother"])
+def test_a_start_may_be_of_a_warm_motor(reference_model: Model, kind: Any) -> None:
     """It was taken as cold: hundreds of newtons off, and valid, after a service began again."""
     model, series = heated(reference_model, 2.0), loaded(26)
-    cold = estimate(series, model)
-    trace = estimate(series, model, EstimatorSettings(memory_at_start="unknown"))
+    cold = estimate(series, model, EstimatorSettings(kind=kind))
+    trace = estimate(series, model, EstimatorSettings(kind=kind, memory_at_start="unknown"))
     unknown = (trace.reason & UNKNOWN) != 0
     assert np.all(unknown[after(trace, 0.0, 8.0)])
     assert not np.any(unknown[after(trace, 22.0, 25.0)])  # eleven times the memory
