@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eps_hil import json_text
 from eps_hil.errors import InputError
 from eps_hil.investigate.experiment import Experiment, Kind
 from eps_hil.physics.model import Model, dump_model
+from eps_hil.programme.fingerprint import check_same, read_json
 from eps_hil.programme.limits import Limits
 from eps_hil.recordings.files import make_folder, replacing
 
@@ -58,7 +58,8 @@ class Journal:
         }
         file = folder / HEAD
         if file.exists():
-            _check_same(file, head)
+            other = "with another model file, other limits, or the other kind of rig"
+            check_same(file, head, other, "database, mapping, bus or simulated rig")
             return
         make_folder(folder, "--out")
         _write(file, head)
@@ -67,7 +68,7 @@ class Journal:
         """All finished steps in their order."""
         found = []
         for path in self.folder.glob("step_*.json"):
-            content = _read(path)
+            content = read_json(path)
             try:
                 given = {**content["experiment"], "kind": Kind(content["experiment"]["kind"])}
                 number, rig_s = int(content["number"]), float(content["rig_s"])
@@ -95,34 +96,12 @@ class Journal:
 
     def rounds(self) -> list[dict[str, Any]]:
         """What was thought after each step, in order; the first before any."""
-        found = [_read(path) for path in self.folder.glob("round_*.json")]
+        found = [read_json(path) for path in self.folder.glob("round_*.json")]
         return sorted(found, key=lambda one: int(one["round"]))
 
     def write_round(self, content: Mapping[str, Any]) -> None:
         """Thought, and decided what comes next."""
         _write(self.folder / f"round_{content['round']:02d}.json", content)
-
-
-def _check_same(file: Path, head: Mapping[str, Any]) -> None:
-    """:class:`InputError` where the folder is another investigation's."""
-    found = _read(file)
-    rig = found.pop("rig", None)
-    if found != {key: value for key, value in head.items() if key != "rig"}:
-        problem = "was made with another model file, other limits, or the other kind of rig"
-    elif rig is None:
-        problem = "does not say with which database, mapping and bus (an earlier version's)"
-    elif rig != head["rig"]:
-        problem = "was made with another database, mapping, bus or simulated rig"
-    else:
-        return
-    raise InputError(file, "", problem, "use another folder")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return dict(json_text.parse(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError) as error:
-        raise InputError(path, "", f"cannot be read: {error}", "use another folder") from None
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eps_hil import json_text
 from eps_hil.bus.config import BusSetup
 from eps_hil.bus.record import open_log
 from eps_hil.errors import EpsHilError, InputError, SafetyStop
@@ -17,6 +16,7 @@ from eps_hil.physics.model import Model
 from eps_hil.programme import cell_record
 from eps_hil.programme.cell_record import CellResult, Collector
 from eps_hil.programme.conductor import Conductor, Phase, most_of
+from eps_hil.programme.fingerprint import check_same
 from eps_hil.programme.link import OnSamples, RigLink
 from eps_hil.programme.plan import Plan, PlannedCell
 from eps_hil.recordings.files import make_folder, replacing
@@ -77,20 +77,8 @@ def _check_same(file: Path, content: dict[str, Any]) -> None:
             file.parent, "--resume", "holds no programme to go on with",
             "name its folder, or leave out --resume to begin",
         )  # fmt: skip
-    try:
-        found = dict(json_text.parse(file.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(file, "", f"cannot be read: {error}", "use another folder") from None
-    rig = found.pop("rig", None)
-    if found != {key: value for key, value in content.items() if key != "rig"}:
-        problem = "was made by another programme, or by an earlier state of this one"
-    elif rig is None:
-        problem = "does not say with which model, database, mapping and bus (an earlier version's)"
-    elif rig != content["rig"]:
-        problem = "was made with another model, database, mapping or bus"
-    else:
-        return
-    raise InputError(file, "", problem, "use another folder")
+    other = "by another programme, or by an earlier state of this one"
+    check_same(file, content, other, "model, database, mapping or bus")
 
 
 class ProgrammeRun:
