@@ -267,6 +267,13 @@ class FrameEncoder:
                 dbc_file, message_name, "no such message",
                 nearest(message_name, (each.name for each in database.messages)),
             )  # fmt: skip
+        others = [m.name for m in database.messages if _same_id(m, message) and m is not message]
+        if others:
+            raise InputError(
+                dbc_file, message_name,
+                f"would be sent by id 0x{message.frame_id:X}, which is also that of {others[0]}",
+                "give one of them another id",
+            )  # fmt: skip
         for signal in message.signals:
             if not signal.scale:
                 place = f"{message_name}.{signal.name}"

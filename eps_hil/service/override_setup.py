@@ -6,7 +6,7 @@ from typing import Any
 
 from eps_hil.bus import e2e
 from eps_hil.bus.codec import FrameDecoder, FrameEncoder, crc_rule, rules_of
-from eps_hil.bus.commands import refuse_command
+from eps_hil.bus.commands import Commands, refuse_command
 from eps_hil.bus.database import find_message, load_database, nearest
 from eps_hil.bus.frame import Frame
 from eps_hil.bus.mapping import MessageRules, SignalMapping, load_mapping
@@ -129,16 +129,14 @@ def prepare_override(config: ServiceConfig, file: str | Path) -> OverrideParts:
     database = load_database(config.dbc, strict=mapping.strict)
     dbc_file = " + ".join(path.name for path in config.dbc)
     decoder = FrameDecoder(database, mapping, mapping_file=config.signals, dbc_file=dbc_file)
-    _check_messages(config, database, file, dbc_file)
+    commands = commands_of(config, database, mapping)
+    _check_messages(config, database, commands, file, dbc_file)
     override = config.override
     command = CommandEncoder(database, override, dbc_file)
     state = override.state_message and FrameEncoder(
         database, override.state_message, dbc_file=dbc_file
     )
-    commands = commands_of(config, database, mapping)
     others = {can_id: one for can_id, one in commands.items() if can_id != command.can_id}
-    if state:
-        refuse_command(commands, state.can_id, file, "override.state_message")
     model = load_model(config.model)
     check_inputs(mapping, database, model, config.signals)
     check_command(
@@ -166,12 +164,14 @@ def prepare_override(config: ServiceConfig, file: str | Path) -> OverrideParts:
     )
 
 
-def _check_messages(config: ServiceConfig, database: Any, file: object, dbc_file: str) -> None:
+def _check_messages(
+    config: ServiceConfig, database: Any, commands: Commands, file: object, dbc_file: str
+) -> None:
     override = config.override
     assert override is not None
     wanted = {
         "command_message": (override.torque_signal, override.request_signal),
-        "state_message": (),
+        "state_message": ("State",),
         "status_message": (override.status_signal,),
     }
     for field, signals in wanted.items():
@@ -184,6 +184,8 @@ def _check_messages(config: ServiceConfig, database: Any, file: object, dbc_file
                 file, f"override.{field}", f"{dbc_file} has no message {name}",
                 nearest(name, (each.name for each in database.messages)),
             )  # fmt: skip
+        if field == "state_message":
+            refuse_command(commands, int(message.frame_id), file, f"override.{field}")
         missing = [each for each in signals if each not in message.signal_tree]
         if missing:
             raise InputError(

@@ -23,7 +23,7 @@ from eps_hil.physics.model import Model, load_model
 from eps_hil.service.adaptation_config import AdaptationConfig
 from eps_hil.service.calibrated_model import effects_in
 from eps_hil.service.config import VERDICT, ServiceConfig
-from eps_hil.service.core import ServiceCore
+from eps_hil.service.core import ServiceCore, Status
 from eps_hil.service.friction_levels import FrictionLevelKeeper
 from eps_hil.service.health import totals_modulo
 from eps_hil.service.online_methods import OnlineErrorInjection, OnlineMethod, OnlineReversals
@@ -31,8 +31,10 @@ from eps_hil.service.verdict import NEEDED, signal_verdicts
 
 _FORCE, _COARSEST_N = "RackForceEstimate", 20.0
 """The estimate's signal, and the most that one step of it may be."""
-_PUBLISHED = (_FORCE, "EstimateStatus")
+_STATUS = "EstimateStatus"
+_PUBLISHED = (_FORCE, _STATUS)
 """What a message must have at least to carry an estimate."""
+_HEALTH = ("StepRate",)
 _LEVELS = ("LevelPositive", "LevelNegative")
 _SUGGESTED = ("SuggestedPositive", "SuggestedNegative", "SuggestionKnown")
 
@@ -101,11 +103,10 @@ def prepare(config: ServiceConfig, file: str | Path) -> Parts:
     database = load_database(config.dbc, strict=mapping.strict)
     dbc_file = " + ".join(path.name for path in config.dbc)
     decoder = FrameDecoder(database, mapping, mapping_file=config.signals, dbc_file=dbc_file)
-    encoders = _encoders(config, database, file, dbc_file)
-    send_ids = frozenset((e.can_id, e.extended) for e in encoders if e is not None)
     commands = commands_of(config, database, mapping)
+    encoders = _encoders(config, database, commands, file, dbc_file)
+    send_ids = frozenset((e.can_id, e.extended) for e in encoders if e is not None)
     for can_id, _ in sorted(send_ids):
-        refuse_command(commands, can_id, file, "publish")
         if can_id in decoder.receive_ids:
             raise InputError(
                 config.signals, f"id 0x{can_id:X}", "is both listened to and sent",
@@ -200,7 +201,9 @@ def _check_torques(model: Model, file: object) -> None:
 Encoders = tuple[FrameEncoder | None, ...]
 
 
-def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: str) -> Encoders:
+def _encoders(
+    config: ServiceConfig, database: Any, commands: Commands, file: str | Path, dbc_file: str
+) -> Encoders:
     """Of estimates, health, levels, suggestions, verdict; None for what is not sent."""
     publish, adaptation = config.publish, config.adaptation
     if not publish.enabled:
@@ -215,6 +218,7 @@ def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: 
                 file, place, f"{dbc_file} has no message {name}",
                 nearest(name, (each.name for each in database.messages)),
             )  # fmt: skip
+        refuse_command(commands, int(message.frame_id), file, "publish")
         missing = [each for each in needed if each not in message.signal_tree]
         if missing:
             raise InputError(
@@ -227,6 +231,7 @@ def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: 
         if _FORCE in needed:
             most_n = config.estimator.plausibility.estimate_n
             _check_force(message.get_signal_by_name(_FORCE), most_n, dbc_file, name)
+            _check_status(message.get_signal_by_name(_STATUS), dbc_file, name)
         return made
 
     verdict = publish.verdict_message
@@ -238,7 +243,7 @@ def _encoders(config: ServiceConfig, database: Any, file: str | Path, dbc_file: 
     )  # fmt: skip
     return (
         encoder(publish.message, "publish.message", _PUBLISHED),
-        encoder(publish.health_message, "publish.health_message", ()),
+        encoder(publish.health_message, "publish.health_message", _HEALTH),
         *told,
         encoder(verdict, "publish.verdict_message", NEEDED),
     )
@@ -261,6 +266,19 @@ def _check_force(signal: Any, most_n: float, dbc_file: str, message: str) -> Non
     if not signal.is_float and abs(float(signal.scale)) > _COARSEST_N:
         problem = f"has steps of {abs(float(signal.scale)):g} N, expected {_COARSEST_N:g} at most"
         raise InputError(dbc_file, place, problem, "give it a finer scale")
+
+
+def _check_status(signal: Any, dbc_file: str, message: str) -> None:
+    """What is not valid must not arrive as what is."""
+    writer = WriteSignal(signal)
+    for status in Status:
+        said = writer.write(status)[0] * float(signal.scale) + float(signal.offset)
+        if said != status:
+            raise InputError(
+                dbc_file, f"{message}.{signal.name}",
+                f"would say {said:g} where the status is {status:d} ({status.name.lower()})",
+                f"give it whole steps from 0 to {max(Status):d}",
+            )  # fmt: skip
 
 
 def make_estimator(

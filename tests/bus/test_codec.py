@@ -415,6 +415,14 @@ def test_the_encoder_names_a_message_that_is_missing() -> None:
         FrameEncoder(DATABASE, "EPSHIL_Estimat", dbc_file="d.dbc")
 
 
+def test_nothing_is_sent_by_an_id_that_is_another_messages_too(foreign: Any) -> None:
+    with pytest.raises(InputError, match="Twin1: would be sent by id 0x1F4, which is also that of"):
+        FrameEncoder(foreign, "Twin1", dbc_file="d.dbc")
+    # by another format it is another id, and the same message in two files is one
+    rig = [ROOT / "dbc" / "eps_rig.dbc", ROOT / "dbc" / "eps_hil.dbc"]
+    assert FrameEncoder(load_database(rig), "EPSHIL_Estimate").can_id == 0x120
+
+
 @given(st.dictionaries(st.sampled_from(["MotorSpeed", "MotorAngle", "Other"]), st.floats()))
 def test_the_encoder_never_raises(sent: dict[str, float]) -> None:
     assert len(FrameEncoder(DATABASE, "EPS_MotorState").encode(sent)) == 8

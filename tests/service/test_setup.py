@@ -168,6 +168,25 @@ def test_a_force_that_would_arrive_as_another_is_refused(
     assert said in told
 
 
+@pytest.mark.parametrize(
+    ("signal", "said"),
+    [
+        ("12|1@1+ (1,0) [0|1]", "would say 1 where the status is 2 (valid)"),
+        ("12|2@1+ (1,0) [0|2]", "would say 2 where the status is 3 (invalid)"),
+        ("12|2@1+ (2,0) [0|6]", "would say 0 where the status is 1 (settling)"),
+    ],
+)
+def test_a_status_that_would_arrive_as_another_is_refused(
+    tmp_path: Path, config_text: str, signal: str, said: str
+) -> None:
+    text, usual = (ROOT / "dbc" / "eps_rig.dbc").read_text(), "12|2@1+ (1,0) [0|3]"
+    assert f"EstimateStatus : {usual}" in text
+    text = text.replace(f"EstimateStatus : {usual}", f"EstimateStatus : {signal}")
+    (tmp_path / "a.dbc").write_text(text)
+    told = refused(tmp_path, config_text.replace(f"{ROOT}/dbc/eps_rig.dbc", "a.dbc"))
+    assert f"EPSHIL_Estimate.EstimateStatus: {said}" in told
+
+
 def test_a_narrower_force_is_published_where_no_more_is_believed(
     tmp_path: Path, config_text: str
 ) -> None:
@@ -204,6 +223,29 @@ def test_a_command_is_nothing_to_publish(tmp_path: Path, config_text: str, messa
     said = refused(tmp_path, text)
     assert f"c.yaml: publish: {message} commands a" in said
     assert "only an armed override or a programme sends that" in said
+
+
+_BENCH = """VERSION ""
+BU_: ADAS
+BO_ 288 ADAS_SteeringRequest: 8 ADAS
+ SG_ TorqueRequest : 0|16@1- (0.001,0) [-10|10] "Nm" Vector__XXX
+"""
+
+
+def test_an_estimate_is_not_sent_by_the_id_of_a_request(tmp_path: Path, config_text: str) -> None:
+    """Of a bench whose ADAS sends no torque at the moment: nobody was heard, and it was ours."""
+    (tmp_path / "bench.dbc").write_text(_BENCH)
+    both = f"[bench.dbc, {ROOT}/dbc/eps_rig.dbc]"
+    text = re.sub(r"^dbc: .*$", f"dbc: {both}", config_text, flags=re.M)
+    assert both in text
+    said = refused(tmp_path, text)
+    assert "EPSHIL_Estimate: would be sent by id 0x120, which is also that of ADAS_Steer" in said
+
+
+def test_health_is_told_by_a_message_for_it_alone(tmp_path: Path, config_text: str) -> None:
+    """Any message of the database would do, and went out with zeros in all of its signals."""
+    text = config_text + "publish: {health_message: EPS_Temperature}\n"
+    assert "message EPS_Temperature has no signal StepRate" in refused(tmp_path, text)
 
 
 def test_a_message_that_the_mapping_marks_is_nothing_to_publish(
