@@ -91,12 +91,13 @@ def ending_signals() -> tuple[signal.Signals, ...]:
 
 def stop_on_signals() -> Callable[[], bool]:
     """A question that each of :func:`ending_signals` answers with yes; a second one of the same
-    kind ends the program."""
+    kind ends the program, but for SIGHUP: where a terminal goes, shell and kernel send one each."""
     asked: list[int] = []
 
     def ask(number: int, frame: object) -> None:
         asked.append(number)
-        signal.signal(number, signal.SIG_DFL)
+        if number != signal.SIGHUP:
+            signal.signal(number, signal.SIG_DFL)
 
     for number in ending_signals():
         signal.signal(number, ask)
