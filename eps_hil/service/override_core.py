@@ -184,11 +184,14 @@ class OverrideCore:
             return []
         return self.owed() + self._told()
 
-    def owed(self) -> list[Frame]:
-        """The releases that the bus has not taken yet, once no torque is wanted any more."""
+    def owed(self, most: int = RELEASES) -> list[Frame]:
+        """The releases that the bus has not taken yet, once no torque is wanted any more.
+
+        ``most``: of them; each counts in the message counter, sent or not.
+        """
         if self._dry_run or self.command.enable:
             return []
-        return [self._parts.command.frame(_RELEASE) for _ in range(self._owed)]
+        return [self._parts.command.frame(_RELEASE) for _ in range(min(self._owed, most))]
 
     def take(self, frame: Frame, samples: Sequence[Sample]) -> None:
         """Samples of a decoded frame (called by the decoder)."""

@@ -103,15 +103,15 @@ class OverrideSession:
         self._ending.watch_over(self._loop)
         runtime = self._parts.config.service
         realtime.quieten(runtime.realtime)
-        try:
-            with self._signals():
+        with self._signals():
+            try:
                 await self._listen_first()
                 await self._serve(duration_s)
-        except BaseException:
-            self._abnormal, self._why = True, "an error ended the run"
-            raise
-        finally:
-            self._tear_down()
+            except BaseException:
+                self._abnormal, self._why = True, "an error ended the run"
+                raise
+            finally:
+                self._tear_down()
         if self.fault is None or not isinstance(self._ending.failure, OSError):
             self._ending.raise_failure()
 
@@ -259,13 +259,12 @@ class OverrideSession:
         """Release, say so on the bus, and write it down; in this order."""
         try:
             fault = self._abnormal or self._ending.failure is not None
-            now_ns = time.monotonic_ns()
-            self._send(self.core.end(now_ns, self._why, fault=fault), now_ns)
+            self._send_last(self.core.end(time.monotonic_ns(), self._why, fault=fault))
             for _ in range(_LAST_TRIES):
-                if not (last := self.core.owed()) or self._port is None:
+                if self._port is None or not (last := self.core.owed(1)):
                     break
                 time.sleep(_LAST_WAIT_S)
-                self._send(last[:1], time.monotonic_ns())
+                self._send_last(last)
         finally:
             if self._port is not None:
                 self._port.close()
@@ -275,19 +274,30 @@ class OverrideSession:
                 lacking = ", ".join(str(each) for each, _ in self._unwritten)
                 self._tell(f"override   the journal could not be written and lacks: {lacking}")
 
+    def _send_last(self, frames: list[Frame]) -> None:
+        """An error of a driver keeps the next release from nothing."""
+        try:
+            self._send(frames, time.monotonic_ns())
+        except Exception as error:  # whatever its vendor's library raises
+            self._ending.fail(error)
+
     def _on_error(self, error: BaseException) -> None:
         self._why = f"{type(error).__name__}: {error}"
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
-        """SIGINT, SIGTERM, SIGHUP: zero, release, recorded; the second one ends the process."""
+        """SIGINT, SIGTERM, SIGHUP: zero, release, recorded; the second one ends the process.
+
+        Not a second SIGHUP: where a terminal goes, shell and kernel send one each.
+        """
         caught = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
         def stop(number: signal.Signals) -> None:
             self._why, self._abnormal = f"{number.name}", True
             self._ending.ask()
-            self._loop.remove_signal_handler(number)
-            signal.signal(number, signal.SIG_DFL)
+            if number != signal.SIGHUP:
+                self._loop.remove_signal_handler(number)
+                signal.signal(number, signal.SIG_DFL)
 
         try:
             for number in caught:

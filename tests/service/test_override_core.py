@@ -236,6 +236,9 @@ class TestTrips:
         bench.accepts = lambda: True
         bench.send(bench.core.owed()[:1])
         assert len(bench.core.owed()) == 9
+        one, other = (bench.core.owed(1)[0].data for _ in range(2))
+        counts = [DATABASE.decode_message(command_id, data)["Counter"] for data in (one, other)]
+        assert (counts[1] - counts[0]) % 256 == 1
         bench.send(bench.core.owed())
         assert bench.core.owed() == []
 

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +215,43 @@ def test_the_last_releases_wait_for_room_in_the_send_queue(stage: Stage) -> None
     assert stage.session.core.owed() == []
     assert stage.rig.applied[-1] == 0.0
     assert stage.rig.simulation.override.state is OverrideState.RELEASED
+
+
+class PortThatFails:
+    """Refuses so many frames, then one more with an error of its driver; keeps the rest."""
+
+    def __init__(self, refusals: int, error: Exception | None = None) -> None:
+        self.taken: list[Frame] = []
+        self._refusals, self._error = refusals, error
+
+    def send(self, frame: Frame) -> bool:
+        self._refusals -= 1
+        if self._refusals >= 0:
+            return False
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+        self.taken.append(frame)
+        return True
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize("error", [None, RuntimeError("of a vendor's library")])
+def test_releases_that_are_sent_again_count_on(error: Exception | None) -> None:
+    """One counter each, or an ECU with an AUTOSAR profile takes none of them; and an error of the
+    driver at one of them kept the others from being sent."""
+    session, port = quiet_session(), PortThatFails(15, error)
+    stand_in: Any = port
+    session._port, session.core._owed = stand_in, 10
+    session.core.override.state = State.ARMED
+    session._tear_down()
+    command = session._parts.command
+    taken = [frame for frame in port.taken if frame.can_id == command.can_id]
+    counters = [frame.data[1] for frame in taken]
+    assert len(counters) == 10
+    assert {(b - a) % 256 for a, b in pairwise(counters)} == {1}
+    assert session._ending.failure is error
 
 
 @pytest.mark.slow
@@ -548,7 +586,8 @@ def test_a_full_disk_without_a_fault_is_the_error_of_the_session() -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_signals_end_a_session(number: signal.Signals) -> None:
-    """The first one ends it in good order; a second one would end the process."""
+    """The first one ends it in good order; a second one would end the process, but for SIGHUP,
+    of which a lost terminal sends two."""
     before = signal.getsignal(number)
     session = quiet_session()
 
@@ -557,7 +596,8 @@ def test_signals_end_a_session(number: signal.Signals) -> None:
         with session._signals():
             os.kill(os.getpid(), number)
             await session._ending.wait(2.0)
-            assert signal.getsignal(number) is signal.SIG_DFL
+            kept = signal.getsignal(number) is not signal.SIG_DFL
+            assert kept == (number == signal.SIGHUP)
 
     try:
         asyncio.run(signalled())
@@ -565,6 +605,36 @@ def test_signals_end_a_session(number: signal.Signals) -> None:
         signal.signal(number, before)
     assert session._ending.asked_for
     assert (session._why, session._abnormal) == (number.name, True)
+
+
+def test_another_signal_does_not_cut_the_releases_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SIGTERM, and SIGHUP a moment later, as a session manager sends them."""
+    parts = parts_of(replace(load_config(CONFIG), service=RuntimeConfig(realtime="off")))
+    port: Any = PortThatHears(None)
+    session = OverrideSession(
+        parts, Sawtooth(), Unattended(), lambda _: None, opener=lambda *_: port
+    )
+    tear_down, heeded = session._tear_down, [False]
+
+    def slowly() -> None:
+        heeded[0] = signal.getsignal(signal.SIGHUP) is not signal.SIG_DFL
+        if heeded[0]:
+            os.kill(os.getpid(), signal.SIGHUP)
+        tear_down()
+
+    monkeypatch.setattr(session, "_tear_down", slowly)
+
+    async def run() -> None:
+        asyncio.get_running_loop().call_later(0.05, os.kill, os.getpid(), signal.SIGTERM)
+        await session.run(5.0)
+
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        asyncio.run(run())
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert heeded[0]
+    assert session.core.state is State.OFF
 
 
 def test_without_a_terminal_there_is_no_operator(monkeypatch: pytest.MonkeyPatch) -> None:
