@@ -35,8 +35,8 @@ class InjectionSettings:
     slide_timeout_s: Positive = 1.5
     return_nm_per_s: Positive = 2.0
     """How fast the torque goes back to zero after a repetition."""
-    abort_nm_per_s: Positive = 5.0
-    """How fast it goes to zero when a gate opens."""
+    abort_nm_per_s: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 5.0
+    """How fast it goes to zero when a gate opens: a hand may be in the wheel."""
     gates_hold_s: NotNegative = 0.5
     """All gates must have been met for this long before the first ramp."""
     rest_s: Positive = 0.3

@@ -118,9 +118,11 @@ def test_settings_are_checked_with_their_place() -> None:
     assert calibration_settings(config, CONFIG) == CalibrationSettings()
     given = replace(config, calibration={"torque_injection": {"repetitions": 3}})
     assert calibration_settings(given, CONFIG).torque_injection.repetitions == 3
-    wrong = replace(config, calibration={"torque_injection": {"repetitions": 0}})
-    with pytest.raises(InputError, match=r"calibration\.torque_injection\.repetitions"):
-        calibration_settings(wrong, CONFIG)
+    # a gate that opens ends the torque, which such a rate would keep for minutes
+    for name, value in {"repetitions": 0, "abort_nm_per_s": 0.001}.items():
+        wrong = replace(config, calibration={"torque_injection": {name: value}})
+        with pytest.raises(InputError, match=rf"calibration\.torque_injection\.{name}"):
+            calibration_settings(wrong, CONFIG)
 
 
 def test_error_injection_counts_its_sliding() -> None:
