@@ -52,6 +52,8 @@ _IFF_UP, _ARPHRD_CAN = 0x1, 280
 
 # linux/net_tstamp.h: RX_HARDWARE | RAW_HARDWARE
 _HARDWARE_STAMPS = (1 << 2) | (1 << 6)
+_LATE_NS, _LATE_FOR_NS = 1_000_000, 250_000_000
+"""An interrupt's latency is less, sooner or later."""
 
 
 class HardwareClock:
@@ -59,12 +61,16 @@ class HardwareClock:
 
     The kernel's stamp is the hardware's plus an interrupt latency that is never negative, so the
     smallest difference seen is the offset; it may grow by ``drift_ppm`` to follow the crystals.
+    Where no frame of a quarter of a second comes within a millisecond of it, the kernel's clock was
+    set forward, and the offset is found anew.
     """
 
     def __init__(self, drift_ppm: float = 200.0) -> None:
         self._drift = drift_ppm * 1e-6
         self._offset_ns: int | None = None
         self._last_ns = 0
+        self._beyond: tuple[int, int] | None = None
+        """Since when every frame was late, and the smallest difference since then."""
 
     def to_epoch_ns(self, hardware_ns: int, kernel_ns: int) -> int:
         """Epoch time (ns) of a frame by its hardware stamp (ns)."""
@@ -73,9 +79,20 @@ class HardwareClock:
             self._offset_ns = seen
         else:
             grown = round(max(0, hardware_ns - self._last_ns) * self._drift)
-            self._offset_ns = min(self._offset_ns + grown, seen)
+            self._offset_ns = self._as_set(min(self._offset_ns + grown, seen), hardware_ns, seen)
         self._last_ns = hardware_ns
         return hardware_ns + self._offset_ns
+
+    def _as_set(self, offset_ns: int, hardware_ns: int, seen: int) -> int:
+        if seen - offset_ns < _LATE_NS:
+            self._beyond = None
+            return offset_ns
+        since_ns, least = self._beyond or (hardware_ns, seen)
+        self._beyond = since_ns, min(least, seen)
+        if abs(hardware_ns - since_ns) < _LATE_FOR_NS:
+            return offset_ns
+        found, self._beyond = self._beyond[1], None
+        return found
 
 
 class SocketCanPort(SocketPort):

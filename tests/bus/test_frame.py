@@ -96,3 +96,23 @@ def test_a_hardware_clock_is_moved_onto_the_epoch_by_its_lowest_latency() -> Non
     # After the luckiest frame (20 µs late), no later frame is stamped later than 20 µs + drift.
     errors = [t - epoch - 1_000_000 * k for k, t in enumerate(seen)]
     assert errors == [90_000, 20_000, 20_100, 20_200]
+
+
+@pytest.mark.parametrize("step_ns", [15_000_000, 3_600_000_000_000, -3_600_000_000_000])
+def test_a_hardware_clock_follows_the_kernels_where_that_is_set(step_ns: int) -> None:
+    """Set forward by an hour, as a machine hears of the time, all was stale for half a year."""
+    clock, epoch = socketcan.HardwareClock(), 1_700_000_000_000_000_000
+    late = []
+    for k in range(1_000):
+        kernel = epoch + 1_000_000 * k + 20_000 + (step_ns if k >= 500 else 0)
+        late.append(kernel - clock.to_epoch_ns(1_000_000 * k, kernel))
+    assert set(late[:500]) == {0}
+    assert set(late[760:]) == {0}
+
+
+def test_a_hardware_clock_does_not_follow_interrupts_that_are_late_for_a_while() -> None:
+    clock, epoch = socketcan.HardwareClock(), 1_700_000_000_000_000_000
+    for k in range(1_000):
+        late = 5_000_000 if 100 <= k < 900 and k % 200 else 0
+        found = clock.to_epoch_ns(1_000_000 * k, epoch + 1_000_000 * k + late)
+        assert 0 <= found - epoch - 1_000_000 * k <= 50_000
