@@ -35,6 +35,8 @@ from eps_hil.service.verdict import verdict_values
 
 _SHOW_PERIOD_S = 0.1
 _TELL_PERIOD_S = 1.0
+_LAST_TRIES, _LAST_WAIT_S = 50, 0.002
+"""Within a tenth of a second a full send queue may have room for the last frame again."""
 
 Say = Callable[[str], None]
 Show = Callable[[Snapshot], None]
@@ -93,6 +95,7 @@ class Service:
         self._period_ns = round(parts.sync_period_s * 1e9)
         self._last_sync_s = 0.0
         self._silent = True
+        self._tell_silence_s = 0.0
         self._memory_locked = False
         self._began_s = time.monotonic()
 
@@ -155,7 +158,7 @@ class Service:
         finally:
             self._publishing = False
             self._notifier.stopping()
-            self._send_silent(Status.OFF)  # a disk that hangs holds up the jobs, not this
+            self._say_off()  # a disk that hangs holds up the jobs, not this
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -187,7 +190,9 @@ class Service:
     def _periodic_of(self, parts: Parts) -> Iterator[Coroutine[Any, Any, None]]:
         every, between = self._periodic.every, self._periodic.between
         publish = parts.config.publish
-        yield every("no input", parts.config.service.no_input_period_s, self._watch)
+        runtime = parts.config.service
+        look_s = min(runtime.no_input_period_s, runtime.no_input_after_s)
+        yield every("no input", look_s, lambda: self._watch(look_s))
         if parts.verdict is not None:
             yield between("verdict", publish.verdict_period_s, self._tell_verdict)
         yield between("health", publish.health_period_s, self._tell_health)
@@ -200,11 +205,15 @@ class Service:
         if notifier.feed_s:  # by this loop itself: when it hangs, nothing is fed
             yield every("watchdog", notifier.feed_s, notifier.alive)
 
-    def _watch(self) -> None:
-        """The sync frame stopped: say so, at a lower rate, until it is back."""
-        if self._loop.time() - self._last_sync_s > self._parts.config.service.no_input_after_s:
-            self._silent = True
-            self._send_silent(Status.INVALID)
+    def _watch(self, look_s: float) -> None:
+        """The sync frame stopped: say so at once, then at a lower rate, until it is back."""
+        runtime, now_s = self._parts.config.service, self._loop.time()
+        if now_s - self._last_sync_s <= runtime.no_input_after_s:
+            return
+        if self._silent and now_s < self._tell_silence_s - 0.5 * look_s:
+            return
+        self._silent, told = True, self._send_silent(Status.INVALID)
+        self._tell_silence_s = now_s + runtime.no_input_period_s if told else 0.0
 
     def _tell_health(self) -> None:
         self._rate_hz = self._rate.update(self._loop.time(), self._core.steps)
@@ -241,10 +250,18 @@ class Service:
             verdict = "valid" if core.latest.valid else f"invalid: {words(core.latest.reason)}"
         return f"{self._rate_hz:.0f} steps/s, {verdict}, {core.steps} steps"
 
-    def _send_silent(self, status: Status) -> None:
+    def _send_silent(self, status: Status) -> bool:
         encoder: FrameEncoder | None = self._parts.silent
-        if encoder is not None:
-            self._send(encoder.frame(silent_values(status, Reason.NO_INPUT)))
+        if encoder is None:
+            return True
+        return self._send(encoder.frame(silent_values(status, Reason.NO_INPUT)))
+
+    def _say_off(self) -> None:
+        """Also where the send queue is full: the last frame before may be a valid estimate."""
+        for _ in range(_LAST_TRIES):
+            if self._send_silent(Status.OFF) or self._link.lost:
+                return
+            time.sleep(_LAST_WAIT_S)
 
     async def _open_first(self, duration_s: float | None) -> None:
         """A bus that is not there yet is waited for, no longer than the run shall last."""

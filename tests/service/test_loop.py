@@ -153,6 +153,50 @@ def test_silence_is_told_at_a_lower_rate_and_ends_by_itself(
     assert all(any(frame == other for other in again) for frame in live)
 
 
+def test_silence_is_told_at_once_however_seldom_it_is_told(
+    quick: ServiceConfig, receiver: Receiver
+) -> None:
+    """Told every 60 s, the last estimate stood as valid for up to so long."""
+    bench = Bench(replace(quick, service=replace(quick.service, no_input_period_s=60.0)))
+    told: list[int] = []
+
+    def script() -> None:
+        bench.drive_when_ready(50)
+        before = len(bench.tap.estimates())
+        bench.pause(500)
+        during = verdicts(receiver, bench.tap.estimates()[before:])
+        told.append(during.count((Status.INVALID, Reason.NO_INPUT)))
+
+    bench.run(script)
+    assert told[0] in {1, 2}  # a busy machine may have been silent for 20 ms before
+
+
+def test_off_is_said_once_the_send_queue_has_room(quick: ServiceConfig, receiver: Receiver) -> None:
+    """A queue that was full at the end left a valid estimate as the last word."""
+    bench = Bench(quick)
+    taken: list[Frame] = []
+    refused: list[Frame] = []
+
+    def script() -> None:
+        bench.drive_when_ready(20)
+        send = bench.tap._port.send
+
+        def full(frame: Frame) -> bool:
+            off = frame.can_id == ESTIMATE and verdicts(receiver, [frame])[0][0] == Status.OFF
+            if off and len(refused) < 5:
+                refused.append(frame)
+                return False
+            taken.append(frame)
+            return send(frame)
+
+        bench.tap._port.send = full  # type: ignore[method-assign]
+
+    bench.run(script)
+    assert len(refused) == 5
+    last = [frame for frame in taken if frame.can_id == ESTIMATE][-1]
+    assert verdicts(receiver, [last])[0][0] == Status.OFF
+
+
 def test_refuses_to_start_beside_another_transmitter(config: ServiceConfig) -> None:
     bench = Bench(config)
 
