@@ -78,6 +78,11 @@ class Rig(Protocol):
         """Until the leader is over; every frame goes to ``log``."""
 
 
+def _now_s() -> float:
+    """A steady clock that goes on while the computer is suspended: the rig does, too."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
 def command_values(wanted: Wanted, model: Model, request: float = _ENABLE) -> dict[str, float]:
     """The signals of a command: speed of the wheel, preload, and no torque of the motor."""
     return {
@@ -238,16 +243,16 @@ class RigLink:
         self._log, follows = log, Follows(self._model.rack_to_rotor_ratio_rad_per_m)
         try:
             self._take_up_again()
-            deadline_s = self._sent_s = time.monotonic()
+            deadline_s = self._sent_s = _now_s()
             while not leader.over:
                 sink = before_tick()
                 deadline_s += TICK_S
                 self._receive_until(deadline_s, sink)
-                self._readings.check(now_s := time.monotonic())
+                self._readings.check(now_s := _now_s())
                 reading = self._readings.now()
                 follows.check(reading, now_s)
                 wanted = leader.step(reading)
-                late_s = time.monotonic() - deadline_s
+                late_s = _now_s() - deadline_s
                 if late_s > _LATE_S:
                     raise SafetyStop(
                         f"this process stood still for {late_s:.3g} s: a set-point that is more "
@@ -256,7 +261,7 @@ class RigLink:
                 if late_s > TICK_S:
                     deadline_s += late_s
                 taken = self.send(wanted)
-                if not taken and time.monotonic() - self._sent_s > _REFUSED_S:
+                if not taken and _now_s() - self._sent_s > _REFUSED_S:
                     raise SafetyStop(
                         f"{self._port.name}: no set-point has been taken for "
                         f"{1e3 * _REFUSED_S:.0f} ms: the send queue is full"
@@ -270,7 +275,7 @@ class RigLink:
 
     def _take_up_again(self) -> None:
         """Where files took so long that the rig may have timed out: to rest, released, anew."""
-        pause_s = time.monotonic() - self._sent_s
+        pause_s = _now_s() - self._sent_s
         if not self._enabled or pause_s <= _LATE_S:
             return
         if pause_s > _LONGEST_PAUSE_S:
@@ -289,7 +294,7 @@ class RigLink:
         if not self._port.send(frame):
             self.refused += 1
             return False
-        self._sent_s = time.monotonic()
+        self._sent_s = _now_s()
         if self._log is not None:
             self._log.write([replace(frame, t_ns=time.time_ns())])
         return True
@@ -311,10 +316,10 @@ class RigLink:
         """
         if not self._enabled:
             return
-        end_s, zeros = time.monotonic() + _LONGEST_STOP_S, 0
-        while time.monotonic() < end_s:
+        end_s, zeros = _now_s() + _LONGEST_STOP_S, 0
+        while _now_s() < end_s:
             zeros += self._tick_of_zero(_ENABLE)
-            if zeros and self._readings.at_rest(time.monotonic()):
+            if zeros and self._readings.at_rest(_now_s()):
                 break
         self._release()
 
@@ -333,19 +338,19 @@ class RigLink:
         What ended the leading (a silent bus, another transmitter, an error of our own) is still
         there: each part is tried by itself, and the next frame goes out all the same.
         """
-        deadline_s, taken = time.monotonic() + TICK_S, False
+        deadline_s, taken = _now_s() + TICK_S, False
         with contextlib.suppress(Exception):
             taken = self.send(Wanted(0.0, 0.0), request)
         with contextlib.suppress(Exception):
             self._receive_until(deadline_s, None)
-        time.sleep(max(deadline_s - time.monotonic(), 0.0))
+        time.sleep(max(deadline_s - _now_s(), 0.0))
         return taken
 
     def _receive_until(self, deadline_s: float, sink: OnSamples | None) -> None:
         """Take frames until the deadline; at least once, however late it is."""
         while True:
-            frames = self._port.recv(max(deadline_s - time.monotonic(), 0.0))
-            now_s = time.monotonic()
+            frames = self._port.recv(max(deadline_s - _now_s(), 0.0))
+            now_s = _now_s()
             if self._log is not None:
                 self._log.write(frames)
             self._take(frames, sink, now_s)
@@ -370,12 +375,12 @@ class RigLink:
 
     def _wait_for_the_rig(self, stop: Callable[[], bool], stopped: Callable[[], Exception]) -> None:
         """Until every signal that is needed has been heard, and nobody else who commands."""
-        begun_s = time.monotonic()
+        begun_s = _now_s()
         end_s = begun_s + _FIRST_WAIT_S
-        while self._readings.missing or time.monotonic() - begun_s < LISTEN_S:
+        while self._readings.missing or _now_s() - begun_s < LISTEN_S:
             if stop():
                 raise stopped()
-            now_s = time.monotonic()
+            now_s = _now_s()
             if now_s > end_s and self._readings.missing:
                 missing = ", ".join(self._readings.missing)
                 raise BusError(f"{self._port.name}: nothing heard of {missing}; does the rig run?")

@@ -31,12 +31,24 @@ EPOCH_NS = 1_700_000_000_000_000_000
 class Clock:
     """In place of the module ``time``; the rig lives on while it goes."""
 
+    CLOCK_BOOTTIME = 7
+
     def __init__(self, pass_ms: Callable[[], None]) -> None:
-        self.now_ns = 0
+        self.now_ns = self._suspended_ns = 0
         self._pass_ms = pass_ms
 
     def monotonic(self) -> float:
+        return (self.now_ns - self._suspended_ns) * 1e-9
+
+    def clock_gettime(self, clock: int) -> float:
+        assert clock == self.CLOCK_BOOTTIME
         return self.now_ns * 1e-9
+
+    def suspend(self, seconds: float) -> None:
+        """The computer stands still, the rig does not."""
+        before_ns = self.now_ns
+        self.sleep(seconds)
+        self._suspended_ns += self.now_ns - before_ns
 
     def time_ns(self) -> int:
         return EPOCH_NS + self.now_ns
@@ -87,7 +99,7 @@ class LinkBench:
 
     @property
     def now_s(self) -> float:
-        return self.clock.monotonic()
+        return self.clock.now_ns * 1e-9
 
     @property
     def state(self) -> CommandState:

@@ -164,14 +164,16 @@ def test_old_values_are_no_rest(bench: LinkBench) -> None:
 class TestPauses:
     """A process that is stopped (SIGSTOP), or that the machine leaves waiting."""
 
-    def paused(self, bench: LinkBench, pause_s: float, ticks: int = 150) -> Turning:
+    def paused(
+        self, bench: LinkBench, pause_s: float, ticks: int = 150, *, suspended: bool = False
+    ) -> Turning:
         """Leads with one pause from FAULT_S on."""
         done: list[float] = []
 
         def pause() -> None:
             if bench.now_s >= FAULT_S and not done:
                 done.append(bench.now_s)
-                bench.clock.sleep(pause_s)
+                (bench.clock.suspend if suspended else bench.clock.sleep)(pause_s)
 
         leader = Turning(ticks)
         bench.open()
@@ -186,6 +188,13 @@ class TestPauses:
         stopped_and_released(bench, bench.commands[0][0] + FAULT_S + 1.0, in_s=1.0)
         times = [t_s for t_s, _ in bench.since(FAULT_S)]
         assert min(b - a for a, b in pairwise(times)) > 0.009
+
+    def test_a_computer_that_was_suspended_does_not_go_on(self, bench: LinkBench) -> None:
+        """The steady clock stood still with it: set-points went on where they had ended."""
+        with pytest.raises(SafetyStop, match=r"this process stood still for 3\.99 s"):
+            self.paused(bench, 4.0, suspended=True)
+        bench.link.let_go()
+        stopped_and_released(bench, bench.commands[0][0] + FAULT_S + 3.0, in_s=1.0)
 
     @pytest.mark.parametrize("pause_s", [0.062, 0.09])
     def test_of_more_than_50_ms_it_ends(self, bench: LinkBench, pause_s: float) -> None:
