@@ -266,9 +266,12 @@ class OverrideSession:
                 time.sleep(_LAST_WAIT_S)
                 self._send_last(last)
         finally:
-            if self._port is not None:
-                self._port.close()
-                self._port = None
+            port, self._port = self._port, None
+            try:
+                if port is not None:
+                    port.close()
+            except Exception as error:  # what happened is written down all the same
+                self._ending.fail(error)
             self._record()
             if self._unwritten:
                 lacking = ", ".join(str(each) for each, _ in self._unwritten)

@@ -400,6 +400,7 @@ class TestSetup:
             ("limits:", "torque_signal: Torque\n  limits:", "has no signal Torque"),
             ("limits:", "status_signal: Nope\n  limits:", "has no signal Nope"),
             ("limits:", "state_message: Nope\n  limits:", "override.state_message"),
+            ("limits:", "state_message: EPS_Temperature\n  limits:", "has no signal State"),
             ("limits:", "torque_scale: 0.01\n  limits:", "carries -8.38861 to 8.38861 Nm only"),
             ("limits:", "torque_scale: 0\n  limits:", "carries -8.38861 to 8.38861 Nm only"),
             ("max_input_age_s: 0.015", "max_input_age_s: 0.001", "not longer than the cycle"),

@@ -254,6 +254,25 @@ def test_releases_that_are_sent_again_count_on(error: Exception | None) -> None:
     assert session._ending.failure is error
 
 
+def test_a_driver_that_fails_as_it_closes_hides_no_trip() -> None:
+    session = quiet_session()
+    told: list[str] = []
+
+    class Port(PortThatKeeps):
+        def close(self) -> None:
+            raise RuntimeError("of a vendor's library")
+
+    stand_in: Any = Port()
+    session._port, session._say = stand_in, told.append
+    session.core.override.state = State.INJECTING
+    session.core.override.trip(2, Trip.DRIVER)
+    session._tear_down()
+    assert session.fault is not None
+    assert session.fault.trips == Trip.DRIVER
+    assert told[-1] == "override   fault -> off: done"
+    assert "vendor's library" in str(session._ending.failure)
+
+
 @pytest.mark.slow
 def test_a_lost_bus_is_left_to_the_ecu(tmp_path: Path) -> None:
     stage = Stage(replace(load_config(CONFIG), bus=UDP), tmp_path)
