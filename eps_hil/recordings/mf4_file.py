@@ -7,9 +7,11 @@ frames ("bus logging") go through ``can_log`` and ``mf4_bus``.
 
 import contextlib
 import hashlib
-import io
 import logging
+import sys
+import threading
 import traceback
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -183,15 +185,59 @@ def opened_mf4(path: Path, bus_map: bool = True) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keep what asammdf logs and prints about odd files away from the user."""
+    """Keep what asammdf logs and prints about odd files away from the user.
+
+    What other threads print goes where it always does: recordings are read side by side.
+    """
+    me = threading.get_ident()
+    with _LOCK:
+        if not _WITHIN:
+            _HUSHED.enter_context(_hushed())
+        _WITHIN[me] += 1
+    try:
+        yield
+    finally:
+        with _LOCK:
+            _WITHIN[me] -= 1
+            if not _WITHIN[me]:
+                del _WITHIN[me]
+            if not _WITHIN:
+                _HUSHED.close()
+
+
+_LOCK, _HUSHED = threading.Lock(), contextlib.ExitStack()
+_WITHIN: Counter[int] = Counter()
+"""How often each thread is within :func:`quiet`."""
+
+
+@contextlib.contextmanager
+def _hushed() -> Iterator[None]:
     log = logging.getLogger("asammdf")
     before = log.level
     log.setLevel(logging.CRITICAL + 1)
+    out: Any = _Hushed(sys.stdout)
+    err: Any = _Hushed(sys.stderr)
     try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             yield
     finally:
         log.setLevel(before)
+
+
+class _Hushed:
+    """A stream that drops what threads within :func:`quiet` write."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """How many characters were taken."""
+        if threading.get_ident() in _WITHIN:
+            return len(text)
+        return int(self._stream.write(text))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 def _lay_to_rest(error: Exception) -> None:

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 import asammdf
@@ -15,6 +16,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from eps_hil.errors import InputError
+from eps_hil.recordings.mf4_file import quiet
 from eps_hil.recordings.read import SUFFIXES, read_recording
 from eps_hil.recordings.write import write_table
 
@@ -141,6 +143,31 @@ def test_mf4_problems_name_sample_and_channel(tmp_path: Path) -> None:
     assert "rename it to rack_force_n" in _refused(path)
     _mf4(path, {"RackForce": good, "motor_torque_nm": good}, good)
     assert list(read_recording(path, ignore_unknown=True).series) == ["motor_torque_nm"]
+
+
+def test_an_mf4_that_is_read_beside_others_leaves_our_output_alone(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Recordings are read side by side: the last reader to begin is not the last one to end."""
+    begun, end = Event(), Event()
+
+    def second() -> None:
+        with quiet(), quiet():
+            begun.set()
+            print("asammdf's own")
+            end.wait(10.0)
+
+    streams = sys.stdout, sys.stderr
+    thread = Thread(target=second)
+    with quiet():
+        print("asammdf's own")
+        thread.start()
+        assert begun.wait(10.0)
+    print("a note")
+    end.set()
+    thread.join()
+    assert (sys.stdout, sys.stderr) == streams
+    assert capsys.readouterr() == ("a note\n", "")
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
