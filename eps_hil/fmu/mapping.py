@@ -52,6 +52,8 @@ class Mapped:
 def map_fmu(fmu: Described, columns: Columns | None = None) -> Mapped:
     """The mapping; ``columns`` (a mapping's ``signals``) goes before what is guessed.
 
+    Its scales count from the FMU's own unit, as they do from a column's; where it gives none, or
+    turns the sign alone, the declared unit says how to come to ours.
     :class:`InputError` for a variable that is not there, for a unit of something else, and where
     neither speed nor angle comes out.
     """
@@ -112,7 +114,12 @@ def _link(fmu: Described, name: str, one: FmuVariable, column: Column, why: str)
         raise InputError(fmu.path, f"variable '{one.name}'",
                          f"is in {one.unit}, {name} ({CANONICAL[name].unit}) was expected",
                          "choose another one")  # fmt: skip
+    if abs(column.scale) != 1.0:
+        return Link(name, one, column.scale, column.offset, f"{why}, times {column.scale:g}")
     factor, shift = one.to_si or (1.0, 0.0)
+    if column.offset and (factor, shift) != (1.0, 0.0):
+        raise InputError(fmu.path, name, f"has an offset, and '{one.name}' is in {one.unit}",
+                         "give its scale, too")  # fmt: skip
     return Link(name, one, column.scale * factor, column.scale * shift + column.offset, why)
 
 

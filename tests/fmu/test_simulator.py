@@ -19,7 +19,7 @@ from eps_hil.errors import EpsHilError, InputError
 from eps_hil.fmu.described import read_fmu
 from eps_hil.fmu.drive import opened
 from eps_hil.fmu.export import export_fmu
-from eps_hil.fmu.mapping import map_fmu
+from eps_hil.fmu.mapping import Link, map_fmu
 from eps_hil.fmu.traces import read_values, traces_of
 from eps_hil.physics.model import Model, load_model
 from eps_hil.physics.simulate import simulate
@@ -178,6 +178,23 @@ def test_a_mapping_goes_before_guesses_and_turns_signs(drive: Path) -> None:
             for sim in (plain, turned)
         )
         assert np.allclose(first, -second)
+
+
+def test_a_scale_counts_from_the_fmus_own_unit_as_it_does_in_a_table(
+    other: Callable[..., Path],
+) -> None:
+    base = '<Unit name="rad/s">\n      <BaseUnit rad="1" s="-1"'
+    rpm = read_fmu(other({base: f'{base} factor="0.5"'}))
+
+    def link(scale: float = 1.0, offset: float = 0.0) -> Link:
+        column = Column("motor_speed_rad_s", scale, offset)
+        return map_fmu(rpm, Columns({"motor_speed_rad_s": column})).outputs["motor_speed_rad_s"]
+
+    assert (link(scale=0.5, offset=2.0).scale, link(scale=0.5, offset=2.0).offset) == (0.5, 2.0)
+    assert "as the mapping says, times 0.5" in link(scale=0.5).said()
+    assert [link().scale, link(scale=-1.0).scale] == [0.5, -0.5]  # by the declared unit
+    with pytest.raises(InputError, match="has an offset, and .* is in rad/s; give its scale, too"):
+        link(offset=2.0)
 
 
 @pytest.mark.parametrize(
