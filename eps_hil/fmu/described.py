@@ -1,7 +1,7 @@
 """An FMU's description: what it takes, gives and may be told, before anything of it runs."""
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,16 @@ from eps_hil.fmu.variables import UNITS
 from eps_hil.recordings.files import needs_extra, refused_by_system
 
 _FLOATS = ("Real", "Float64")
+_WHOLE = ("Integer", "Enumeration", *(f"{u}Int{n}" for u in ("", "U") for n in (8, 16, 32, 64)))
+_OTHERS = (*_WHOLE, "Boolean", "Float32")
 
 
 @dataclass(frozen=True, slots=True)
 class FmuVariable:
-    """One number of an FMU; ``to_si``: factor and offset to our unit, None where unknown."""
+    """One number of an FMU; ``to_si``: factor and offset to our unit, None where unknown.
+
+    ``kind``: its type, as FMI calls it; ``begins``: its start, as the FMU writes it.
+    """
 
     name: str
     reference: int
@@ -27,15 +32,26 @@ class FmuVariable:
     start: float | None
     bounds: tuple[float | None, float | None]
     meaning: str
+    kind: str = "Real"
+    begins: str = ""
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is an integer or the number of an item."""
+        return self.kind in _WHOLE
 
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """A co-simulation FMU; ``raw`` is FMPy's description of it."""
+    """A co-simulation FMU; ``raw`` is FMPy's description of it.
+
+    ``others``: switches and numbers that are no signals: booleans, integers, enumerations.
+    """
 
     path: Path
     version: str
     variables: Mapping[str, FmuVariable]
+    others: Mapping[str, FmuVariable]
     interpolates: bool
     any_step: bool
     step_s: float | None
@@ -72,12 +88,16 @@ def read_fmu(path: Path) -> Described:
     experiment = raw.defaultExperiment
     step = getattr(experiment, "stepSize", None) or raw.coSimulation.fixedInternalStepSize
     known = {one.name: one for one in raw.unitDefinitions or []}
-    found = [_variable(one, known) for one in raw.modelVariables
-             if one.type in _FLOATS and not one.dimensions]  # fmt: skip
+
+    def of(kinds: Collection[str]) -> dict[str, FmuVariable]:
+        return {one.name: _variable(one, known) for one in raw.modelVariables
+                if one.type in kinds and not one.dimensions}  # fmt: skip
+
     return Described(
         path,
         raw.fmiVersion,
-        {one.name: one for one in found},
+        of(_FLOATS),
+        of(_OTHERS),
         bool(raw.coSimulation.canInterpolateInputs) and raw.fmiVersion.startswith("2"),
         bool(raw.coSimulation.canHandleVariableCommunicationStepSize),
         float(step) if step else None,
@@ -100,6 +120,8 @@ def _variable(one: Any, known: Mapping[str, Any]) -> FmuVariable:
         float(start) if isinstance(start, str | int | float) and _is_number(start) else None,
         (_number(one.min), _number(one.max)),
         one.description or "",
+        one.type,
+        "" if start is None else str(start),
     )
 
 

@@ -97,7 +97,9 @@ class Simulator:
         links = (*self.mapped.inputs.values(), *self.mapped.outputs.values())
         notes = [one.said() for one in links]
         if self.mapped.open:
-            notes.append(f"inputs that stay at their start: {', '.join(self.mapped.open)}")
+            every = {**self.fmu.variables, **self.fmu.others}
+            each = (f"{n} ({every[n].begins or 'unknown'})" for n in self.mapped.open)
+            notes.append(f"inputs that stay at their start: {', '.join(each)}")
         return notes
 
     def grid(self, series: Signals, model: Model) -> npt.NDArray[np.int64]:
@@ -129,7 +131,8 @@ class Simulator:
         """The mapped outputs under ``inputs`` (n, inputs) on an even grid, and the torque (Nm)
         that was added to stay at ``follow``; (n,) each.
 
-        ``values``: parameters by their names, in the FMU's units; ``begin``: canonical values at
+        ``values``: parameters and :attr:`Mapped.open` inputs by their names, in the FMU's units;
+        ``begin``: canonical values at
         the start, where the FMU has a parameter for it. :class:`FmuError` if it fails.
         """
         values = {**(values or {}), **self._begin(begin or {})}
@@ -233,11 +236,10 @@ class Simulator:
         three = self.fmu.version.startswith("3")
         length = (len(inputs) - 1) * self.step_s
         put = fmu.setFloat64 if three else fmu.setReal
-        settings = [self.fmu.variables[name].reference for name in values]
         if not three:
             fmu.setupExperiment(startTime=0.0, stopTime=length)
-        if settings:
-            put(settings, list(values.values()))
+        for name, value in values.items():
+            self._set(fmu, name, value, three)
         if three:
             fmu.enterInitializationMode(startTime=0.0, stopTime=length)
         else:
@@ -246,6 +248,13 @@ class Simulator:
         put(taken, inputs[0].tolist())
         fmu.exitInitializationMode()
         self._steps(fmu, inputs, out, *watch)
+
+    def _set(self, fmu: Any, name: str, value: float, three: bool) -> None:
+        one = self.fmu.variables.get(name) or self.fmu.others[name]
+        number = "Int64" if three else "Integer"
+        put = getattr(fmu, f"set{number if one.kind == 'Enumeration' else one.kind}")
+        whole = one.whole or one.kind == "Boolean"
+        put([one.reference], [int(value) if whole else float(value)])
 
     def _steps(
         self,

@@ -8,6 +8,7 @@ from eps_hil.bus import units
 from eps_hil.check.guess import LEAST, Candidate, guess
 from eps_hil.errors import InputError
 from eps_hil.fmu.described import Described, FmuVariable
+from eps_hil.fmu.variables import RATES
 from eps_hil.recordings.foreign import Column, Columns
 from eps_hil.signals import CANONICAL, PUBLISHED
 
@@ -41,7 +42,8 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Mapped:
-    """What drives an FMU, what is compared, where it starts; ``open``: inputs left as they are."""
+    """What drives an FMU, what is compared, where it starts; ``open``: inputs left as they are,
+    switches among them."""
 
     inputs: Mapping[str, Link]
     outputs: Mapping[str, Link]
@@ -84,9 +86,10 @@ def map_fmu(fmu: Described, columns: Columns | None = None) -> Mapped:
         if one is not None and one.causality == "parameter":
             starts[name] = _link(fmu, name, one, Column(one.name), "by its name")
     used = {one.variable.name for one in driving.values()}
-    slopes = ("_per_s",)
-    left = tuple(n for n in inputs if n not in used and not n.endswith(slopes))
-    return Mapped(driving, coming, starts, left)
+    used |= {one.name for one in RATES}
+    left = [n for n in inputs if n not in used]
+    left += [n for n, one in fmu.others.items() if one.causality == "input"]
+    return Mapped(driving, coming, starts, tuple(left))
 
 
 def _given(fmu: Described, name: str, column: Column, there: Mapping[str, FmuVariable]) -> Link:

@@ -1,12 +1,12 @@
 """Recordings through somebody's FMU, as the traces that a diagnosis compares them with."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from eps_hil import json_text, yaml_file
 from eps_hil.errors import InputError
-from eps_hil.fmu.described import Described
 from eps_hil.fmu.drive import Signals, Simulator, opened
 from eps_hil.fmu.mapping import variable
 from eps_hil.physics.model import Model
@@ -26,7 +26,7 @@ def traces_of(
 ) -> tuple[dict[str, Signals], list[str]]:
     """The FMU's answer to each recording, and how its variables were understood."""
     with opened(path, columns) as simulator:
-        known = checked(simulator.fmu, values or {})
+        known = checked(simulator, values or {})
         notes = simulator.notes()
         notes += unmet(simulator, recordings)
         traces: dict[str, Signals] = {
@@ -55,16 +55,30 @@ def unmet(simulator: Simulator, recordings: Mapping[str, Signals]) -> list[str]:
     return notes
 
 
-def checked(fmu: Described, values: Mapping[str, float]) -> dict[str, float]:
-    """Values of parameters, each of which the FMU has."""
-    there = fmu.of("parameter", "structuralParameter")
-    for name in values:
-        variable(fmu, name, there, "no parameter")
+def checked(simulator: Simulator, values: Mapping[str, float]) -> dict[str, float]:
+    """Values of parameters, and of inputs that stay at their start; the FMU has each of them."""
+    fmu, left = simulator.fmu, simulator.mapped.open
+    there = {
+        name: one
+        for name, one in {**fmu.variables, **fmu.others}.items()
+        if name in left or one.causality == "parameter"
+    }
+    for name, value in values.items():
+        one = variable(fmu, name, there, "no parameter, and no input without a signal,")
+        wanted = ""
+        if one.kind == "Boolean":
+            wanted = "" if value in (0, 1) else "true or false"
+        elif isinstance(value, bool):
+            wanted = "a number"
+        elif one.whole and not float(value).is_integer():
+            wanted = "a whole number"
+        if wanted:
+            raise InputError(fmu.path, f"variable '{name}'", f"is {value!r}, {wanted} was expected")
     return dict(values)
 
 
 def read_values(path: Path) -> dict[str, float]:
-    """Parameters from a YAML file ``name: value``, or from the JSON of ``identify``."""
+    """Parameters and switches from a YAML file ``name: value``, or the JSON of ``identify``."""
     content: Any
     if path.suffix == ".json":
         try:
@@ -79,9 +93,10 @@ def read_values(path: Path) -> dict[str, float]:
     if not isinstance(content, dict) or not content:
         raise InputError(path, "", "holds no parameters", "name: value, a line each")
     for name, value in content.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(path, str(name), f"is {value!r}, a number was expected")
-    return {str(name): float(value) for name, value in content.items()}
+    return {str(name): value if isinstance(value, bool) else float(value)
+            for name, value in content.items()}  # fmt: skip
 
 
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -193,7 +193,7 @@ def test_a_scale_counts_from_the_fmus_own_unit_as_it_does_in_a_table(
     assert (link(scale=0.5, offset=2.0).scale, link(scale=0.5, offset=2.0).offset) == (0.5, 2.0)
     assert "as the mapping says, times 0.5" in link(scale=0.5).said()
     assert [link().scale, link(scale=-1.0).scale] == [0.5, -0.5]  # by the declared unit
-    with pytest.raises(InputError, match="has an offset, and .* is in rad/s; give its scale, too"):
+    with pytest.raises(InputError, match=r"has an offset, and .* is in rad/s; give its scale, too"):
         link(offset=2.0)
 
 
@@ -284,6 +284,45 @@ def test_what_an_fmu_prints_is_not_our_output(
     assert capfd.readouterr().out == ""
     print("said", flush=True)
     assert capfd.readouterr().out == "said\n"
+
+
+def test_switches_are_named_and_can_be_set(other: Callable[..., Path], tmp_path: Path) -> None:
+    switches = """<ScalarVariable name="eps_on" valueReference="900" causality="input"
+        variability="discrete"><Boolean start="false"/></ScalarVariable>
+      <ScalarVariable name="gear" valueReference="901" causality="parameter"
+        variability="fixed"><Integer start="3"/></ScalarVariable></ModelVariables>"""
+    head = "EXPORT Status FMI(fmi2Set{0})(void *c, const Reference vr[], size_t n, const {0} v[])"
+    words = {
+        '#include "instance.h"\n': '#include "instance.h"\nstatic int on, gear = 3;\n',
+        "NONE_OF(fmi2SetBoolean, const Boolean)": head.format("Boolean")
+        + "{ (void)c; on = n == 1 && vr[0] == 900 && v[0]; return OK; }",
+        "NONE_OF(fmi2SetInteger, const Integer)": head.format("Integer")
+        + "{ (void)c; gear = n == 1 && vr[0] == 901 ? v[0] : 0; return OK; }",
+        "    (void)noSet;\n": '    if (!on || gear != 4) return complain(c, "is off");\n',
+    }
+
+    def change(text: str) -> str:
+        for before, after in words.items():
+            assert before in text
+            text = text.replace(before, after)
+        return text
+
+    path = _with_source(other({"</ModelVariables>": switches}), tmp_path / "on.fmu", change)
+    given = {"a.csv": recording(MODEL, 1.0)}
+    with opened(path) as simulator:
+        assert simulator.notes()[-1] == "inputs that stay at their start: eps_on (false)"
+    with pytest.raises(EpsHilError, match="is off"):
+        traces_of(path, given, MODEL, values={"gear": 4.0})
+    (tmp_path / "on.yaml").write_text("eps_on: true\ngear: 4\n")
+    assert len(traces_of(path, given, MODEL, values=read_values(tmp_path / "on.yaml"))[0]) == 1
+    for values, said in (
+        ({"eps_on": 2.0}, "is 2.0, true or false was expected"),
+        ({"gear": 1.5}, "is 1.5, a whole number was expected"),
+        ({"inertia_kg_m2": True}, "is True, a number was expected"),
+        ({"motor_torque_nm": 1.0}, "is no parameter, and no input without a signal"),
+    ):
+        with pytest.raises(InputError, match=said):
+            traces_of(path, given, MODEL, values=values)
 
 
 def test_the_cause_is_told_and_not_what_an_fmu_says_when_it_is_taken_down(
