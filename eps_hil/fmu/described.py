@@ -45,6 +45,7 @@ class FmuVariable:
 class Described:
     """A co-simulation FMU; ``raw`` is FMPy's description of it.
 
+    ``step_s``: of its default experiment; ``fixed_s``: of its own solver, whose multiples it takes.
     ``others``: switches and numbers that are no signals: booleans, integers, enumerations.
     """
 
@@ -55,6 +56,7 @@ class Described:
     interpolates: bool
     any_step: bool
     step_s: float | None
+    fixed_s: float | None
     raw: Any
 
     def of(self, *causalities: str) -> dict[str, FmuVariable]:
@@ -85,8 +87,8 @@ def read_fmu(path: Path) -> Described:
         has = ", ".join(there) or "no binary"
         raise InputError(path, "binaries", f"has {has}, this machine needs {fmpy.platform}",
                          "export it for this platform")  # fmt: skip
-    experiment = raw.defaultExperiment
-    step = getattr(experiment, "stepSize", None) or raw.coSimulation.fixedInternalStepSize
+    step = getattr(raw.defaultExperiment, "stepSize", None)
+    fixed = raw.coSimulation.fixedInternalStepSize
     known = {one.name: one for one in raw.unitDefinitions or []}
 
     def of(kinds: Collection[str]) -> dict[str, FmuVariable]:
@@ -101,6 +103,7 @@ def read_fmu(path: Path) -> Described:
         bool(raw.coSimulation.canInterpolateInputs) and raw.fmiVersion.startswith("2"),
         bool(raw.coSimulation.canHandleVariableCommunicationStepSize),
         float(step) if step else None,
+        float(fixed) if fixed else None,
         raw,
     )
 
@@ -118,7 +121,7 @@ def _variable(one: Any, known: Mapping[str, Any]) -> FmuVariable:
         quantity,
         factor,
         float(start) if isinstance(start, str | int | float) and _is_number(start) else None,
-        (_number(one.min), _number(one.max)),
+        (_bound(one.min, declared, "min"), _bound(one.max, declared, "max")),
         one.description or "",
         one.type,
         "" if start is None else str(start),
@@ -161,6 +164,12 @@ def _measures(unit: str, known: Mapping[str, Any]) -> tuple[str | None, Any]:
     if quantity == "temperature":
         offset -= _KELVIN
     return quantity, (factor, offset)
+
+
+def _bound(said: Any, declared: Any, which: str) -> float | None:
+    """A variable's own bound, else that of its type (an inertia's 0)."""
+    own = _number(said)
+    return _number(getattr(declared, which, None)) if own is None else own
 
 
 def _is_number(text: object) -> bool:

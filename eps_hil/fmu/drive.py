@@ -82,12 +82,10 @@ class Simulator:
 
     def __init__(self, fmu: Described, mapped: Mapped, folder: Path) -> None:
         self.fmu, self.mapped = fmu, mapped
-        self.step_s = STEP_S
-        if not fmu.any_step and fmu.step_s is not None:
-            self.step_s = fmu.step_s
-            if self.step_s > _LONGEST_S:
-                problem = f"takes steps of {self.step_s:g} s alone, 0.02 s or less was expected"
-                raise InputError(fmu.path, "", problem, "export it with a smaller step")
+        self.step_s = _step_s(fmu)
+        if self.step_s > _LONGEST_S:
+            problem = f"takes steps of {self.step_s:g} s alone, 0.02 s or less was expected"
+            raise InputError(fmu.path, "", problem, "export it with a smaller step")
         self._folder = folder
         self._messages: list[str] = []
         self._deaf = False
@@ -300,7 +298,20 @@ class Simulator:
                 fmu.fmi2SetReal(component, taken, n, row(held, k))
                 if self.fmu.interpolates:
                     fmu.fmi2SetRealInputDerivatives(component, taken, n, order, row(slopes, k))
-            fmu.doStep(k * step, step)
+            ended = fmu.doStep(k * step, step)
+            if three and ended[1]:  # FMI 2 says so by its status
+                raise FmuError(
+                    f"{self.fmu.path}: ends the simulation after {k * step + step:.4g} s"
+                )
+
+
+def _step_s(fmu: Described) -> float:
+    """What it is asked to go on by: our step, or what it can."""
+    if fmu.step_s is not None and not fmu.any_step:
+        return fmu.step_s
+    if fmu.fixed_s is None:
+        return STEP_S
+    return fmu.fixed_s * max(1, round(STEP_S / fmu.fixed_s))
 
 
 def _held(inputs: Floats, step_s: float, interpolates: bool) -> tuple[Floats, Floats]:

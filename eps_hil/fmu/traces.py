@@ -29,8 +29,11 @@ def traces_of(
         known = checked(simulator, values or {})
         notes = simulator.notes()
         notes += unmet(simulator, recordings)
+        short = len({Path(name).name for name in recordings}) == len(recordings)
         traces: dict[str, Signals] = {
-            f"{path.name} on {Path(name).name}": simulator.trace(series, model, known)
+            f"{path.name} on {Path(name).name if short else name}": simulator.trace(
+                series, model, known
+            )
             for name, series in recordings.items()
         }
     return traces, notes

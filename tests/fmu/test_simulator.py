@@ -255,12 +255,14 @@ def test_kept_at_the_recorded_motion_the_right_simulator_needs_no_torque(drive: 
     assert np.std(right[300:-1]) < 0.004 < 0.5 * np.std(wrong[300:-1])
 
 
-def _with_source(path: Path, out: Path, change: Callable[[str], str]) -> Path:
+def _with_source(
+    path: Path, out: Path, change: Callable[[str], str], main_name: str = "fmi2.c"
+) -> Path:
     """The exported FMU, its C changed and compiled anew."""
     folder = out.parent / "source"
     with zipfile.ZipFile(path) as old:
         old.extractall(folder)
-    main_c = folder / "sources/fmi2.c"
+    main_c = folder / "sources" / main_name
     main_c.write_text(change(main_c.read_text(encoding="utf-8")), encoding="utf-8")
     library = next(folder.glob("binaries/*/*.so"))
     library.unlink()
@@ -357,6 +359,56 @@ def test_an_array_is_no_signal(tmp_path: Path) -> None:
     found = map_fmu(read_fmu(tmp_path / "b.fmu"))
     assert "motor_angle_rad" not in found.outputs
     assert "motor_speed_rad_s" in found.outputs
+
+
+def test_an_fmu_that_ends_the_simulation_is_believed(tmp_path: Path) -> None:
+    export_fmu(MODEL, tmp_path / "third.fmu", fmi=3)
+    goes_on = "*event = *end = *early = false;"
+    ends = "*event = *early = false; *end = time > 0.4995;"
+    path = _with_source(
+        tmp_path / "third.fmu", tmp_path / "ends.fmu",
+        lambda text: text.replace(goes_on, ends), "fmi3.c",
+    )  # fmt: skip
+    with pytest.raises(EpsHilError, match=r"ends the simulation after 0\.501 s"):
+        traces_of(path, {"a.csv": recording(MODEL, 1.0)}, MODEL)
+
+
+@pytest.mark.parametrize(
+    ("words", "step_s"),
+    [
+        ("", 1e-3),
+        ('fixedInternalStepSize="0.0004"', 0.8e-3),
+        ('fixedInternalStepSize="0.0025"', 2.5e-3),
+    ],
+)
+def test_the_step_is_a_multiple_of_the_fmus_own(tmp_path: Path, words: str, step_s: float) -> None:
+    export_fmu(MODEL, tmp_path / "third.fmu", fmi=3)
+    with (
+        zipfile.ZipFile(tmp_path / "third.fmu") as old,
+        zipfile.ZipFile(tmp_path / "fixed.fmu", "w") as new,
+    ):
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "modelDescription.xml":
+                content = content.replace(b"<CoSimulation ", f"<CoSimulation {words} ".encode())
+            new.writestr(name, content)
+    with opened(tmp_path / "fixed.fmu") as simulator:
+        assert simulator.step_s == pytest.approx(step_s)
+
+
+def test_a_types_bounds_are_its_variables(other: Callable[..., Path]) -> None:
+    types = '<TypeDefinitions><SimpleType name="I"><Real min="0.5" max="2"/></SimpleType>'
+    path = other({
+        "<LogCategories>": f"{types}</TypeDefinitions><LogCategories>",
+        'min="1e-12" max="1000000000000.0" start="0.0002"': 'declaredType="I" max="1" start="0.7"',
+    })  # fmt: skip
+    assert read_fmu(path).variables["inertia_kg_m2"].bounds == (0.5, 1.0)
+
+
+def test_recordings_of_one_name_have_a_trace_each(drive: Path) -> None:
+    given = recording(MODEL, 1.0)
+    traces, _ = traces_of(drive, {"a/run.csv": given, "b/run.csv": given}, MODEL)
+    assert list(traces) == [f"{drive.name} on {each}/run.csv" for each in "ab"]
 
 
 def test_fmi_3_gives_the_trace_of_fmi_2(drive: Path, tmp_path: Path) -> None:
