@@ -24,6 +24,9 @@ Dask = Annotated[
     str | None,
     typer.Option("--dask", help="Scheduler of a Dask cluster that sees the same files."),
 ]
+Retry = Annotated[
+    bool, typer.Option("--retry-failed", help="Try recordings again that failed before.")
+]
 Settings = Annotated[Path | None, typer.Option("--settings", help="Estimator settings (YAML).")]
 
 
@@ -46,11 +49,12 @@ def estimate(
     settings: Settings = None,
     processes: Processes = None,
     dask: Dask = None,
+    retry_failed: Retry = False,
     *,
     reading: Reading,
 ) -> None:
     """Estimate the rack force of every recording; each one's estimates go to OUT/estimates."""
-    _run("estimate", source, model, out, settings, processes, dask, reading)
+    _run("estimate", source, model, out, settings, processes, dask, retry_failed, reading)
 
 
 def identify(
@@ -59,11 +63,12 @@ def identify(
     out: Out,
     processes: Processes = None,
     dask: Dask = None,
+    retry_failed: Retry = False,
     *,
     reading: Reading,
 ) -> None:
     """Identify the parameters of every recording by itself, with 95 % intervals."""
-    _run("identify", source, model, out, None, processes, dask, reading)
+    _run("identify", source, model, out, None, processes, dask, retry_failed, reading)
 
 
 def diagnose(
@@ -72,11 +77,12 @@ def diagnose(
     out: Out,
     processes: Processes = None,
     dask: Dask = None,
+    retry_failed: Retry = False,
     *,
     reading: Reading,
 ) -> None:
     """Diagnose which physics the model lacks, in every recording by itself."""
-    _run("diagnose", source, model, out, None, processes, dask, reading)
+    _run("diagnose", source, model, out, None, processes, dask, retry_failed, reading)
 
 
 def _run(
@@ -87,6 +93,7 @@ def _run(
     settings: Path | None,
     processes: int | None,
     dask: str | None,
+    retry: bool,
     reading: Reading,
 ) -> None:
     from eps_hil.fleet import population_page, workers
@@ -116,14 +123,20 @@ def _run(
         verb, model.resolve(), out.resolve(), settings and settings.resolve(), {**asked, **named}
     )
     batch = run_batch(
-        job, tasks, processes=processes, dask=dask, on_row=_teller(), begin=say_if_it_compiles
+        job,
+        tasks,
+        processes=processes,
+        dask=dask,
+        retry=retry,
+        on_row=_teller(),
+        begin=say_if_it_compiles,
     )
     report = population_page.write(batch, out / "population.html", f"{verb}: {source}")
     failed, noted = len(batch.failed), sum(bool(row.get("notes")) for row in batch.rows)
     typer.echo(
         f"{len(batch.rows)} recordings, {batch.before} of them known before, {failed} failed, "
         f"{noted} with notes of the reader: {batch.results}, {batch.values}, {report}"
-        + f"; to try failed ones again, delete {job.out / 'rows'}"
+        + "; to try failed ones again, give --retry-failed"
         * bool(failed)
     )
     if failed == len(batch.rows):

@@ -31,17 +31,19 @@ def run_batch(
     *,
     processes: int | None = None,
     dask: str | None = None,
+    retry: bool = False,
     on_row: Callable[[Row, int, int], None] | None = None,
     begin: workers.Begin = None,
 ) -> Batch:
     """Do what is not done yet. Each row is kept as it comes, so an end in the middle loses none.
 
-    ``on_row`` hears each new row, how many are done and how many there are.
-    Each process of this machine calls ``begin`` first.
+    ``retry``: what failed is tried again, too. ``on_row`` hears each new row, how many are done and
+    how many there are. Each process of this machine calls ``begin`` first.
     """
     store = Store(job.out)
     keys = {job.key(task): task for task in tasks}
-    rows = {key: row for key in keys if (row := store.known(key)) is not None}
+    known = {key: row for key in keys if (row := store.known(key)) is not None}
+    rows = {key: row for key, row in known.items() if row["state"] == "done" or not retry}
     before = len(rows)
     todo = [(task, key) for key, task in keys.items() if key not in rows]
     if todo:

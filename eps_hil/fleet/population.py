@@ -81,7 +81,9 @@ def _quantity(name: str, si: str, points: list[Point]) -> Quantity:
             Point(point.recording, point.unit, point.start_s, point.value, point.low, point.high,
                   bool(far))
         )  # fmt: skip
-    units = {unit: [p.value for p in points if p.unit == unit] for unit in {p.unit for p in points}}
+    units: dict[str, list[float]] = {}
+    for point in points:
+        units.setdefault(point.unit, []).append(point.value)
     medians = np.array([np.median(of) for of in units.values()])
     left = np.concatenate([np.array(of) - np.median(of) for of in units.values() if len(of) > 1]
                           or [np.zeros(0)])  # fmt: skip

@@ -60,11 +60,13 @@ def _figure(quantity: Quantity) -> str:
     if len(quantity.points) >= FEWEST:  # of fewer, none is called an outlier
         axis.axhspan(quantity.middle - reach, quantity.middle + reach, color="0.92", lw=0)
     axis.axhline(quantity.middle, color="0.6", lw=0.8)
-    for k, point in enumerate(points):
-        colour = figures.COLOURS[1] if point.outlier else figures.COLOURS[0]
-        if point.low is not None and point.high is not None:
-            axis.plot([k, k], [point.low, point.high], color=colour, lw=0.9)
-        axis.plot([k], [point.value], ".", color=colour, ms=4)
+    for outlier in (False, True):
+        colour = figures.COLOURS[int(outlier)]
+        mine = [(k, point) for k, point in enumerate(points) if point.outlier == outlier]
+        bars = [(k, p.low, p.high) for k, p in mine if p.low is not None and p.high is not None]
+        if bars:
+            axis.vlines(*zip(*bars, strict=True), color=colour, lw=0.9)
+        axis.plot([k for k, _ in mine], [p.value for _, p in mine], ".", color=colour, ms=4)
     first, labels = _units([point.unit for point in points])
     axis.set_xticks(first, labels, rotation=60 if len(labels) > 8 else 0, fontsize="small")
     axis.set(ylabel=f"{quantity.name} in {of(quantity.si)}".removesuffix(" in "))

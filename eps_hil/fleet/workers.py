@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from hashlib import sha256
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait as wait_for
 from threading import Thread
@@ -127,9 +128,14 @@ def on_dask(job: Job, todo: Todo, address: str) -> Iterator[Row]:
     except (OSError, ValueError, TimeoutError) as error:
         problem = f"no scheduler answers at {address} ({type(error).__name__})"
         raise InputError("--dask", "", problem, "give its address, like tcp://host:8786") from None
+    # two batches of the same recordings into two folders are not one task of the cluster
+    mine = sha256(str(job.out).encode()).hexdigest()[:8]
     with client, client.as_current():
         sent = {
-            client.submit(run, job, task, key, key=f"eps_hil-{key}", retries=_RETRIES): (task, key)
+            client.submit(run, job, task, key, key=f"eps_hil-{mine}-{key}", retries=_RETRIES): (
+                task,
+                key,
+            )
             for task, key in todo
         }
         for future in as_completed(list(sent)):

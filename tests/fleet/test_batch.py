@@ -1,5 +1,6 @@
 """Batches: resumable and idempotent, one bad file is a row, processes and Dask workers may die."""
 
+import json
 import os
 import signal
 import subprocess
@@ -25,6 +26,7 @@ from eps_hil.fleet.job import Job, Row, run
 from eps_hil.fleet.population import population
 from eps_hil.fleet.tasks import Task, tasks_of
 from eps_hil.recordings.write import write_table
+from eps_hil.report import figures
 
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "configs" / "reference_rig.yaml"
@@ -137,7 +139,7 @@ def test_the_verb_goes_on_where_it_was(
     assert main([*words, "--processes", "2"]) == 0
     said = capsys.readouterr()
     assert "5 recordings, 0 of them known before, 1 failed, 0 with notes of the reader" in said.out
-    assert f"to try failed ones again, delete {out / 'rows'}" in said.out
+    assert "to try failed ones again, give --retry-failed" in said.out
     assert "broken.csv" in said.err
     results = pyarrow.parquet.read_table(out / "results.parquet").to_pylist()
     assert [row["state"] for row in results] == ["done"] * 4 + ["failed"]
@@ -161,6 +163,8 @@ def test_the_verb_goes_on_where_it_was(
     assert [path.stem for path in changed] == [results[0]["key"]]
     assert main(words) == 0
     assert "6 recordings, 6 of them known before" in capsys.readouterr().out
+    assert main([*words, "--retry-failed"]) == 0
+    assert "6 recordings, 5 of them known before, 1 failed" in capsys.readouterr().out
 
 
 def _of_parent(parent: int) -> list[int]:
@@ -218,6 +222,40 @@ def test_a_database_that_is_not_there_is_wrong_input(
     words = ["batch", "identify", str(folder), "--model", str(MODEL), "--dbc", "no.dbc"]
     assert main([*words, "--out", str(tmp_path / "out")]) == 2
     assert "no.dbc: no such file" in capsys.readouterr().err
+
+
+def test_what_failed_is_tried_again_when_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks = [Task(tmp_path / f"{k}.csv", f"{k}") for k in range(3)]
+    of, broken = job(tmp_path), {"1"}
+    asked: list[str] = []
+
+    def here(of: Job, todo: workers.Todo, *_: Any) -> Iterator[Row]:
+        for task, key in todo:
+            asked.append(task.unit)
+            state = "failed" if task.unit in broken else "done"
+            yield {**deadly(of, task, key), "state": state}
+
+    monkeypatch.setattr(workers, "here", here)
+    assert [row["state"] for row in run_batch(of, tasks).rows] == ["done", "failed", "done"]
+    broken.clear()
+    assert len(run_batch(of, tasks).failed) == 1
+    batch = run_batch(of, tasks, retry=True)
+    assert (batch.before, len(batch.failed), asked) == (2, 0, ["0", "1", "2", "1"])
+
+
+def test_a_number_that_does_not_exist_is_none_of_a_batch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = {"status": "identified", "unit": "", "ci95": (0.0, np.inf)}
+    numbers = {"a": SimpleNamespace(value=np.nan, **one), "b": SimpleNamespace(value=1.0, **one)}
+    named = SimpleNamespace(content=lambda: {"x": [np.nan, 1.0]}, parameters=numbers, offsets={})
+    monkeypatch.setattr(jobs, "identify", lambda *_: SimpleNamespace(result=named))
+    of = Job("identify", MODEL, tmp_path / "out")
+    row = run(of, Task(recording(tmp_path / "drive.csv"), "a"), "key")
+    assert row["values"] == [{"quantity": "b", "value": 1.0, "low": 0.0, "high": None, "si": ""}]
+    assert json.loads((of.out / row["output"]).read_text()) == {"x": [None, 1.0]}
 
 
 def deadly(of: Job, task: Task, key: str) -> Row:
@@ -283,6 +321,20 @@ def test_outliers_of_a_population() -> None:
     assert not any(p.outlier for p in few.points)
 
 
+def test_the_figure_has_a_point_and_a_bar_for_each_value() -> None:
+    rows = [
+        {"recording": f"{k}.csv", "unit": f"u{k}", "start_s": None, "values": [
+            {"quantity": "a", "value": v, "low": v - 0.1, "high": v + 0.1, "si": "Nm"}]}
+        for k, v in enumerate([1.0, 1.02, 0.98, 1.01, 9.0])
+    ]  # fmt: skip
+    (one,) = population(rows)
+    assert [p.outlier for p in one.points] == [False] * 4 + [True]
+    drawn = population_page._figure(one)
+    for colour in figures.COLOURS[:2]:
+        assert colour.lower() in drawn.lower()
+    assert all(f"LineCollection_{k}" in drawn for k in (1, 2))
+
+
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """A Dask scheduler with two worker processes, as a cluster has them."""
@@ -300,8 +352,6 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes
             words += ["--scheduler-file", str(address_file), "--nthreads", "1", "--no-nanny"]
             words += ["--local-directory", str(tmp_path)]
             started.append(subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.DEVNULL))
-        import json
-
         yield json.loads(address_file.read_text())["address"], started[1:]
     finally:
         for process in started:
