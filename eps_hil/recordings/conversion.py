@@ -166,7 +166,11 @@ def write_log(
             for name, frame in tagged:
                 # python-can's writers of numbered channels add the 1 again
                 named = channels.interface(name) if suffix == ".log" else channels.number(name) - 1
-                writer.on_message_received(_message(frame, named))
+                # ASC counts from the first frame, and knows no time before
+                t_ns = max(frame.t_ns, start_ns) if suffix == ".asc" else frame.t_ns
+                if suffix == ".log":
+                    writer.last_timestamp = None  # else it gives an earlier frame that stamp
+                writer.on_message_received(_message(frame, t_ns, named))
                 frames += 1
         finally:
             writer.stop()
@@ -185,11 +189,11 @@ def _log_writer(path: Path, suffix: str, start_s: float) -> Any:
     return can.CanutilsLogWriter(path) if suffix == ".log" else can.ASCWriter(path)
 
 
-def _message(frame: Frame, channel: int | str) -> Any:
+def _message(frame: Frame, t_ns: int, channel: int | str) -> Any:
     import can
 
     return can.Message(
-        timestamp=frame.t_ns / _NS,
+        timestamp=t_ns / _NS,
         arbitration_id=frame.can_id,
         is_extended_id=frame.extended,
         is_remote_frame=frame.remote,

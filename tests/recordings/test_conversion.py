@@ -7,8 +7,8 @@ import pytest
 
 from eps_hil.bus.frame import Frame
 from eps_hil.errors import InputError
-from eps_hil.recordings.can_log import read_frames, read_tagged_frames
-from eps_hil.recordings.conversion import convert
+from eps_hil.recordings.can_log import read_frames, read_tagged_frames, read_unordered_frames
+from eps_hil.recordings.conversion import convert, write_log
 from eps_hil.recordings.read import read_recording
 
 LogWriter = Callable[[str, list[Frame]], Path]
@@ -130,6 +130,21 @@ def test_log_that_counts_from_zero_keeps_its_stamps_in_blf(tmp_path: Path) -> No
         12_345_678_000,
         13_000_000_000,
     ]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "expected"),
+    [("log", [0, -1000, 1000]), ("blf", [0, -1000, 1000]), ("asc", [0, 0, 1000])],
+)
+def test_a_frame_before_the_first_one_stays_where_it_is(
+    tmp_path: Path, suffix: str, expected: list[int]
+) -> None:
+    """As ``clocks --out`` writes them: a channel's frames stay in the order of the file."""
+    stamps = [START_NS, START_NS - 1_000, START_NS + 1_000]
+    frames = [("can0", Frame(t_ns=t_ns, can_id=1, data=b"")) for t_ns in stamps]
+    write_log(tmp_path / f"a.{suffix}", frames, START_NS)
+    read = [frame.t_ns for _, frame in read_unordered_frames(tmp_path / f"a.{suffix}")]
+    assert [t_ns - read[0] for t_ns in read] == expected
 
 
 @pytest.mark.parametrize(
