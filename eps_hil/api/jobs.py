@@ -1,7 +1,9 @@
 """The jobs of a program: load, recording, estimate, simulate, identify, diagnose, changes,
 compare, and ``fit_simulator``."""
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +134,8 @@ def identify(
     """Delays, inertia, friction map and bristle of a rig; the model gives what is not shown."""
     from eps_hil.identification.identify import identify as run
 
-    return Identification(run(_by_name(_recordings(recordings)), _model(model), on_progress))
+    (read,) = _groups(recordings)
+    return Identification(run(_by_name(read), _model(model), on_progress))
 
 
 def fit_simulator(
@@ -153,7 +156,7 @@ def fit_simulator(
     from eps_hil.fmu.fit import fit
     from eps_hil.fmu.traces import unmet
 
-    used, kept = _recordings(recordings), _recordings(holdouts, least=0)
+    used, kept = _groups(recordings, holdouts)
     together = _by_name([*used, *kept])
     with opened(Path(simulation), _columns(simulation_signals)) as simulator:
         notes = (*simulator.notes(), *unmet(simulator, together))
@@ -193,7 +196,7 @@ def diagnose(
     from eps_hil.diagnosis.diagnose import diagnose as run
 
     without_effects = known_effects(without_effects, "without_effects")
-    fitted, judged = _recordings(recordings), _recordings(holdouts, least=0)
+    fitted, judged = _groups(recordings, holdouts)
     together, rig = _by_name([*fitted, *judged]), _model(model)
     first = {one.name: together[one.name] for one in fitted}
     rest = {one.name: together[one.name] for one in judged}
@@ -241,7 +244,7 @@ def changes(before: Sources, after: Sources, model: Rig) -> Diagnosis:
     from eps_hil.diagnosis.changes import changes as run
     from eps_hil.diagnosis.data.intake import RecordingError
 
-    first, second = _by_name(_recordings(before)), _by_name(_recordings(after))
+    first, second = (_by_name(each) for one in (before, after) for each in _groups(one))
     try:
         found = run(_model(model), first, second)
         return Diagnosis(found.after, found.model)
@@ -297,15 +300,33 @@ def _check_gaps(gaps: str) -> None:
         raise InputError("gaps", "", f"is {gaps!r}", "'refuse' or 'mark'")
 
 
-def _recordings(sources: Sources, least: int = 1) -> list[Recording]:
+def _groups(first: Sources, *others: Sources) -> list[list[Recording]]:
+    """The recordings of each; files of one name are called by their paths.
+
+    :class:`InputError` where the first group is empty.
+    """
+    listed = [_listed(one) for one in (first, *others)]
+    if not listed[0]:
+        raise InputError("recordings", "", "hold none", "give one or several")
+    read = [[_recording(one) for one in sources] for sources in listed]
+    names = Counter(one.name for each in read for one in each)
+    return [
+        [
+            one
+            if names[one.name] == 1 or isinstance(source, Recording)
+            else replace(one, name=str(source))
+            for source, one in zip(*pair, strict=True)
+        ]
+        for pair in zip(listed, read, strict=True)
+    ]
+
+
+def _listed(sources: Sources) -> Sequence[Source]:
     if isinstance(sources, Recording | str | Path):
-        return [_recording(sources)]
+        return [sources]
     if isinstance(sources, Mapping) or not isinstance(sources, Iterable):
         raise _no_recording(sources)
-    several = [_recording(one) for one in sources]
-    if len(several) < least:
-        raise InputError("recordings", "", "hold none", "give one or several")
-    return several
+    return list(sources)
 
 
 def _by_name(recordings: Sequence[Recording]) -> dict[str, Mapping[str, Series]]:

@@ -8,6 +8,7 @@ _TABLE: dict[str, tuple[str, float]] = {
     "mn-m": ("torque", 1e-3), "cnm": ("torque", 1e-2), "knm": ("torque", 1e3),
     "unm": ("torque", 1e-6), "µnm": ("torque", 1e-6), "μnm": ("torque", 1e-6),
     "rad/s": ("angular speed", 1.0), "rpm": ("angular speed", math.pi / 30.0),
+    "u/min": ("angular speed", math.pi / 30.0), "rev/min": ("angular speed", math.pi / 30.0),
     "1/min": ("angular speed", math.pi / 30.0), "min-1": ("angular speed", math.pi / 30.0),
     "deg/s": ("angular speed", _DEGREE), "°/s": ("angular speed", _DEGREE),
     "rad": ("angle", 1.0), "deg": ("angle", _DEGREE), "°": ("angle", _DEGREE),

@@ -1,6 +1,7 @@
 """Columns that a program holds -> canonical signals, by the rules that files are read by."""
 
 from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +31,9 @@ def from_arrays(
 ) -> Recording:
     """A mapping of equally long arrays (n,), or a data frame, with ``time_s`` or ``time_ns``.
 
-    Times increase: seconds, integer nanoseconds, or datetime64 and timedelta64 in either. NaN is an
-    empty cell, as where another signal has the row's sample. ``gaps`` and ``ignore_unknown`` as for
-    a file. :class:`InputError` names ``name`` and the column.
+    Times increase: seconds, integer nanoseconds, or dates (without a zone: in UTC) and durations.
+    NaN is an empty cell, as where another signal has the row's sample. ``gaps`` and
+    ``ignore_unknown`` as for a file. :class:`InputError` names ``name`` and the column.
     """
     arrays, place = dict(_columns(columns, name)), Path(name)
     known, notes = usable_columns(place, list(arrays), "columns", ignore_unknown=ignore_unknown)
@@ -85,14 +86,22 @@ def _columns(columns: Any, name: str) -> Iterator[tuple[str, Array]]:
 
 
 def _filled(values: Any) -> Array:
-    """NaN (of times: NaT) where a value is masked, integers included."""
+    """NaN (of times: NaT) where a value is masked, integers included; dates in UTC."""
+    if getattr(getattr(values, "dtype", None), "tz", None) is not None:  # pandas
+        return np.asarray(values, "datetime64[ns]")
     masked = np.ma.asanyarray(values)
+    if masked.dtype.kind == "O" and all(isinstance(one, datetime) for one in masked.flat):
+        return np.array([_utc(one) for one in masked.flat], "datetime64[ns]")
     if not np.ma.is_masked(masked):
         return np.asarray(masked)
     if masked.dtype.kind in "iub":
         masked = masked.astype(np.float64)
     missing = np.array("NaT", masked.dtype) if masked.dtype.kind in "mM" else np.nan
     return np.asarray(masked.filled(missing))
+
+
+def _utc(instant: datetime) -> datetime:
+    return instant if instant.tzinfo is None else instant.astimezone(UTC).replace(tzinfo=None)
 
 
 def _numbers(name: str, column: str, values: Array) -> npt.NDArray[np.float64]:

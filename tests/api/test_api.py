@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import eps_hil
+from eps_hil.api import jobs
 from eps_hil.cli.main import main
 from eps_hil.estimation.levels import LevelChange
 from eps_hil.estimation.score import Score
@@ -283,6 +284,21 @@ def test_polars_or_a_word_on_what_is_missing(
         drive.to_dataframe("excel")
 
 
+def test_files_of_one_name_are_called_by_their_paths(
+    drive: eps_hil.Recording, tmp_path: Path
+) -> None:
+    paths = [tmp_path / folder / "run.csv" for folder in "abc"]
+    for path in paths:
+        path.parent.mkdir()
+        drive.save(path)
+    for groups in ((paths,), (paths[:2], paths[2])):
+        read = jobs._groups(*groups)
+        assert [one.name for each in read for one in each] == list(map(str, paths))
+    assert [one.name for one in jobs._groups([paths[0], drive])[0]] == ["run.csv", "sweep.csv"]
+    with pytest.raises(eps_hil.InputError, match=r"a/run.csv: is given twice"):
+        eps_hil.identify([paths[0], paths[0]], MODEL)
+
+
 @pytest.mark.slow
 def test_identify_and_diagnose_give_typed_results(other_rig: ModuleType, tmp_path: Path) -> None:
     plant = {other_rig.STRIB: 0.03, other_rig.STRIB_W: 10.0}
@@ -322,11 +338,10 @@ def test_identify_and_diagnose_give_typed_results(other_rig: ModuleType, tmp_pat
 
 
 def test_no_holdouts_are_none_and_not_a_mistake() -> None:
-    from eps_hil.api.jobs import _recordings
-
-    assert _recordings((), least=0) == []
+    one = eps_hil.recording({"time_s": [0.0, 0.1], "rack_force_n": [1.0, 2.0]})
+    assert jobs._groups(one, ()) == [[one], []]
     with pytest.raises(eps_hil.EpsHilError, match="recordings: hold none"):
-        _recordings(())
+        jobs._groups(())
 
 
 def test_a_recording_without_a_sample_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 import importlib
 import re
+from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,21 @@ def test_a_date_is_nanoseconds_since_1970() -> None:
     begin = np.datetime64("2026-11-30T03:00:00.000000001", "ns")
     made = from_arrays(table(time_s=begin + np.arange(5) * np.timedelta64(1, "ms")))
     assert int(made.series["motor_torque_nm"].t_ns[0]) == 1_796_007_600_000_000_001
+
+
+def test_dates_of_a_time_zone_are_instants() -> None:
+    pandas = importlib.import_module("pandas")
+    zone = timezone(timedelta(hours=1))
+    begin = datetime(2026, 11, 30, 4, tzinfo=zone)
+    dates = [begin + k * timedelta(milliseconds=1) for k in range(5)]
+    series = pandas.Series(dates)
+    for clock in (dates, series, series.dt.tz_convert("Europe/Berlin"), pandas.DatetimeIndex(dates),
+                  [one.astimezone(UTC).replace(tzinfo=None) for one in dates]):  # fmt: skip
+        made = from_arrays({"time_s": clock, "motor_torque_nm": TORQUE})
+        t_ns = made.series["motor_torque_nm"].t_ns
+        assert t_ns.tolist() == [1_796_007_600_000_000_000 + k * 1_000_000 for k in range(5)]
+    with pytest.raises(InputError, match="row 2, column time_s: has no time"):
+        from_arrays({"time_s": series.where(series != dates[2]), "motor_torque_nm": TORQUE})
 
 
 def test_a_signal_of_another_rate_has_samples_of_its_own() -> None:
