@@ -36,7 +36,7 @@ class FmuError(EpsHilError):
     """The FMU refused, or failed while it ran."""
 
 
-_MOTION = ("motor_speed_rad_s", "motor_angle_rad")
+MOTION = ("motor_speed_rad_s", "motor_angle_rad")
 FOLLOW_RAD_S = 2.0 * np.pi * 8.0
 """How fast the simulator is brought back to the recorded motion."""
 
@@ -102,7 +102,7 @@ class Simulator:
 
     def grid(self, series: Signals, model: Model) -> npt.NDArray[np.int64]:
         """Physical instants (ns, by the recording's clock) at which the FMU is asked."""
-        known = [name for name in ("motor_torque_nm", *_MOTION) if name in series]
+        known = [name for name in ("motor_torque_nm", *MOTION) if name in series]
         ends = [
             (int(one.t_ns[0]) - late, int(one.t_ns[-1]) - late)
             for one, late in (
@@ -185,7 +185,7 @@ class Simulator:
         else:
             angle = np.cumsum(speed) * self.step_s
         names = list(self.mapped.outputs)
-        places = (names.index(n) if n in names else -1 for n in _MOTION)
+        places = (names.index(n) if n in names else -1 for n in MOTION)
         stiffness = model.inertia_kg_m2 * FOLLOW_RAD_S**2
         damping = 2.0 * model.inertia_kg_m2 * FOLLOW_RAD_S
         return Follow(speed, angle - angle[0], stiffness, damping, *places)

@@ -7,7 +7,7 @@ from typing import Any
 
 from eps_hil import json_text, yaml_file
 from eps_hil.errors import InputError
-from eps_hil.fmu.drive import Signals, Simulator, opened
+from eps_hil.fmu.drive import MOTION, Signals, Simulator, opened
 from eps_hil.fmu.mapping import variable
 from eps_hil.physics.model import Model
 from eps_hil.recordings.coverage import invented
@@ -40,20 +40,29 @@ def traces_of(
 
 
 def unmet(simulator: Simulator, recordings: Mapping[str, Signals]) -> list[str]:
-    """Inputs that a recording does not hold, or not all the time; no torque is refused."""
+    """Inputs that a recording does not hold, or not all the time, and gaps of its motion.
+
+    :class:`InputError` for one without a torque or motion, or where they never come together.
+    """
     notes = []
     for name, series in recordings.items():
+        there = f"it holds {', '.join(sorted(series))}"
+        motion = [one for one in MOTION if one in series]
         if _NEEDED not in series:
-            there = ", ".join(sorted(series))
-            raise InputError(
-                name, "", f"needs {_NEEDED}, which drives the FMU", f"it holds {there}"
-            )
+            raise InputError(name, "", f"needs {_NEEDED}, which drives the FMU", there)
+        if not motion:
+            wanted = " or ".join(MOTION)
+            raise InputError(name, "", f"needs {wanted}, at which the FMU is kept", there)
+        both = [series[one] for one in (_NEEDED, *motion)]
+        if max(one.t_ns[0] for one in both) >= min(one.t_ns[-1] for one in both):
+            problem = f"{_NEEDED} and {' and '.join(motion)} have no time in common"
+            raise InputError(name, "", problem, "record them together")
         notes += [
             f"{name}: no {one}: {link.variable.name} is driven with zero"
             for one, link in simulator.mapped.inputs.items()
             if one not in series
         ]
-        found = invented(series, simulator.mapped.inputs, _NEEDED)
+        found = invented(series, [*simulator.mapped.inputs, *motion], _NEEDED)
         notes += [f"{name}: {note}" for note in found]
     return notes
 
