@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from eps_hil.bus.frame import EXTENDED_ID_MAX, STANDARD_ID_MAX, Frame
 from eps_hil.bus.live_senders import LiveSenders
@@ -77,8 +78,6 @@ def read_log(path: str | Path, channel: str | None = None) -> Iterator[Frame]:
     without a single frame is refused too. ``channel``: only this one of a log of several buses,
     by the name or number that the log gives it.
     """
-    import can
-
     from eps_hil.bus.python_can import from_message
 
     file = Path(path)
@@ -88,13 +87,15 @@ def read_log(path: str | Path, channel: str | None = None) -> Iterator[Frame]:
     count = 0
     with contextlib.ExitStack() as stack:
         try:
-            reader = stack.enter_context(can.LogReader(file))
+            reader = stack.enter_context(_reader(file))
             for message in reader:
-                if channel is not None and _channel(message.channel) != channel:
+                if channel is not None and _channel(message.channel, file) != channel:
                     continue
                 frame = _checked(from_message(message, round(message.timestamp * 1e9)))
                 count += 1
                 yield frame
+        except InputError:
+            raise
         except Exception as error:  # every format of python-can fails in its own way
             raise _unreadable(file, count, error) from None
     if not count:
@@ -102,9 +103,20 @@ def read_log(path: str | Path, channel: str | None = None) -> Iterator[Frame]:
         raise InputError(path, "", f"holds no {what}", "is it the right file?")
 
 
-def _channel(channel: object) -> str:
-    """As the log's own tools call it: python-can counts from 0 what they count from 1."""
-    return str(channel + 1) if isinstance(channel, int) else str(channel)
+def _reader(file: Path) -> Any:
+    import can
+
+    if file.suffix.lower() != ".asc":
+        return can.LogReader(file)
+    from eps_hil.bus.asc_lines import AscLines
+
+    return can.ASCReader(AscLines(file))
+
+
+def _channel(channel: object, file: Path) -> str:
+    """As the log's own tools call it: python-can counts some from 0 that they count from 1."""
+    shifted = file.suffix.lower() in (".blf", ".asc")
+    return str(channel + 1) if shifted and isinstance(channel, int) else str(channel)
 
 
 def _checked(frame: Frame) -> Frame:

@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from eps_hil.bus.asc_lines import AscLines
 from eps_hil.bus.frame import Frame
+from eps_hil.bus.text_lines import TextLines
 from eps_hil.errors import InputError
-from eps_hil.recordings.asc_lines import AscLines
 from eps_hil.recordings.files import needs_extra, refused_by_system
-from eps_hil.recordings.text_lines import TextLines
 
 _NS = 1_000_000_000
 _RELATIVE_S = 1e6  # smaller stamps count from the start and are exact to the nanosecond

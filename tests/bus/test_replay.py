@@ -21,6 +21,7 @@ from eps_hil.bus.port import BusState, Deliver, OnLost, PortCounts, open_port
 from eps_hil.bus.replay_choice import Choice
 from eps_hil.cli.main import main
 from eps_hil.errors import InputError
+from eps_hil.recordings.conversion import write_log
 
 LOG = "(1757617431.821276) can0 167#727FC3000019E500\n(1757617431.831276) can0 204#C000\n"
 
@@ -130,6 +131,33 @@ def test_the_log_is_read_with_its_stamps(tmp_path: Path) -> None:
     assert (first.can_id, first.data.hex()) == (0x167, "727fc3000019e500")
     assert second.can_id == 0x204
     assert abs(second.t_ns - first.t_ns - 10_000_000) < 500  # a float of epoch seconds: ±240 ns
+
+
+def test_an_asc_log_is_read_by_the_base_of_its_numbers(tmp_path: Path) -> None:
+    """Whatever stands above it; and what is asked to be sent is not sent twice."""
+    log = tmp_path / "a.asc"
+    log.write_text(
+        "// a comment\ndate 10.09.2025 12:00:00\nbase dec  timestamps absolute\n"
+        "0.001 1 288 TxRq d 2 10 20\n0.002 1 288 Tx d 2 10 20\n0.003 2 80 Rx d 1 16\n"
+    )
+    read = [(frame.can_id, frame.data) for frame in replay.read_log(log)]
+    assert read == [(288, b"\x0a\x14"), (80, b"\x10")]
+    assert [frame.can_id for frame in replay.read_log(log, "2")] == [80]
+    log.write_text("base hex  timestamps relative\n0.001 1 120 Rx d 1 10\n")
+    with pytest.raises(InputError, match="time stamps are relative to the event before"):
+        list(replay.read_log(log))
+
+
+def test_a_buss_number_is_the_logs_own_in_every_format(tmp_path: Path) -> None:
+    frames = [(f"can{k}", Frame(t_ns=10**9 + k, can_id=k, data=b"")) for k in range(3)]
+    for suffix in ("blf", "asc", "mf4"):
+        log = tmp_path / f"a.{suffix}"
+        write_log(log, frames, 10**9)
+        for k in range(3):
+            assert [frame.can_id for frame in replay.read_log(log, f"{k + 1}")] == [k]
+    log = tmp_path / "a.trc"
+    log.write_text(";$FILEVERSION=1.1\n;$STARTTIME=45000.5\n     1)     1.0  Rx     0120  1  10\n")
+    assert [frame.can_id for frame in replay.read_log(log, "1")] == [0x120]
 
 
 BAD = {

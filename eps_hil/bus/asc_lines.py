@@ -7,8 +7,8 @@ byte order mark), loses the base of the numbers with it, and the line after the 
 import re
 from pathlib import Path
 
+from eps_hil.bus.text_lines import TextLines
 from eps_hil.errors import InputError
-from eps_hil.recordings.text_lines import TextLines
 
 _BASE = re.compile(r"base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?", re.IGNORECASE)
 _EVENT = re.compile(r"\d+[.,]\d+\s")
