@@ -146,15 +146,17 @@ def fit_simulator(
     *,
     holdouts: Sources = (),
     simulation_signals: str | Path | None = None,
+    simulation_values: Mapping[str, float] | None = None,
 ) -> SimulatorFit:
     """Parameters of your own simulator, an FMU, that leave least torque unexplained.
 
     ``free``: names of its parameters, or "name=low:high"; ``simulation_signals``: a mapping (YAML)
-    of its variables, where their names do not say enough. The model gives the sensors' delays.
+    of its variables, where their names do not say enough; ``simulation_values``: other parameters
+    and switches. The model gives the sensors' delays.
     """
     from eps_hil.fmu.drive import opened
     from eps_hil.fmu.fit import fit
-    from eps_hil.fmu.traces import unmet
+    from eps_hil.fmu.traces import checked, unmet
 
     used, kept = _groups(recordings, holdouts)
     together = _by_name([*used, *kept])
@@ -162,7 +164,9 @@ def fit_simulator(
         notes = (*simulator.notes(), *unmet(simulator, together))
         first = {one.name: together[one.name] for one in used}
         rest = {one.name: together[one.name] for one in kept}
-        return SimulatorFit(fit(simulator, first, rest, _model(model), free), notes)
+        known = checked(simulator, simulation_values or {})
+        found = fit(simulator, first, rest, _model(model), free, values=known)
+        return SimulatorFit(found, notes)
 
 
 def _columns(mapping: str | Path | None) -> Any:

@@ -60,6 +60,12 @@ def identify(
             "--simulation-signals", help="Mapping (YAML) of the FMU's variables to our names."
         ),
     ] = None,
+    simulation_values: Annotated[
+        Path | None,
+        typer.Option(
+            "--simulation-values", help="Other parameters and switches of the FMU (YAML or JSON)."
+        ),
+    ] = None,
     holdout: Annotated[
         list[Path] | None,
         typer.Option("--holdout", help="With --simulation: recordings kept from the fit."),
@@ -83,9 +89,10 @@ def identify(
             name = "--write-model" if write_model else "--report"
             problem, remedy = "does not go with --simulation", "its numbers are in --json"
             raise InputError(name, "", problem, remedy)
-        _simulator(recordings, model, simulation, free, simulation_signals, holdout, json, reading)
+        files = simulation_signals, simulation_values
+        _simulator(recordings, model, simulation, free, files, holdout, json, reading)
         return
-    if free or simulation_signals or holdout:
+    if free or simulation_signals or simulation_values or holdout:
         raise InputError("--free", "", "goes with --simulation, as --holdout does", "give the FMU")
     if report:
         from eps_hil.report import identification_page, page
@@ -116,30 +123,33 @@ def _simulator(
     model: Path,
     fmu: Path,
     free: list[str] | None,
-    mapping: Path | None,
+    files: tuple[Path | None, Path | None],
     holdout: list[Path] | None,
     json: Path | None,
     reading: Reading,
 ) -> None:
     from eps_hil.fmu.drive import opened
     from eps_hil.fmu.fit import fit
-    from eps_hil.fmu.traces import unmet
+    from eps_hil.fmu.traces import checked, read_values, unmet
     from eps_hil.physics.model import load_model
     from eps_hil.recordings.foreign import load_columns
 
+    mapping, values = files
     if fmu.suffix.lower() != ".fmu":
         raise InputError(fmu, "", "only an FMU can be run with other parameters", "export one")
     if not free:
         raise InputError("--free", "", "names no parameter", "give --free NAME, once for each")
-    read = (model, fmu, mapping, *recordings, *(holdout or ()), *reading.files())
+    read = (model, fmu, *files, *recordings, *(holdout or ()), *reading.files())
     check_kept((json,), read)
     rig = load_model(model)
     columns = load_columns(mapping) if mapping else None
+    known = read_values(values) if values else {}
     with opened(fmu, columns) as simulator:
+        known = checked(simulator, known)
         used, kept = read_all(recordings, reading), read_all(holdout or [], reading)
         say_notes(fmu, [*simulator.notes(), *unmet(simulator, {**used, **kept})])
         with progress("fitting the simulator") as bar:
-            found = fit(simulator, used, kept, rig, free, bar)
+            found = fit(simulator, used, kept, rig, free, bar, known)
     for name, one in found.parameters.items():
         interval = one["ci95"]
         told = "no interval" if interval is None else f"{interval[0]:.5g} to {interval[1]:.5g}"

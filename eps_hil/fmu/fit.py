@@ -124,10 +124,15 @@ def fit(
     model: Model,
     names: Sequence[str],
     say: Callable[[float], None] | None = None,
+    values: Mapping[str, float] | None = None,
 ) -> Fitted:
-    """Least squares over the parameters ``names``; the model file gives the sensors' delays."""
+    """Least squares over the parameters ``names``; the model file gives the sensors' delays.
+
+    ``values``: of other parameters and inputs, which stay as they are.
+    """
     from scipy.optimize import least_squares
 
+    given = dict(values or {})
     free = free_of(simulator, names)
     runs = [_run_of(simulator, one, model, not holdouts, True) for one in recordings.values()]
     runs += [_run_of(simulator, one, model, False, False) for one in holdouts.values()]
@@ -142,7 +147,7 @@ def fit(
     count = [0]
 
     def lacks(x: Floats, judged: bool) -> Floats:
-        values = dict(zip((one.name for one in free), (x * scale).tolist(), strict=True))
+        now = dict(zip((one.name for one in free), (x * scale).tolist(), strict=True))
         count[0] += 1
         if say:
             say(min(0.95, count[0] / (8.0 * (len(free) + 1))))
@@ -150,7 +155,7 @@ def fit(
         for one in runs:
             use = one.judged if judged else one.fitted
             if use.any():
-                added = simulator.run(one.inputs, values, one.begin, one.follow)[1]
+                added = simulator.run(one.inputs, {**given, **now}, one.begin, one.follow)[1]
                 found.append(_slow(added, simulator.step_s)[use])
         return np.concatenate(found)
 

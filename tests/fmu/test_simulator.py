@@ -456,6 +456,9 @@ def test_its_parameters_are_found_with_intervals_and_the_gain_on_what_was_kept(
     found = read_values(values)
     assert found["friction.offset_pos_nm"] == pytest.approx(0.08, rel=0.01)
     assert found["inertia_kg_m2"] == pytest.approx(2.4e-4, rel=0.02)
+    far = {"friction.offset_neg_nm": 0.5}  # from what the rig has: the other bends
+    bent = eps_hil.fit_simulator(path, MODEL, drive, [*found][:1], simulation_values=far)
+    assert bent.values["friction.offset_pos_nm"] != pytest.approx(0.08, rel=0.05)
     rig = replace(MODEL, friction=friction)
     first, kept = (write(tmp_path / f"{seed}.csv", recording(rig, 4.0, seed)) for seed in (2, 3))
     free = ["friction.offset_pos_nm"]
@@ -505,6 +508,7 @@ def test_what_an_fmu_lacks_is_named(drive: Path, tmp_path: Path, other_rig: Modu
     [
         (["identify", "R", "--simulation", "D"], "names no parameter"),
         (["identify", "R", "--free", "x"], "goes with --simulation"),
+        (["identify", "R", "--simulation-values", "R"], "goes with --simulation"),
         (["identify", "R", "--simulation", "D", "--free", "inertia"], "did you mean 'inertia_kg"),
         (["identify", "R", "--simulation", "D", "--free", "inertia_kg_m2=1"], "no NAME=low:high"),
         (["identify", "R", "--simulation", "D", "--free", "inertia_kg_m2=3:1"],
