@@ -14,6 +14,7 @@ from eps_hil.cli._inputs import (
     progress,
     read_all,
     reads_recordings,
+    same_file,
     say_notes,
 )
 from eps_hil.errors import InputError
@@ -139,6 +140,9 @@ def _simulator(
         raise InputError(fmu, "", "only an FMU can be run with other parameters", "export one")
     if not free:
         raise InputError("--free", "", "names no parameter", "give --free NAME, once for each")
+    for path in holdout or []:
+        if same_file(path, recordings):
+            raise InputError(path, "", "is recording and hold-out", "what is fitted proves nothing")
     read = (model, fmu, *files, *recordings, *(holdout or ()), *reading.files())
     check_kept((json,), read)
     rig = load_model(model)

@@ -508,6 +508,8 @@ def test_what_an_fmu_lacks_is_named(drive: Path, tmp_path: Path, other_rig: Modu
     [
         (["identify", "R", "--simulation", "D"], "names no parameter"),
         (["identify", "R", "--free", "x"], "goes with --simulation"),
+        (["identify", "R", "--simulation", "D", "--free", "x", "--holdout", "R"],
+         "is recording and hold-out"),
         (["identify", "R", "--simulation-values", "R"], "goes with --simulation"),
         (["identify", "R", "--simulation", "D", "--free", "inertia"], "did you mean 'inertia_kg"),
         (["identify", "R", "--simulation", "D", "--free", "inertia_kg_m2=1"], "no NAME=low:high"),
