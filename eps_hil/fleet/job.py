@@ -142,7 +142,7 @@ def _place(job: Job, row: Row) -> Path:
 
 
 def _value(quantity: str, value: float, si: str, ci95: Any = None) -> dict[str, Any]:
-    low, high = (None, None) if ci95 is None else (float(ci95[0]), float(ci95[1]))
+    low, high = (None if end is None else float(end) for end in ci95 or (None, None))
     return {"quantity": quantity, "value": float(value), "low": low, "high": high, "si": si}
 
 

@@ -250,11 +250,15 @@ def test_a_number_that_does_not_exist_is_none_of_a_batch(
 ) -> None:
     one = {"status": "identified", "unit": "", "ci95": (0.0, np.inf)}
     numbers = {"a": SimpleNamespace(value=np.nan, **one), "b": SimpleNamespace(value=1.0, **one)}
+    numbers["c"] = SimpleNamespace(value=2.0, **{**one, "ci95": (None, 3.0)})
     named = SimpleNamespace(content=lambda: {"x": [np.nan, 1.0]}, parameters=numbers, offsets={})
     monkeypatch.setattr(jobs, "identify", lambda *_: SimpleNamespace(result=named))
     of = Job("identify", MODEL, tmp_path / "out")
     row = run(of, Task(recording(tmp_path / "drive.csv"), "a"), "key")
-    assert row["values"] == [{"quantity": "b", "value": 1.0, "low": 0.0, "high": None, "si": ""}]
+    assert row["values"] == [
+        {"quantity": "b", "value": 1.0, "low": 0.0, "high": None, "si": ""},
+        {"quantity": "c", "value": 2.0, "low": None, "high": 3.0, "si": ""},
+    ]
     assert json.loads((of.out / row["output"]).read_text()) == {"x": [None, 1.0]}
 
 
