@@ -31,6 +31,8 @@ _UNBOUNDED = 1e9
 _FAR = 1e3
 """Times a number's size: a bound beyond it does not count as one."""
 _FAILED = 1e3
+_STEP = 1e-3
+"""Of a finite difference, in units of a number's size: a simulator's solver is not smooth below."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,24 +164,29 @@ def fit(
     start = np.array([one.start for one in free]) / scale
     first = lacks(start, False)  # a simulator that cannot run at all says so here
 
+    last = (start, first)  # slopes begin where the function was asked last
+
     def careful(x: Floats) -> Floats:
-        try:
-            return lacks(x, False)
-        except FmuError:  # too far from what it can be
-            return np.full(len(first), _FAILED)
+        nonlocal last
+        if not np.array_equal(x, last[0]):
+            try:
+                last = (x.copy(), lacks(x, False))
+            except FmuError:  # too far from what it can be
+                last = (x.copy(), np.full(len(first), _FAILED))
+        return last[1].copy()
 
     low = np.array([one.low for one in free]) / scale
     high = np.array([one.high for one in free]) / scale
     # bounds that are no limit but of what a number can be would scale the trust region away
     low, high = np.where(low < -_FAR, -np.inf, low), np.where(high > _FAR, np.inf, high)
-    at, step = start, first
+    at, left = start, first
     for _ in range(2):  # what counts as far off is known once most of it is explained
-        robust = {"loss": "soft_l1", "f_scale": 2.0 * _robust(step)}
+        robust = {"loss": "soft_l1", "f_scale": 2.0 * _robust(left)}
         found = least_squares(
-            careful, at, bounds=(low, high), diff_step=1e-3, x_scale="jac",
+            careful, at, _Slopes(careful, high), bounds=(low, high), x_scale="jac",
             xtol=1e-5, ftol=1e-5, max_nfev=12, **robust,
         )  # fmt: skip
-        at, step = found.x, found.fun
+        at, left = found.x, found.fun
     sigma = _sigma(found.jac, found.fun, round(1.0 / simulator.step_s))
     parameters = {
         one.name: {
@@ -193,6 +200,25 @@ def fit(
     before, after = _rms(lacks(start, True)), _rms(lacks(found.x, True))
     notes = tuple(_notes(free, found.x * scale, sigma * scale))
     return Fitted(parameters, before, after, kept, notes)
+
+
+class _Slopes:
+    """Differences of a function of (n,) over :data:`_STEP`, however small a number has become.
+
+    scipy's own step is a part of the number; of one that is 0 it is lost in a solver's tolerance.
+    """
+
+    def __init__(self, of: Callable[[Floats], Floats], high: Floats) -> None:
+        self._of, self._high = of, high
+
+    def __call__(self, x: Floats) -> Floats:
+        """The slopes (m, n) at x (n,)."""
+        here, columns = self._of(x), []
+        for k in range(len(x)):
+            there = x.copy()
+            there[k] += _STEP if x[k] + _STEP <= self._high[k] else -_STEP
+            columns.append((self._of(there) - here) / (there[k] - x[k]))
+        return np.column_stack(columns)
 
 
 def _slow(torque: Floats, step_s: float) -> Floats:
