@@ -30,6 +30,8 @@ Floats = npt.NDArray[np.float64]
 Signals = Mapping[str, Series]
 STEP_S = 1e-3
 _LONGEST_S = 0.02
+_TURN, _HALF_A_TURN_S = 2.0 * np.pi, 0.002
+"""In a step of so long no rotor turns by half a turn: an angle that jumps by one begins anew."""
 
 
 class FmuError(EpsHilError):
@@ -60,6 +62,8 @@ class Follow:
             speed = _si(links, out, k, self.speed_at)
             return speed, angle + speed * step_s if k else 0.0
         now = _si(links, out, k, self.angle_at) - _si(links, out, 0, self.angle_at)
+        if step_s <= _HALF_A_TURN_S:
+            now += _TURN * float(np.rint((angle - now) / _TURN))
         if self.speed_at >= 0:
             return _si(links, out, k, self.speed_at), now
         return (now - angle) / step_s, now
@@ -152,6 +156,8 @@ class Simulator:
             name: one.scale * out[:, k] + one.offset
             for k, (name, one) in enumerate(self.mapped.outputs.items())
         }
+        if "motor_angle_rad" in given and self.step_s <= _HALF_A_TURN_S:
+            given["motor_angle_rad"] = np.unwrap(given["motor_angle_rad"])
         return given, added
 
     def _begin(self, begin: Mapping[str, float]) -> dict[str, float]:

@@ -288,6 +288,24 @@ def test_what_an_fmu_prints_is_not_our_output(
     assert capfd.readouterr().out == "said\n"
 
 
+def test_an_angle_that_begins_anew_each_turn_is_unwrapped(drive: Path, tmp_path: Path) -> None:
+    plain = "    return get(c, vr, n, value);\n"
+    wrapped = """    size_t k; Status status = get(c, vr, n, value);
+    for (k = 0; k < n; k++)
+        if (vr[k] == GIVEN + 1) value[k] = remainder(value[k], 6.283185307179586);
+    return status;
+"""
+    path = _with_source(drive, tmp_path / "anew.fmu", lambda text: text.replace(plain, wrapped))
+    given = recording(MODEL, 2.0)
+    one, two = (
+        next(iter(traces_of(fmu, {"a.csv": given}, MODEL)[0].values())) for fmu in (drive, path)
+    )
+    assert np.ptp(one["motor_angle_rad"].value) > 2.0 * np.pi
+    for name in ("motor_angle_rad", "motor_speed_rad_s", "motor_torque_nm"):
+        turned = one[name].value - two[name].value
+        assert np.allclose(turned, turned[0], atol=1e-6)
+
+
 def test_switches_are_named_and_can_be_set(other: Callable[..., Path], tmp_path: Path) -> None:
     switches = """<ScalarVariable name="eps_on" valueReference="900" causality="input"
         variability="discrete"><Boolean start="false"/></ScalarVariable>
