@@ -4,6 +4,8 @@ import contextlib
 import errno
 import importlib.util
 import os
+import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -100,6 +102,8 @@ def make_folder(path: Path, option: str) -> None:
 
 def check_writable(path: Path) -> None:
     """Refuse before long work what :func:`replacing` would refuse after it."""
+    if _is_stream(path):
+        return
     path = path.resolve()
     if path.is_dir():
         raise InputError(path, "", "is a folder, a file name was expected", "name the file")
@@ -110,10 +114,15 @@ def check_writable(path: Path) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary file beside ``path`` that takes its place when the block ends without error.
 
-    So a reader never meets half a file, and an old file survives a full disk.
+    So a reader never meets half a file, and an old file survives a full disk. A device or pipe
+    (/dev/null, /dev/stdout) is written into, and stays what it is.
     Raises :class:`InputError` for a folder that is not there or not writable, and
     :class:`EpsHilError` for a disk that is full or fails.
     """
+    if _is_stream(path):
+        with _written_into(path) as temporary:
+            yield temporary
+        return
     path = path.resolve()  # through a link to the file it names
     if path.is_dir():
         raise InputError(path, "", "is a folder, a file name was expected", "name the file")
@@ -125,6 +134,29 @@ def replacing(path: Path) -> Iterator[Path]:
         raise _not_written(path, error) from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _is_stream(path: Path) -> bool:
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+@contextlib.contextmanager
+def _written_into(stream: Path) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory() as folder:
+        temporary = Path(folder) / f"whole{stream.suffix}"
+        temporary.touch()
+        yield temporary
+        try:
+            with temporary.open("rb") as whole, stream.open("wb") as into:
+                shutil.copyfileobj(whole, into)
+        except BrokenPipeError:  # who read it is gone
+            raise
+        except OSError as error:
+            raise _not_written(stream, error) from None
 
 
 def _temporary(path: Path) -> Path:
