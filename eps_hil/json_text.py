@@ -1,6 +1,7 @@
-"""JSON of unknown origin: what is not read is a ValueError, of whatever kind it is."""
+"""JSON of unknown origin: what is not read is a ValueError, of whatever kind it is. And our own."""
 
 import json
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -27,6 +28,17 @@ def parse(text: str | bytes, *, pairs: Callable[[list[tuple[str, Any]]], Any] | 
             for one in _collections(each.values() if isinstance(each, dict) else each)
         ]
     raise _deep()
+
+
+def plain(content: Any) -> Any:
+    """``content`` as we write it: keys are text, and a number that does not exist is null."""
+    if isinstance(content, dict):
+        return {str(key): plain(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [plain(value) for value in content]
+    if isinstance(content, float) and not math.isfinite(content):
+        return None
+    return content
 
 
 def _collections(values: Iterable[Any]) -> list[Any]:

@@ -1,5 +1,6 @@
 """JSON of unknown origin, and the verbs that are given some."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,6 +30,11 @@ def test_what_is_read_is_what_stands_there() -> None:
 def test_what_is_not_read_is_a_value_error(text: str) -> None:
     with pytest.raises(ValueError, match=r"nested deeper than 100 levels|Expecting|Exceeds"):
         json_text.parse(text)
+
+
+def test_a_number_that_does_not_exist_is_null() -> None:
+    told = {1: [math.nan, (math.inf, 2.5, True)], "a": {"b": -math.inf, "c": None}}
+    assert json_text.plain(told) == {"1": [None, [None, 2.5, True]], "a": {"b": None, "c": None}}
 
 
 def test_a_verb_names_the_file_in_one_line(

@@ -1,7 +1,6 @@
 """Small things that verbs share about the files they write."""
 
 import json
-import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 from eps_hil import provenance
 from eps_hil.cli._outputs import check_apart
 from eps_hil.errors import InputError
+from eps_hil.json_text import plain
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -17,7 +17,7 @@ def write_json(path: Path, content: Any) -> None:
 
     if isinstance(content, dict):
         content = {**content, "provenance": provenance.content()}
-    text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -88,13 +88,3 @@ def output_for(out: Path, recording: Path, several: bool) -> Path:
             "put {name} into it, for example out/{name}_estimate.csv",
         )
     return out
-
-
-def _plain(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {str(key): _plain(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_plain(value) for value in content]
-    if isinstance(content, float) and not math.isfinite(content):
-        return None
-    return content

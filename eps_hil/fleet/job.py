@@ -3,7 +3,6 @@
 import functools
 import hashlib
 import json
-import math
 import os
 import time
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ from typing import Any, Literal
 from eps_hil import provenance
 from eps_hil.errors import EpsHilError
 from eps_hil.fleet.tasks import Task
+from eps_hil.json_text import plain
 from eps_hil.version import VERSION
 
 Verb = Literal["estimate", "identify", "diagnose"]
@@ -79,7 +79,7 @@ def run(job: Job, task: Task, key: str) -> Row:
     except Exception as error:  # one bad file is not the end of a batch
         said = " ".join(f"{type(error).__name__}: {error}".split())
         row |= {"state": "failed", "error": f"internal error: {said}"}
-    row["values"] = [one for one in map(_as_json, row["values"]) if one["value"] is not None]
+    row["values"] = [one for one in map(plain, row["values"]) if one["value"] is not None]
     return row | {"seconds": round(time.monotonic() - begun, 3), "process": os.getpid()}
 
 
@@ -149,15 +149,6 @@ def _value(quantity: str, value: float, si: str, ci95: Any = None) -> dict[str, 
 def _write_json(path: Path, content: Any) -> None:
     from eps_hil.recordings.files import replacing
 
-    text = json.dumps(_as_json(content), indent=2, default=str, allow_nan=False)
+    text = json.dumps(plain(content), indent=2, allow_nan=False)
     with replacing(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
-
-
-def _as_json(content: Any) -> Any:
-    """With None for every number that does not exist."""
-    if isinstance(content, Mapping):
-        return {key: _as_json(one) for key, one in content.items()}
-    if isinstance(content, list | tuple):
-        return [_as_json(one) for one in content]
-    return None if isinstance(content, float) and not math.isfinite(content) else content

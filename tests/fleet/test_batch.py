@@ -1,6 +1,7 @@
 """Batches: resumable and idempotent, one bad file is a row, processes and Dask workers may die."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -117,6 +118,19 @@ def test_the_readers_notes_and_a_recording_without_a_date(tmp_path: Path) -> Non
     assert "1 with notes of the reader" in page
     assert "Recordings without a date (1) stand by path" in page
     assert "mine" in page[page.index("Notes of the reader") :]
+
+
+def test_no_number_of_a_result_is_nan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = SimpleNamespace(value=math.nan, unit="Nm", ci95=None, status="identified")
+    found = SimpleNamespace(
+        content=lambda: {"fit": {"residual_rms_nm": math.nan}}, parameters={"x": one}, offsets={}
+    )
+    monkeypatch.setattr(jobs, "identify", lambda *_: SimpleNamespace(result=found))
+    of = Job("identify", MODEL, tmp_path / "out")
+    row = run(of, Task(recording(tmp_path / "1.csv"), "a"), "key")
+    assert (row["state"], row["values"]) == ("done", [])
+    told = json.loads((tmp_path / "out" / row["output"]).read_text())
+    assert told == {"fit": {"residual_rms_nm": None}}
 
 
 @pytest.mark.parametrize(
