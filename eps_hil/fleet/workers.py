@@ -7,11 +7,12 @@ of a library) is tried once more, alone, and is then a failed row.
 import contextlib
 import importlib.util
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from hashlib import sha256
-from multiprocessing import get_context, parent_process
+from multiprocessing import active_children, get_context, parent_process, resource_tracker
 from multiprocessing.connection import wait as wait_for
 from threading import Thread
 
@@ -23,6 +24,7 @@ Todo = Sequence[tuple[Task, str]]
 """Tasks with their keys."""
 Begin = Callable[[], None] | None
 _RETRIES = 2
+_LOOK_S = 0.2
 _THREADS = tuple(f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL"))
 
 
@@ -49,8 +51,32 @@ def here(job: Job, todo: Todo, processes: int | None = None, begin: Begin = None
     thread, since the others are at work. ``begin``: each process calls it first.
     """
     many = processes or os.cpu_count() or 1
-    with _one_thread() if many > 1 else contextlib.nullcontext():
+    with _one_thread() if many > 1 else contextlib.nullcontext(), _deaf():
         yield from _here(job, todo, many, begin)
+
+
+@contextlib.contextmanager
+def _deaf() -> Iterator[None]:
+    """A Ctrl-C waits until it is asked for (:func:`_heard`), and processes that are started
+    meanwhile never see it.
+
+    Each of them would say it in a traceback; and raised anywhere here, it may leave a lock of the
+    pool taken for ever.
+    """
+    resource_tracker.ensure_running()  # which lets it through again where it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _heard() -> None:
+    """:class:`KeyboardInterrupt` where Ctrl-C was pressed; all processes are ended by then."""
+    if signal.sigtimedwait({signal.SIGINT}, 0) is not None:
+        for process in active_children():
+            process.terminate()
+        raise KeyboardInterrupt
 
 
 @contextlib.contextmanager
@@ -87,7 +113,8 @@ def _here(job: Job, todo: Todo, many: int, begin: Begin) -> Iterator[Row]:
                     # a pool that broke meanwhile refuses the task, which then goes on waiting
                     running[pool.submit(run, job, *waiting[-1])] = waiting[-1]
                     waiting.pop()
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                done, _ = wait(running, _LOOK_S, return_when=FIRST_COMPLETED)
+                _heard()
                 for one in done:
                     row = one.result()
                     running.pop(one)

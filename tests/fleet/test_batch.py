@@ -222,6 +222,27 @@ def test_workers_end_with_a_batch_that_is_killed(tmp_path: Path) -> None:
     assert not left
 
 
+@pytest.mark.slow
+def test_ctrl_c_ends_a_batch_in_one_line(tmp_path: Path) -> None:
+    """A terminal sends it to all processes: each told it in a traceback, and one might hang."""
+    for k in range(200):
+        (tmp_path / f"{k}.csv").write_text("time_s,motor_torque_nm\n0.0,x\n")
+    batch = subprocess.Popen(
+        [sys.executable, "-m", "eps_hil.cli", "batch", "identify", str(tmp_path),
+         "--model", str(MODEL), "--out", str(tmp_path / "out"), "--processes", "2"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    assert batch.stderr is not None
+    for _ in range(50):
+        assert "'x' is not a number" in batch.stderr.readline()
+    os.killpg(batch.pid, signal.SIGINT)
+    _, said = batch.communicate(timeout=60.0)
+    assert batch.returncode == 130
+    *rows, last = said.splitlines()
+    assert last == "eps-hil: interrupted"
+    assert all("'x' is not a number" in row for row in rows), said
+
+
 def test_nothing_that_could_be_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "a.csv").write_text("time_s\n0\n")
