@@ -55,17 +55,24 @@ INTERRUPTED = 130
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Matrices here have a few dozen columns: beside others at work, threads of their own only wait for
 one another, which costs as much processor time again. Recordings are worked on side by side."""
-SEVERAL = ("--recording", "--holdout", "--simulation", "--before", "--after", "--free")
-"""Options that several files may follow (CONTRACT 6)."""
+SEVERAL = {
+    "diagnose": {"--recording", "--holdout", "--simulation"},
+    "identify": {"--holdout", "--free"},
+    "changes": {"--before", "--after"},
+}
+"""Options that several files may follow (CONTRACT 6), by their verbs."""
 
 
 def spread(words: list[str]) -> list[str]:
-    """``--recording a b`` as ``--recording a --recording b``, which the parser understands."""
+    """``--recording a b`` (or ``--recording=a b``) as ``--recording a --recording b``, which the
+    parser understands."""
+    several = SEVERAL.get(next((word for word in words if not word.startswith("-")), ""), set())
     result: list[str] = []
     option, first = "", True
     for word in words:
         if word.startswith("-") and len(word) > 1:
-            option, first = (word if word in SEVERAL else ""), True
+            name, equals, _ = word.partition("=")
+            option, first = (name if name in several else ""), not equals
         elif option:
             result += [] if first else [option]
             first = False

@@ -155,6 +155,12 @@ def test_several_files_may_follow_one_option() -> None:
         "--json", "x",
     ]  # fmt: skip
     assert command.spread(["estimate", "a", "b", "--model", "m"])[1:3] == ["a", "b"]
+    with_equals = ["changes", "--before=a", "b", "--after", "c"]
+    assert command.spread(with_equals)[1:4] == ["--before=a", "--before", "b"]
+    # a verb that takes one file there has its recordings behind it
+    fitted = ["identify", "--simulation", "s.fmu", "a.csv", "--free", "k", "m"]
+    assert command.spread(fitted) == [*fitted[:6], "--free", "m"]
+    assert command.spread(["tune", "--recording", "a", "b"]) == ["tune", "--recording", "a", "b"]
 
 
 @pytest.mark.parametrize(
