@@ -26,6 +26,7 @@ def init(
     from eps_hil.check import begin
     from eps_hil.check.check import DATABASES
     from eps_hil.errors import InputError
+    from eps_hil.recordings.files import make_folder, replacing
 
     if not source.is_file():
         raise InputError(source, "", "no such file", "check the path")
@@ -38,9 +39,10 @@ def init(
     for name in begun.files:
         if (folder / name).exists() and not overwrite:
             raise InputError(folder / name, "", "is there already", "move it, or --overwrite")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, "DIR")
     for name, text in begun.files.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        with replacing(folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
         typer.echo(f"wrote: {folder / name}")
     width = max(len(one.canonical) for one in begun.guesses)
     for one in begun.guesses:

@@ -16,6 +16,8 @@ from eps_hil.examples import CONFIGS, DBC, FOLDER
 ALL = "all"
 SCHEMAS = CONFIGS / "schemas"
 """JSON schemas, which the YAML files' first lines name for editors; copied along."""
+_NO_PLACE = (FileExistsError, FileNotFoundError, IsADirectoryError, NotADirectoryError,
+             PermissionError)  # fmt: skip
 _EDITOR = "# yaml-language-server: $schema="
 
 
@@ -78,7 +80,7 @@ def copy(name: str, folder: Path, *, overwrite: bool = False) -> tuple[Copied, .
     """Copy an example and every file it refers to below ``folder``; ``all`` for every example.
 
     Nothing is written, and :class:`InputError` says so, if a file of other content is in the way
-    of one of them and ``overwrite`` is not set.
+    of one of them and ``overwrite`` is not set; it also names a folder that cannot be made.
     """
     first = [one.path for one in examples()] if name == ALL else [find(name).path]
     wanted = [(path, folder / path.relative_to(FOLDER)) for path in _with_references(first)]
@@ -88,8 +90,12 @@ def copy(name: str, folder: Path, *, overwrite: bool = False) -> tuple[Copied, .
             raise InputError(target, "", "is there already and differs", "move it, or --overwrite")
     for source, target in wanted:
         if not same[target]:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(source.read_bytes())
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(source.read_bytes())
+            except _NO_PLACE as error:
+                problem = f"cannot be made: {error.strerror}"
+                raise InputError(target, "DIR", problem, "choose another folder") from None
     return tuple(Copied(target, not same[target]) for _, target in wanted)
 
 

@@ -31,6 +31,12 @@ def test_the_projects_own_database_is_mapped_as_by_hand(
     assert guessed.rules("EPS_MotorState").clock == "counter"
     assert check(tmp_path / "rig.yaml").good
     assert main(["init", str(DBC / "eps_rig.dbc"), str(tmp_path)]) == 2  # never over one's own
+    capsys.readouterr()
+    for place in (tmp_path / "rig.yaml" / "below", Path("/proc/nowhere")):
+        assert main(["init", str(DBC / "eps_rig.dbc"), str(place)]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith(f"eps-hil: {place}: DIR: cannot be made: ")
+        assert said.endswith("; choose another folder\n")
 
 
 def test_a_database_that_contradicts_itself_is_written_as_it_was_read(

@@ -83,6 +83,18 @@ def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["example", "nothing"]) == 2
 
 
+def test_a_folder_that_cannot_be_made_is_wrong_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    for place in (tmp_path / "file", tmp_path / "file" / "below"):
+        assert main(["example", "demo_udp", str(place)]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith(f"eps-hil: {place}/configs/demo_udp.yaml: DIR: cannot be made: ")
+        assert said.endswith("; choose another folder\n")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
 def test_the_checkouts_own_names_lead_into_the_package() -> None:
     assert (ROOT / "configs").resolve() == CONFIGS
     assert (ROOT / "dbc").resolve() == DBC
