@@ -81,13 +81,18 @@ def _record(path: Path, *, pulses: bool) -> AxisRecord:
         raise InputError(path, "", "is not there", SOURCE)
     try:
         content = loadmat(path)
-    except (ValueError, OSError, NotImplementedError) as error:
+    except Exception as error:  # parsers of foreign files fail in ways nobody can list
         raise InputError(path, "", f"is no MATLAB file: {error}", SOURCE) from None
     signals = {}
     for name in (*_NEEDED, "t", *(("pulses_N",) if pulses else ())):
         if name not in content:
             raise InputError(path, name, "is missing", SOURCE)
-        signals[name] = np.asarray(content[name], dtype=np.float64).ravel()
+        try:
+            signals[name] = np.asarray(content[name], dtype=np.float64).ravel()
+        except (TypeError, ValueError):
+            raise InputError(path, name, "holds no plain numbers", SOURCE) from None
+        if not signals[name].size:
+            raise InputError(path, name, "is empty", SOURCE)
     _check(path, signals)
     position, gain = signals["qm"], float(signals["gtau"][0])
     force = gain * signals["vir"]

@@ -17,6 +17,7 @@ from eps_hil.physics.balance import residual_nm
 from eps_hil.physics.effects.catalogue import with_model_effects
 from eps_hil.physics.model import Model
 from eps_hil.physics.simulate import simulate
+from eps_hil.recordings.files import replacing
 
 Floats = npt.NDArray[np.float64]
 
@@ -112,7 +113,7 @@ def write(folder: Path, record: AxisRecord, run: FreeRun) -> Path:
     """``free_run.csv`` (time_s, position_m as the record counts it), for anybody to score."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / FILE
-    with path.open("w", encoding="utf-8", newline="") as file:
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(["time_s", "position_m"])
         for k, place in enumerate((run.position_m + record.middle_m).tolist()):

@@ -35,9 +35,10 @@ def reversals(
     """
     from eps_hil.adaptation.offline import adapt
     from eps_hil.adaptation.reversal import ReversalAdaptation, ReversalSettings
-    from eps_hil.cli._files import write_json
+    from eps_hil.cli._files import check_kept, write_json
     from eps_hil.physics.model import load_model
 
+    check_kept((json,), (model, *recordings))
     rig = load_model(model)
     say_if_it_compiles()
     adaptation = ReversalAdaptation(ReversalSettings(load_cell=not without_load_cell), rig)

@@ -6,10 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from eps_hil.cli._files import write_json
+from eps_hil.cli._files import check_kept, write_json
 from eps_hil.cli._first_answer import say_if_it_compiles, say_if_others_compile
 from eps_hil.cli._inputs import progress, waiting
-from eps_hil.cli._outputs import check_apart
 from eps_hil.errors import InputError
 
 
@@ -71,6 +70,7 @@ def concealed(
     most, kinds = cases or sum(MIX.values()), tuple(dict.fromkeys(kind or ()))
     setting = Setting(seed, quick, not (quick or development), most, kinds)
     folder = out or Path(f"concealed{'_quick' if quick else ''}_{seed}")
+    _check_place(json, folder)
     say_if_others_compile("problem")
     with progress("proving") as bar:
         desk = Desk(
@@ -112,10 +112,11 @@ def changes(
 
     from eps_hil.proof.changed import Desk, prove_changes
 
+    folder = out or Path(f"changes_{seed}")
+    _check_place(json, folder)
     say_if_others_compile("problem")
     with progress("proving") as bar:
         desk = Desk(jobs or os.cpu_count() or 1, typer.echo, bar or (lambda _part: None))
-        folder = out or Path(f"changes_{seed}")
         content = prove_changes(folder, seed, cases, desk, proof=not development)
     if json:
         write_json(json, content)
@@ -140,6 +141,7 @@ def loop(
     from eps_hil.oracle.lock_step import compare
     from eps_hil.service.config import load_config
 
+    check_kept((json,), (log, config, *better))
     chosen = load_config(config)
     models = {str(path): path for path in (chosen.model, *better)}
     say_if_it_compiles()
@@ -185,9 +187,15 @@ def emps(
     """
     from eps_hil.axis.emps import FITTED, HELD_OUT, read
     from eps_hil.axis.proof import prove
+    from eps_hil.recordings.files import make_folder
+    from eps_hil.report import figures
 
-    check_apart((json, figure), (data_dir / FITTED, data_dir / HELD_OUT))
     fitted, heldout = read(data_dir)
+    if traces:
+        make_folder(traces, "--traces")
+    check_kept((json, figure), (data_dir / FITTED, data_dir / HELD_OUT))
+    if figure:
+        figures.check(figure)
     say_if_it_compiles()
     with progress("proving") as bar:
         proof = prove(fitted, heldout, (lambda _what, part: bar(part)) if bar else None)
@@ -202,6 +210,12 @@ def emps(
         from eps_hil.axis.figure import draw
 
         typer.echo(f"figure written to {draw(proof, figure)}")
+
+
+def _check_place(json: Path | None, folder: Path) -> None:
+    """Refuse before hours of work a file that cannot be written; ``folder`` is made by then."""
+    if json and folder.resolve() not in json.resolve().parents:
+        check_kept((json,), ())
 
 
 _ROWS = (

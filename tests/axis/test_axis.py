@@ -69,6 +69,8 @@ def test_the_balance_finds_the_hidden_force_of_a_frictionless_axis(tmp_path: Pat
         ({"vir": np.zeros(7)}, "vir: has 7 samples"),
         ({"qm": np.full(N, np.nan)}, "qm: holds a value that is not finite"),
         ({"t": np.arange(N) * 2e-3}, "t: does not step by 1 ms"),
+        ({"gtau": np.zeros(0)}, "gtau: is empty"),
+        ({"qm": np.array(["a", "b"], dtype=object)}, "qm: holds no plain numbers"),
     ],
 )
 def test_a_file_of_another_shape_is_one_line(
@@ -88,9 +90,13 @@ def test_missing_data_says_where_to_get_it(
     assert "DATA_EMPS.mat" in said
 
 
+@pytest.mark.parametrize("cut", [None, 0, 64, 200])
 def test_a_file_that_is_no_matlab_file_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], cut: int | None
 ) -> None:
-    (tmp_path / "DATA_EMPS.mat").write_text("time,force\n" * 40, encoding="utf-8")
+    file = _write(tmp_path) / "DATA_EMPS.mat"
+    file.write_bytes(b"time,force\n" * 40 if cut is None else file.read_bytes()[:cut])
     assert main(["prove", "emps", str(tmp_path)]) == 2
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"eps-hil: {file}: is no MATLAB file: ")
+    assert said.count("\n") == 1

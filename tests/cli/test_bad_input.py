@@ -178,3 +178,50 @@ def test_a_model_is_written_over_a_model_and_an_empty_file(tmp_path: Path) -> No
     for path in (None, model, empty, tmp_path / "new.yaml"):
         check_model_place(path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty.yaml", "model.yaml"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["prove", "concealed", "--quick", "--out", "made"],
+        ["prove", "changes", "--out", "made"],
+        ["prove", "loop", "bus.log", "--config", "c.yaml", "--with", "m.yaml"],
+        ["prove", "emps", "."],
+        ["calibrate", "reversals", "drive.csv", "--model", "m.yaml"],
+    ],
+    ids=lambda words: " ".join(words[:2]),
+)
+def test_where_results_cannot_be_written_is_told_before_hours_of_work(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("eps_hil.axis.emps.read", lambda _: (None, None))
+    for work in ("proof.run.run", "proof.changed.prove_changes", "axis.proof.prove"):
+        monkeypatch.setattr(f"eps_hil.{work}", lambda *_, **__: pytest.fail("it began"))
+    assert main([*words, "--json", "none/found.json"]) == 2
+    said = capsys.readouterr().err
+    assert (
+        said
+        == f"eps-hil: none/found.json: folder {tmp_path}/none does not exist; create it first\n"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_results_of_a_proof_may_go_to_its_own_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def proved(out: Path, *_: object, **__: object) -> dict[str, int]:
+        out.mkdir()
+        return {"cases": 8}
+
+    monkeypatch.setattr("eps_hil.proof.changed.prove_changes", proved)
+    assert main(["prove", "changes", "--out", "made", "--json", "made/found.json"]) == 0
+    assert '"cases": 8' in (tmp_path / "made" / "found.json").read_text()
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setattr("eps_hil.axis.emps.read", lambda _: (None, None))
+    assert main(["prove", "emps", ".", "--traces", "file"]) == 2
