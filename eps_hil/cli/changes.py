@@ -72,13 +72,14 @@ def changes(
             raise InputError(error.recording, "", str(error)) from error
         except ValueError as error:
             raise InputError(", ".join([*first, *second]), "", str(error)) from error
-    _say(found.after.content)
-    if write_model:
+    if write_model:  # written first: nobody may be there to read what is said
         with replacing(write_model) as temporary:
             temporary.write_text(dump_model(found.model), encoding="utf-8")
-        typer.echo(f"model of the second state written to {write_model}")
     if json:
         write_json(json, found.after.content)
+    _say(found.after.content)
+    if write_model:
+        typer.echo(f"model of the second state written to {write_model}")
     if report:
         with progress("drawing the page"):
             diagnosis_page.write(found.after, report, str(model))

@@ -115,9 +115,10 @@ def diagnose(
 ) -> None:
     """Locate where recordings and model differ, name the missing physics, and show the gain.
 
-    Needs motor torque, rotor speed or angle, and the rack force; torsion-bar torque where a driver
-    or robot turns the wheel. Without --holdout a part of the recordings is kept from the fit.
-    With --simulation the question is what the recordings hold and those traces lack.
+    Needs motor torque, and rotor speed or angle; torsion-bar torque where a driver or robot turns
+    the wheel. Without the rack force less can be told, without --holdout a part of the recordings
+    is kept from the fit. With --simulation the question is what the recordings hold and those
+    traces lack.
     """
     import eps_hil
     from eps_hil.api.jobs import known_effects
@@ -166,16 +167,16 @@ def diagnose(
             trust_channels=trust_channels,
             on_progress=say,
         ).result
-    _say(result.content)
-    if write_model:
+    if write_model:  # written first: nobody may be there to read what is said
         with replacing(write_model) as temporary:
             temporary.write_text(dump_model(result.model), encoding="utf-8")
-        count = len(result.model.effects)
-        what = f"{count} effect{'' if count == 1 else 's'}"
-        base = "the simulator's own numbers and " if simulation else ""
-        typer.echo(f"model with {base}{what} written to {write_model}")
     if json:
         write_json(json, result.content)
+    _say(result.content)
+    if write_model:
+        base = "the simulator's own numbers and " if simulation else ""
+        what = _counted(len(result.model.effects))
+        typer.echo(f"model with {base}{what} written to {write_model}")
     if write_effect:
         _write_effect(result, write_effect)
     if report:
@@ -184,6 +185,10 @@ def diagnose(
         typer.echo(f"page: {report}")
     if write_manoeuvre:  # last: it simulates, and what was found is written by then
         _advise(result, write_manoeuvre)
+
+
+def _counted(effects: int) -> str:
+    return f"{effects} effect{'' if effects == 1 else 's'}"
 
 
 def _check_effect(path: Path) -> None:

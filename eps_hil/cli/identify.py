@@ -107,15 +107,16 @@ def identify(
     say_if_it_compiles()
     with progress("identifying") as bar:
         found = eps_hil.identify(given, rig, on_progress=bar).result
-    _say(found)
-    if json:
+    if json:  # written first: nobody may be there to read what is said
         write_json(json, found.content())
-    if report:
-        identification_page.write(found, report, str(model))
     if write_model:
         with replacing(write_model) as temporary:
             text = model_file(found, str(model), [str(path) for path in recordings])
             temporary.write_text(text, encoding="utf-8")
+    _say(found)
+    if report:
+        identification_page.write(found, report, str(model))
+    if write_model:
         typer.echo(f"model written to {write_model}")
 
 

@@ -1,5 +1,6 @@
 """What ``diagnose`` says to recordings and options it cannot use: one line, before any work."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -128,6 +129,38 @@ def test_the_model_is_written_even_if_the_page_cannot_be(
     words = ["--recording", write("good"), "--report", page, "--write-model", str(written)]
     assert main(["diagnose", "--model", MODEL, *words]) != 0
     assert load_model(written).inertia_kg_m2 == found.inertia_kg_m2
+
+
+def test_a_reader_that_went_away_takes_no_file_with_it(
+    write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of ``eps-hil diagnose … --json found.json | head -1``."""
+    import eps_hil
+    from eps_hil.cli import changes, diagnose, identify
+
+    def gone(_: object) -> None:
+        raise BrokenPipeError
+
+    told = SimpleNamespace(content=lambda: {"by": "identify"}, model=load_model(MODEL))
+    diagnosed = SimpleNamespace(content={"by": "diagnose"}, model=told.model)
+    changed = SimpleNamespace(after=SimpleNamespace(content={"by": "changes"}), model=told.model)
+    monkeypatch.setattr(eps_hil, "identify", lambda *_, **__: SimpleNamespace(result=told))
+    monkeypatch.setattr(eps_hil, "diagnose", lambda *_, **__: SimpleNamespace(result=diagnosed))
+    monkeypatch.setattr("eps_hil.diagnosis.changes.changes", lambda *_: changed)
+    monkeypatch.setattr("eps_hil.identification.write_model.model_file", lambda *_: "model: {}")
+    one, other = write("one"), write("other")
+    for verb, words in (
+        (identify, [one]),
+        (diagnose, ["--recording", one]),
+        (changes, ["--before", one, "--after", other]),
+    ):
+        monkeypatch.setattr(verb, "_say", gone)
+        name = verb.__name__.rpartition(".")[2]
+        out, model = tmp_path / f"{name}.json", tmp_path / f"{name}.yaml"
+        given = ["--model", MODEL, "--json", str(out), "--write-model", str(model)]
+        assert main([name, *words, *given]) == 1
+        assert json.loads(out.read_text())["by"] == name
+        assert model.is_file()
 
 
 @pytest.mark.slow
