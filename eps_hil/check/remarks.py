@@ -2,11 +2,13 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from eps_hil import yaml_file
 from eps_hil.bus import units
 from eps_hil.bus.database import find_message
 from eps_hil.bus.mapping import SignalMapping
@@ -17,6 +19,8 @@ from eps_hil.service.input_check import JUDGED, scale_problem
 from eps_hil.signals import CANONICAL
 
 SLOWEST_SYNC_MS = 20
+_NEARLY = 0.8
+"""Alike enough to be meant: efects and effects."""
 _NETWORK = Path("/sys/class/net")
 _LOST = {
     "torque_sensor_nm": "torsion-bar torque: the driver's share of the rack force is not estimated",
@@ -82,9 +86,20 @@ def of_model(path: Path, model: Model) -> Iterator[Remark]:
             path, "model.delays_s", "no signal is late at all",
             "`eps-hil identify` measures the delays",
         )  # fmt: skip
+    yield from _misspelt(path)
     twice = [name for name, n in Counter(e["effect"] for e in model.effects).items() if n > 1]
     for name in twice:
         yield _warning(path, "model.effects", f"'{name}' stands there more than once: they add up")
+
+
+def _misspelt(path: Path) -> Iterator[Remark]:
+    """Further keys may stand in a model: one that was meant for its own is read by nobody."""
+    given = yaml_file.read(path)["model"]
+    missing = [one.name for one in fields(Model) if one.name not in given]
+    for key in given:
+        for near in get_close_matches(str(key), missing, n=1, cutoff=_NEARLY):
+            said = f"'{key}' is read by nobody, and {near} has its default"
+            yield _warning(path, f"model.{key}", said, f"did you mean {near}?")
 
 
 def of_signals(path: Path, mapping: SignalMapping) -> Iterator[Remark]:

@@ -90,6 +90,17 @@ def test_a_model_that_cannot_be_meant(
     assert any(line.startswith("warning: ") and words in line for line in said(config))
 
 
+@pytest.mark.parametrize("key", ["belt_ratio", "pole_pairs", "delays_s", "effects"])
+def test_a_key_of_the_model_that_is_misspelt_has_no_effect(tmp_path: Path, key: str) -> None:
+    model = copied(tmp_path).parent / "reference_rig.yaml"
+    wrong = f"{key[:2]}{key[3:]}"
+    model.write_text(model.read_text().replace(f"  {key}:", f"  {wrong}:"))
+    expected = f"'{wrong}' is read by nobody, and {key} has its default; did you mean {key}?"
+    assert f"warning: {model}: model.{wrong}: {expected}" in said(model)
+    model.write_text(model.read_text().replace(f"  {wrong}:", f"  x: 1\n  {key}:"))
+    assert not any("read by nobody" in line for line in said(model))
+
+
 def test_units_counters_and_crcs_of_the_database(tmp_path: Path) -> None:
     config = copied(tmp_path)
     signals, database = (
