@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,9 @@ from eps_hil.estimation.stream import Trace
 from eps_hil.estimation.validity import Reason
 from eps_hil.growing import blocks
 from eps_hil.physics.model import Model
+from eps_hil.recordings import coverage
 from eps_hil.report.comparison import Candidate, summary
+from eps_hil.signals import ESTIMATOR_INPUTS
 
 if TYPE_CHECKING:  # over a second of imports, which an estimate does not need
     from eps_hil.diagnosis import given_load
@@ -53,6 +55,7 @@ class Estimate:
             "valid_share": float(self.trace.valid.mean()),
             "latency_s": _number(self.latency_s),
             "reasons": {name: rows for name, rows in self._reasons().items() if rows},
+            "gaps": {name: asdict(one) for name, one in self.gaps.items()},
         }
         if self.score:
             content["rack_force_error_n"] = {
@@ -62,6 +65,11 @@ class Estimate:
                 "rms_of_rack_force": _number(self.score.rms_force_n),
             }
         return content
+
+    @property
+    def gaps(self) -> Mapping[str, coverage.Gaps]:
+        """Where the estimator's inputs have no samples, and the load cell; by signal."""
+        return coverage.gaps(self.recording.series, (*ESTIMATOR_INPUTS, "rack_force_n"))
 
     @property
     def why_not_valid(self) -> str:

@@ -155,6 +155,8 @@ def _targets(out: Path, recordings: list[Path]) -> list[Path]:
 
 
 def _say(name: str, found: "Estimate") -> None:
+    from eps_hil.recordings.coverage import in_words
+
     typer.echo(
         f"{name}: {len(found.trace.t_ns)} estimates, {100 * found.trace.valid.mean():.2f} % valid, "
         + (
@@ -165,6 +167,8 @@ def _say(name: str, found: "Estimate") -> None:
     )
     if why := found.why_not_valid:
         typer.echo(f"{name}: not valid: {why}")
+    for gap in in_words(found.gaps):
+        typer.echo(f"{name}: {gap}", err=True)
     if "torque_sensor_nm" not in found.recording.series:
         typer.echo(
             f"{name}: no torsion-bar torque: what the driver holds counts as rack force", err=True

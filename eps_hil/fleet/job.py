@@ -92,9 +92,11 @@ def _fill(job: Job, task: Task, row: Row) -> None:
     row["start_s"] = start_s if start_s >= _NO_DATE_S else None
     stem = f"{task.path.stem}-{row['key']}"
     if job.verb == "estimate":
+        from eps_hil.recordings.coverage import in_words
         from eps_hil.recordings.write import write_table
 
         found = jobs.estimate(recording, job.model, job.settings)
+        row["notes"] += in_words(found.gaps)
         row["output"] = f"estimates/{stem}.parquet"
         trace = found.trace
         columns = {

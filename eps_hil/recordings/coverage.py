@@ -1,6 +1,7 @@
-"""What a model is driven with where a recorded input has no sample: said, as nobody recorded it."""
+"""Where recorded signals have no sample: gaps, and what a model is driven with instead."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,6 +9,47 @@ from eps_hil.recordings.common_rate import longest_step_ns
 from eps_hil.series import Series
 
 _NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Gaps:
+    """Of one signal: how many stretches without a good sample, and the longest of them (s).
+
+    ``at_s``: where that begins, from the recording's first sample on.
+    """
+
+    count: int
+    longest_s: float
+    at_s: float
+
+    def __str__(self) -> str:
+        many = "1 gap of" if self.count == 1 else f"{self.count} gaps, the longest of"
+        return f"{many} {self.longest_s:.3g} s at {self.at_s:.3f} s"
+
+
+def gaps(series: Mapping[str, Series], names: Iterable[str]) -> dict[str, Gaps]:
+    """Those of ``names`` that have any: more than 0.1 s and three of the signal's own steps."""
+    begin_ns = min(int(one.t_ns[0]) for one in series.values())
+    found = {}
+    for name in names:
+        if (one := series.get(name)) is None:
+            continue
+        good = np.isfinite(one.value)
+        t_ns = one.t_ns if good.all() else one.t_ns[good]
+        steps = np.diff(t_ns)
+        if count := int(np.count_nonzero(steps > longest_step_ns(one.t_ns))):
+            row = int(np.argmax(steps))
+            at_s = (int(t_ns[row]) - begin_ns) / _NS
+            found[name] = Gaps(count, float(steps[row]) / _NS, at_s)
+    return found
+
+
+def in_words(found: Mapping[str, Gaps]) -> list[str]:
+    """A sentence for each signal's gaps; one for all that have the same."""
+    alike: dict[str, list[str]] = {}
+    for name, one in found.items():
+        alike.setdefault(str(one), []).append(name)
+    return [f"{', '.join(names)}: {said}" for said, names in alike.items()]
 
 
 def invented(series: Mapping[str, Series], names: Iterable[str], driver: str) -> list[str]:

@@ -72,6 +72,19 @@ def test_estimate_writes_the_contracts_columns(
     assert one["rack_force_error_n"]["rms_moving"] < 20
 
 
+def test_gaps_are_reported(tmp_path: Path, weave: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = weave.read_text().splitlines(keepends=True)
+    weave.write_text("".join(lines[:2001] + lines[3000:6001]))
+    summary = tmp_path / "e.json"
+    assert main(["estimate", str(weave), "--model", MODEL, "--json", str(summary)]) == 0
+    signals = ", ".join((*NAMES[1:5], "rack_force_n"))
+    assert f"weave.csv: {signals}: 1 gap of 1 s at 1.999 s\n" in capsys.readouterr().err
+    (one,) = json.loads(summary.read_text(encoding="utf-8"))["recordings"]
+    assert one["gaps"]["motor_torque_nm"] == {
+        "count": 1, "longest_s": pytest.approx(1.0), "at_s": pytest.approx(1.999)
+    }  # fmt: skip
+
+
 def test_blocks_can_be_switched_off(
     tmp_path: Path, weave: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

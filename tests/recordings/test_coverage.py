@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eps_hil.recordings.coverage import invented
+from eps_hil.recordings.coverage import Gaps, gaps, in_words, invented
 from eps_hil.series import Series
 
 T_NS = np.arange(10_000, dtype=np.int64) * 1_000_000
@@ -62,3 +62,25 @@ def test_the_driver_itself_may_have_holes() -> None:
         "motor_torque_nm: 5 bad samples: drawn straight between the good ones",
         "motor_torque_nm: 2 gaps, the longest of 2 s at 6.999 s: drawn straight",
     ]
+
+
+def test_gaps_are_counted_from_the_recordings_begin() -> None:
+    later = series(slice(1000, None))
+    found = gaps(
+        {
+            DRIVER: series(hole()), FORCE: series(hole()), "motor_speed_rad_s": later,
+            "motor_angle_rad": series(bad=slice(500, 650)), "torque_sensor_nm": series(slice(1)),
+        },
+        (DRIVER, "motor_speed_rad_s", "motor_angle_rad", FORCE, "torque_sensor_nm", "x"),
+    )  # fmt: skip
+    assert found == {
+        DRIVER: Gaps(2, 2.001, 6.999),
+        "motor_angle_rad": Gaps(1, 0.151, 0.499),
+        FORCE: Gaps(2, 2.001, 6.999),
+    }
+    assert in_words(found) == [
+        "motor_torque_nm, rack_force_n: 2 gaps, the longest of 2 s at 6.999 s",
+        "motor_angle_rad: 1 gap of 0.151 s at 0.499 s",
+    ]
+    slow = series(slice(0, None, 50))  # one step more is no gap
+    assert gaps({DRIVER: Series(np.delete(slow.t_ns, 9), slow.value[1:])}, (DRIVER,)) == {}
