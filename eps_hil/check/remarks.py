@@ -13,6 +13,7 @@ from eps_hil.bus import units
 from eps_hil.bus.database import find_message
 from eps_hil.bus.mapping import SignalMapping
 from eps_hil.bus.protection import E2E_P01
+from eps_hil.physics.effects.catalogue import catalogue
 from eps_hil.physics.model import Model
 from eps_hil.service.config import ServiceConfig
 from eps_hil.service.input_check import JUDGED, scale_problem
@@ -90,6 +91,12 @@ def of_model(path: Path, model: Model) -> Iterator[Remark]:
     twice = [name for name, n in Counter(e["effect"] for e in model.effects).items() if n > 1]
     for name in twice:
         yield _warning(path, "model.effects", f"'{name}' stands there more than once: they add up")
+    for entry in model.effects:
+        if not catalogue()[entry["effect"]].simulated:
+            said = (
+                f"'{entry['effect']}' is of what a rig reports: every verb but rig refuses the file"
+            )
+            yield Remark(Level.NOTE, f"{path}: model.effects", said)
 
 
 def _misspelt(path: Path) -> Iterator[Remark]:

@@ -90,6 +90,13 @@ def test_a_model_that_cannot_be_meant(
     assert any(line.startswith("warning: ") and words in line for line in said(config))
 
 
+def test_a_model_that_only_a_simulated_rig_takes(tmp_path: Path) -> None:
+    model = copied(tmp_path).parent / "reference_rig.yaml"
+    change(model, "model", "effects", to=[{"effect": "clock_drift", "ppm": 30.0}])
+    words = "'clock_drift' is of what a rig reports: every verb but rig refuses the file"
+    assert said(model) == [f"note: {model}: model.effects: {words}"]
+
+
 @pytest.mark.parametrize("key", ["belt_ratio", "pole_pairs", "delays_s", "effects"])
 def test_a_key_of_the_model_that_is_misspelt_has_no_effect(tmp_path: Path, key: str) -> None:
     model = copied(tmp_path).parent / "reference_rig.yaml"
