@@ -28,9 +28,12 @@ _command: list[tuple[str, tuple[Path, ...]]] = []
 
 def begin(words: Sequence[str]) -> None:
     """Take down the command (without the program's name) and the files that it reads."""
+    parts = [  # --model=m.yaml names a file as well
+        part for word in words for part in (word.split("=", 1) if word.startswith("--") else [word])
+    ]
     named = [
         Path(word)
-        for before, word in zip(("", *words), words, strict=False)
+        for before, word in zip(("", *parts), parts, strict=False)
         if before not in OUTPUTS and not word.startswith("-")
     ]
     files = tuple(dict.fromkeys(path for path in named if _is_file(path)))

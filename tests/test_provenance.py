@@ -52,6 +52,14 @@ def test_the_catalogues_version_follows_its_effects(
     assert len({before, one, provenance.content()["catalogue"]}) == 3
 
 
+def test_a_file_may_stand_behind_an_equals_sign(tmp_path: Path) -> None:
+    drive, out = tmp_path / "a=b.csv", tmp_path / "e.json"
+    for path in (drive, out):
+        path.write_text("x")
+    provenance.begin(["diagnose", f"--recording={drive}", f"--model={MODEL}", f"--json={out}"])
+    assert [one["path"] for one in provenance.content()["files"]] == [str(drive), str(MODEL)]
+
+
 def test_several_files_and_words_that_are_none(tmp_path: Path) -> None:
     a, b = tmp_path / "a.log", tmp_path / "b.log"
     a.write_text("a")
