@@ -27,6 +27,8 @@ def check_places(*paths: Path | None) -> None:
     for path in paths:
         if path is None:
             continue
+        if str(path) == "-":
+            raise InputError(path, "", "is no file name", "standard output is /dev/stdout")
         folder = path.resolve().parent
         if path.is_dir():
             raise InputError(path, "", "is a folder, a file name was expected", "name the file")

@@ -44,3 +44,13 @@ def test_json_goes_to_a_pipe_by_its_number(capsys: pytest.CaptureFixture[str]) -
     with os.fdopen(reading) as told:
         assert json.load(told)["schema"] == "eps-hil/check/1"
     assert capsys.readouterr().err == ""
+
+
+def test_a_dash_is_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["check", MODEL, "--json", "-"]) == 2
+    said = capsys.readouterr().err
+    assert said == "eps-hil: -: is no file name; standard output is /dev/stdout\n"
+    assert list(tmp_path.iterdir()) == []
