@@ -6,6 +6,7 @@ import os
 import pkgutil
 import sys
 import traceback
+import warnings
 from collections.abc import Iterator
 from typing import Any
 
@@ -182,6 +183,8 @@ def _let_go_of_pipes() -> None:
 
 def run() -> None:
     """Entry point of the installed script."""
+    if not sys.warnoptions and "--debug" not in sys.argv:
+        warnings.simplefilter("ignore")  # lines of code are for those who ask for them
     status = main()
     _let_go_of_pipes()
     sys.exit(status)

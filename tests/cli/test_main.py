@@ -163,6 +163,24 @@ def test_several_files_may_follow_one_option() -> None:
     assert command.spread(["tune", "--recording", "a", "b"]) == ["tune", "--recording", "a", "b"]
 
 
+def test_a_librarys_warnings_are_for_those_who_ask() -> None:
+    """Torques of 1e300 Nm: an overflow in NumPy, beside the line that says so."""
+    words = [
+        "import sys, warnings",
+        "from eps_hil.cli import main",
+        "def app(**_): warnings.warn('overflow encountered in square', RuntimeWarning)",
+        "main.app = app",
+        "main.run()",
+    ]
+    for more, told in ((["estimate"], False), (["estimate", "--debug"], True)):
+        done = subprocess.run(
+            [sys.executable, "-c", "\n".join(words), *more],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0
+        assert ("overflow" in done.stderr) == told
+
+
 @pytest.mark.parametrize(
     ("error", "status"), [("SafetyStop('the torque guard')", 3), ("EpsHilError('refused')", 1)]
 )
