@@ -90,4 +90,5 @@ def _ended(child: int, limit_s: float, parent: int) -> int | None:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # of a Ctrl-C, whoever started it tells
     serve()

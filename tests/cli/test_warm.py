@@ -95,3 +95,25 @@ def test_processor_time_is_what_is_limited(tmp_path: Path) -> None:
     warm.stdin.close()
     assert [json.loads(one) for one in warm.stdout] == [None, 0]
     assert warm.wait(10.0) == 0
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux' /proc")
+def test_ctrl_c_ends_it_without_a_word() -> None:
+    """A terminal sends it to all; what was interrupted is told by who started it."""
+    warm = subprocess.Popen(
+        [sys.executable, "-m", "eps_hil.cli._warm"], stdin=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    until, caught = time.monotonic() + 30.0, True
+    while caught and time.monotonic() < until:  # Python's own handler, which raises
+        time.sleep(0.5)
+        (mask,) = (
+            line.split()[1]
+            for line in Path(f"/proc/{warm.pid}/status").read_text().splitlines()
+            if line.startswith("SigCgt:")
+        )
+        caught = bool(int(mask, 16) & 1 << (signal.SIGINT - 1))
+    assert not caught
+    warm.send_signal(signal.SIGINT)
+    _, said = warm.communicate(timeout=30.0)
+    assert said == b""
+    assert warm.returncode == -signal.SIGINT
