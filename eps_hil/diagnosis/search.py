@@ -180,7 +180,9 @@ def _selected(
     selection = select(problem, say, without, settled_there)
     if any(winds(entry, problem.visited_m) for entry in selection.found.entries):
         # a pattern over the rack's position is no place on it: the curve stood in for its name
+        curves = [one for one in selection.pool if one.effect.id == CURVE]
         selection = select(problem, say, {*without, CURVE}, settled_there)
+        selection.pool += curves  # beside a law of the pattern there may be one
     selection.possible = frozenset(look.zero.possible)
     return selection
 

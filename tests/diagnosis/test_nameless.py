@@ -76,3 +76,12 @@ def test_numbers_of_the_file_that_are_a_little_off_are_named_and_no_law(
     assert content["verdict"] == "explained"
     assert "unknown" not in names
     assert {"inertia", "load_dependent_friction"} <= names <= set(PARAMETERS)
+
+
+@pytest.mark.slow
+def test_a_curve_that_a_pattern_hid_is_found_beside_its_law(reference_model: Model) -> None:
+    """A ripple that grows with the load makes a first curve of many bends; the curve beside the
+    ripple's law was not looked for any more once the first was refused."""
+    plan = Plan("beside", 502, (("alien_load_ripple", 3.0), ("position_torque", 0.6)))
+    content = of_plan(reference_model, plan).content
+    assert [one["effect"] for one in content["findings"]] == ["position_torque", "unknown"]

@@ -1,6 +1,6 @@
 """Fewer names, or better ones, in the place of those that were found one at a time."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -8,8 +8,10 @@ import numpy as np
 
 from eps_hil.diagnosis.attribute.scoring import (
     FORWARD_SHARE,
+    IN_CURVE,
     LEAST_GAIN,
     NEAR,
+    Scored,
     is_curve,
     penalised,
     score,
@@ -18,6 +20,7 @@ from eps_hil.diagnosis.attribute.scoring import (
 from eps_hil.diagnosis.balance.fit import Fit, ablated, fit, own_without
 from eps_hil.diagnosis.balance.probes import Candidate
 from eps_hil.diagnosis.balance.problem import Problem, clipped, knee
+from eps_hil.diagnosis.mismatch.curve import ID as CURVE
 
 _ROUGHLY = 0.9
 """A linear step tells what a pair is worth to within this."""
@@ -69,6 +72,19 @@ def _roughly_without(problem: Problem, found: Fit, places: Collection[int]) -> F
     )
 
 
+def _in_place_of(gone: str, scored: Sequence[Scored], least: float) -> Iterator[Scored]:
+    """What is worth a fit in the place of an effect: of the best, what gains about as much.
+
+    What a curve holds already is fitted anyhow, from its best shape: a stop that is touched by a
+    millimetre begins between two positions of the grid, where it seems to gain little.
+    """
+    for one in scored[:3]:
+        if one.gain >= least and one.candidate.effect.id != gone and not is_curve(one.candidate):
+            yield one
+    for name in IN_CURVE if gone == CURVE else ():
+        yield from [one for one in scored if one.candidate.effect.id == name][:1]
+
+
 def bettered(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> Fit:
     """One effect in the place of another, where it does clearly better with no more numbers."""
     k = 0
@@ -76,11 +92,7 @@ def bettered(problem: Problem, found: Fit, pool: Sequence[Candidate]) -> Fit:
         without = ablated(problem, found, k)
         loss, before = without.cost - found.cost, found
         gone = found.entries[k]["effect"]
-        for one in score(problem, without, pool)[:3]:
-            if one.candidate.effect.id == gone or one.gain < NEAR * loss:
-                continue
-            if is_curve(one.candidate):
-                continue
+        for one in _in_place_of(gone, score(problem, without, pool), NEAR * loss):
             trial = fit(problem, [*without.entries, one.entry], own=without.own, like=without)
             if penalised(trial) < penalised(found) - LEAST_GAIN:
                 found = trial
