@@ -22,7 +22,7 @@ from eps_hil.diagnosis.attribute.scoring import FINAL_SHARE, threshold
 from eps_hil.diagnosis.attribute.select import Say, Selection, rivals_of, select
 from eps_hil.diagnosis.balance.baseline import law_knobs, of_law
 from eps_hil.diagnosis.balance.fit import Fit, fit
-from eps_hil.diagnosis.balance.problem import Problem, knee, term_of
+from eps_hil.diagnosis.balance.problem import Problem, clipped, knee, term_of
 from eps_hil.diagnosis.mismatch.curve import ID as CURVE
 from eps_hil.diagnosis.mismatch.curve import has_curve
 from eps_hil.diagnosis.mismatch.leftover import BESIDE_UNKNOWN, Leftover, leftover
@@ -46,6 +46,9 @@ stays unexplained more: the best of thousands takes some of that along. The name
 less than the second share of its gain is left beside that law."""
 _NEARLY_ALL = 0.9
 """Of the energy of what a name does: the blocks of time in which it acts."""
+_HOLDS, _MOST = 4.0, 0.5
+"""Energy in units of the noise's up to which a law holds in a block of time, and the share of the
+samples at which a name acts that such blocks need to have for the name to be judged by them."""
 
 
 @dataclass(frozen=True)
@@ -199,12 +202,10 @@ def outweighing(
     would do better; the others go, and what is left is fitted and asked once more.
     """
     while named:
-        found = told.found
         good = [
             k
             for k in named
-            if told.gains[term_of(found.entries[k])] >= unexplained(problem, found, k)
-            and not _law_instead(problem, told, [k], kept)
+            if _outweighs(problem, told, k) and not _law_instead(problem, told, [k], kept)
         ]
         if len(good) == len(named):
             several = len(named) > 1
@@ -214,6 +215,28 @@ def outweighing(
     return []
 
 
+def _outweighs(problem: Problem, told: Selection, place: int) -> bool:
+    """Whether a name gains what it needs, everywhere or where the laws hold.
+
+    A law that fails for a while (an iron loss while the inverter is off) says nothing of a name
+    that gains as much in most of the other time.
+    """
+    found, term = told.found, term_of(told.found.entries[place])
+    if told.gains[term] >= unexplained(problem, found, place):
+        return True
+    acts = _acting(problem, found, place)
+    at = knee(found.residual)
+    left = np.where(acts, np.minimum(np.abs(found.residual), at) ** 2 - 1.0, 0.0)
+    of_block = np.bincount(problem.block, left) / np.maximum(np.bincount(problem.block, acts), 1)
+    holds = acts & (of_block <= _HOLDS - 1.0)[problem.block]
+    if np.sum(holds) < _MOST * np.sum(acts):
+        return False
+    other = told.without[term]
+    without = problem.residual(problem.with_entries(other.entries, other.own))
+    gain = clipped(without, at) ** 2 - clipped(found.residual, at) ** 2
+    return float(np.sum(gain[holds])) >= BESIDE_UNKNOWN * float(np.sum(left[holds]))
+
+
 def unexplained(problem: Problem, found: Fit, place: int | None = None) -> float:
     """The gain that a name beside laws needs: twice what both leave unexplained where it acts.
 
@@ -221,15 +244,17 @@ def unexplained(problem: Problem, found: Fit, place: int | None = None) -> float
     nothing of a name that acts while it is on. Whole blocks of time count: at places that are
     passed in between, a law's fault may go on of which the name takes a part.
     """
-    acts = problem.sliding
-    if place is not None:
-        others = [entry for i, entry in enumerate(found.entries) if i != place]
-        alone = problem.residual(problem.with_entries(others, found.own)) - found.residual
-        acts = (
-            acts & _most(np.bincount(problem.block, np.where(acts, alone**2, 0.0)))[problem.block]
-        )
+    acts = problem.sliding if place is None else _acting(problem, found, place)
     size = np.minimum(np.abs(found.residual), knee(found.residual))[acts]
     return BESIDE_UNKNOWN * float(np.sum(size**2 - 1.0))
+
+
+def _acting(problem: Problem, found: Fit, place: int) -> npt.NDArray[np.bool_]:
+    """Samples (n,) that slide in the blocks of time in which an entry acts."""
+    others = [entry for i, entry in enumerate(found.entries) if i != place]
+    alone = problem.residual(problem.with_entries(others, found.own)) - found.residual
+    energy = np.bincount(problem.block, np.where(problem.sliding, alone**2, 0.0))
+    return np.asarray(problem.sliding & _most(energy)[problem.block])
 
 
 def _most(energy: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:

@@ -12,7 +12,7 @@ from eps_hil.diagnosis.accept.beside_law import beside_law, names_beside
 from eps_hil.diagnosis.accept.holdout_support import holdout_support
 from eps_hil.diagnosis.attribute.select import Selection, select
 from eps_hil.diagnosis.balance.fit import fit
-from eps_hil.diagnosis.balance.problem import Problem
+from eps_hil.diagnosis.balance.problem import Problem, term_of
 from eps_hil.diagnosis.remainder.find import rounded
 
 BRAKE_NM, SPRING = 0.05, 4e-4
@@ -63,6 +63,29 @@ def test_a_name_is_weighed_against_what_is_left_where_it_acts(problem: Problem) 
     everywhere, there = module.unexplained(beside, found), module.unexplained(beside, found, 0)
     assert everywhere > 1e4
     assert there < 0.2 * everywhere
+
+
+@pytest.mark.parametrize(("from_s", "stands"), [(9.0, True), (2.0, False)])
+def test_a_name_stands_where_a_law_fails_only_for_a_while(
+    problem: Problem, from_s: float, stands: bool
+) -> None:
+    """A torque that the model has too much of late, or nearly always, beside cogging."""
+    late = {
+        "effect": "empirical", "form": "law", "where": "rotor", "how": "sum",
+        "inputs": ["time_s"], "memory": ["none"], "shapes": ["above"],
+        "size": 0.02, "centre_1": from_s, "range": {"time_s": [0.0, 60.0]},
+    }  # fmt: skip
+    cogging = {"effect": "cogging_torque", "order": 8.0, "amplitude_nm": 0.004, "phase_rad": 0.0}
+    stribeck = {"effect": "stribeck", "level_nm": 0.03, "speed_rad_s": 10.0}
+    effects = (late, stribeck, cogging)
+    beside = Problem(problem.recordings, replace(problem.model, effects=effects))
+    opposite = {**cogging, "phase_rad": 3.14159, "term": "cogging_torque 8"}
+    without, found = fit(beside, [], 0), fit(beside, [opposite], 0)
+    told = Selection(without, found, [], beside, found)
+    term = term_of(found.entries[0])
+    told.without, told.gains = {term: without}, {term: without.cost - found.cost}
+    assert told.gains[term] < module.unexplained(beside, found, 0)
+    assert module._outweighs(beside, told, 0) is stands
 
 
 def test_what_a_refused_curve_held_is_searched_for_without_it(
