@@ -102,14 +102,13 @@ def fit(
         for p in catalogue()[entry["effect"]].parameters
         if p.name in entry and p.name not in _FIXED
     )
-    work, knobs = [dict(entry) for entry in entries], _Knobs(problem, own)
-    residual = problem.residual(problem.with_entries(work, knobs.values))
-    for share in _NEARER:
-        if np.isfinite(residual).all():
-            break
-        # without an effect, what the model's own numbers had come to beside it may be no friction
-        knobs = _Knobs(problem, {name: share * value for name, value in (own or {}).items()})
-        residual = problem.residual(problem.with_entries(work, knobs.values))
+    work = [dict(entry) for entry in entries]
+    knobs, residual = _start(problem, work, own or {})
+    groups = problem.block, problem.stretch
+    if not np.isfinite(residual).all():  # no friction is left: nothing can be fitted from there
+        nothing = np.zeros((len(residual), len(knobs.values) + len(names)))
+        at = problem.knee or np.inf
+        return Fit(tuple(work), residual, names, nothing, knobs.values, np.inf, at, groups)
     at = problem.knee = problem.knee or knee(residual)
     cost = problem.cost(residual) + knobs.price
     jacobian = np.hstack([knobs.columns, np.zeros((len(residual), len(names)))])
@@ -152,8 +151,22 @@ def fit(
         if before - cost < _NEGLIGIBLE and (fresh_now or promised < _NEGLIGIBLE):
             break
         fresh = before - cost < _TRUSTED * promised
-    groups = problem.block, problem.stretch
     return Fit(tuple(work), residual, names, jacobian, knobs.values, cost, at, groups, noise=noise)
+
+
+def _start(
+    problem: Problem, entries: Sequence[Mapping[str, Any]], own: Mapping[str, float]
+) -> tuple["_Knobs", Floats]:
+    """The model's own numbers as near to ``own`` as there is a residual, and that."""
+    knobs = _Knobs(problem, own)
+    residual = problem.residual(problem.with_entries(entries, knobs.values))
+    for share in _NEARER:
+        if np.isfinite(residual).all():
+            break
+        # without an effect, what the model's own numbers had come to beside it may be no friction
+        knobs = _Knobs(problem, {name: share * value for name, value in own.items()})
+        residual = problem.residual(problem.with_entries(entries, knobs.values))
+    return knobs, residual
 
 
 def _normal(jacobian: Floats, residual: Floats, at: float) -> tuple[Floats, Floats]:

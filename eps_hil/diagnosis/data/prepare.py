@@ -438,6 +438,8 @@ class Prepared:
             first = round(EDGE_S / STEP_S) % every  # the first thinned sample is one of them
             # straight lines would take noise off between the samples, and a delay would gain by it
             late = shifted(np.abs(values) if size else values, delay_s)
+            if size:  # cubics go below zero beside a rest, and a path has no way back
+                late = np.maximum(late, 0.0)
             found = every_so_many(late, every, first, summed=summed)
             self._remember(key, found, values.nbytes)
         else:

@@ -16,6 +16,7 @@ from eps_hil.diagnosis.balance.problem import Problem
 from eps_hil.diagnosis.data.noise import noise_of
 from eps_hil.diagnosis.data.prepare import Floats, prepare
 from eps_hil.identification.butterworth import low_pass
+from eps_hil.identification.filters import shifted
 from eps_hil.physics.model import Delays, Model, load_model
 from eps_hil.series import Series
 
@@ -232,6 +233,20 @@ def test_the_bristle_moves_by_what_the_rotor_did_between_two_samples() -> None:
     assert np.max(np.abs(moved - way)) < 1e-3  # a rest of a sample or two at each reversal
     late = np.cumsum(motion.speed_rad_s[inside]) * 1e-3
     assert np.max(np.abs(late - late[0] - way)) > 0.01
+
+
+def test_a_path_at_a_part_of_a_sample_has_no_way_back() -> None:
+    """Cubics go below zero beside a rest; a bristle of next to no friction has no end there."""
+    t_ns = np.arange(6000) * 1_000_000
+    speed = np.where(np.arange(6000) // 500 % 2 == 1, 20.0, 0.0)
+    columns = {"motor_torque_nm": 0.0 * speed, "motor_speed_rad_s": speed}
+    one = prepare("a", {name: Series(t_ns, values) for name, values in columns.items()})
+    own = load_model(REFERENCE)
+    late = replace(own, delays_s=replace(own.delays_s, motor_speed=0.0024))
+    motion = one.motion(late)
+    assert np.min(np.abs(motion.travel_rad)) == 0.0
+    assert np.min(shifted(np.abs(one._kinematics["travel"]), 0.0024)) < 0.0
+    assert np.min(motion.slip_rad) == 0.0
 
 
 @pytest.mark.parametrize(
