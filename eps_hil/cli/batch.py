@@ -1,4 +1,4 @@
-"""``eps-hil batch estimate|identify|diagnose``: one job over a folder or table of recordings."""
+"""``eps-hil batch estimate|identify|diagnose|changes``: one job over a folder or a table."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +16,13 @@ if TYPE_CHECKING:
 Source = Annotated[
     Path, typer.Argument(metavar="FOLDER|TABLE", help="Recordings below it, or CSV: path, unit.")
 ]
+States = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FOLDER|TABLE",
+        help="UNIT/before and UNIT/after with recordings, or CSV: path, unit, state.",
+    ),
+]
 Out = Annotated[Path, typer.Option("--out", help="Folder of the results; run again to go on.")]
 Processes = Annotated[
     int | None, typer.Option("--processes", min=1, help="Default: one for each core.")
@@ -31,13 +38,13 @@ Settings = Annotated[Path | None, typer.Option("--settings", help="Estimator set
 
 
 class NothingDoneError(EpsHilError):
-    """Not one recording of a batch could be used."""
+    """Not one recording, or unit, of a batch could be used."""
 
 
 def register(app: typer.Typer) -> None:
     """Add the verbs."""
     group = typer.Typer(no_args_is_help=True, help="One job over many recordings.")
-    for verb in (estimate, identify, diagnose):
+    for verb in (estimate, identify, diagnose, changes):
         group.command(verb.__name__)(reads_recordings(verb))
     app.add_typer(group, name="batch")
 
@@ -85,6 +92,20 @@ def diagnose(
     _run("diagnose", source, model, out, None, processes, dask, retry_failed, reading)
 
 
+def changes(
+    source: States,
+    model: ModelPath,
+    out: Out,
+    processes: Processes = None,
+    dask: Dask = None,
+    retry_failed: Retry = False,
+    *,
+    reading: Reading,
+) -> None:
+    """What has changed in every unit between its recordings before and after?"""
+    _run("changes", source, model, out, None, processes, dask, retry_failed, reading)
+
+
 def _run(
     verb: "Verb",
     source: Path,
@@ -99,7 +120,7 @@ def _run(
     from eps_hil.fleet import population_page, workers
     from eps_hil.fleet.batch import run_batch
     from eps_hil.fleet.job import Job
-    from eps_hil.fleet.tasks import tasks_of
+    from eps_hil.fleet.tasks import states_of, tasks_of
     from eps_hil.physics.model import load_model
     from eps_hil.recordings.files import check_readable, make_folder
 
@@ -113,7 +134,8 @@ def _run(
         from eps_hil.estimation.settings import EstimatorSettings
 
         yaml_file.load(settings, EstimatorSettings)
-    tasks = tasks_of(source.resolve(), out)
+    what = "unit" if verb == "changes" else "recording"
+    tasks = (states_of if what == "unit" else tasks_of)(source.resolve(), out)
     make_folder(out, "--out")
     asked = reading.arguments()
     named = {"dbc": [str(path.resolve()) for path in reading.dbc], "signals": None}
@@ -128,24 +150,27 @@ def _run(
         processes=processes,
         dask=dask,
         retry=retry,
-        on_row=_teller(),
+        on_row=_teller(what),
         begin=say_if_it_compiles,
     )
     report = population_page.write(batch, out / "population.html", f"{verb}: {source}")
     failed, noted = len(batch.failed), sum(bool(row.get("notes")) for row in batch.rows)
+    written = [batch.results, batch.values, *([batch.changes] if batch.changes else []), report]
     typer.echo(
-        f"{len(batch.rows)} recordings, {batch.before} of them known before, {failed} failed, "
-        f"{noted} with notes of the reader: {batch.results}, {batch.values}, {report}"
+        f"{len(batch.rows)} {what}s, {batch.before} of them known "
+        f"before, {failed} failed, {noted} with notes of the reader: {', '.join(map(str, written))}"
         + "; to try failed ones again, give --retry-failed"
         * bool(failed)
     )
     if failed == len(batch.rows):
-        raise NothingDoneError(f"not one recording could be used: {batch.failed[0]['error']}")
+        raise NothingDoneError(f"not one {what} could be used: {batch.failed[0]['error']}")
 
 
-def _teller() -> "Callable[[Row, int, int], None]":
+def _teller(by: str) -> "Callable[[Row, int, int], None]":
+    """Names each row by its unit, or by its recording's file."""
+
     def tell(row: "Row", done: int, of: int) -> None:
-        name = Path(row["recording"]).name
+        name = row["unit"] if by == "unit" else Path(row["recording"]).name
         typer.echo(f"{done}/{of} {name}: {row['error'] or 'done'}", err=row["state"] != "done")
 
     return tell

@@ -18,10 +18,11 @@ class Batch:
     before: int
     results: Path
     values: Path
+    changes: Path | None = None
 
     @property
     def failed(self) -> tuple[Row, ...]:
-        """Rows of recordings that could not be used."""
+        """Rows of recordings, or units, that could not be used."""
         return tuple(row for row in self.rows if row["state"] != "done")
 
 
@@ -57,4 +58,4 @@ def run_batch(
             if on_row is not None:
                 on_row(row, len(rows), len(keys))
     ordered = tuple(rows[key] for key in keys)
-    return Batch(ordered, before, *store.tables(ordered))
+    return Batch(ordered, before, *store.tables(ordered, states=job.verb == "changes"))

@@ -1,27 +1,35 @@
-"""What is done with each recording of a batch, in whatever process or machine it happens."""
+"""What is done with each recording, or unit, of a batch, in whatever process or machine."""
 
 import functools
 import hashlib
 import json
 import os
+import re
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from eps_hil import provenance
 from eps_hil.errors import EpsHilError
-from eps_hil.fleet.tasks import Task
+from eps_hil.fleet.tasks import AFTER, BEFORE, Task
 from eps_hil.json_text import plain
 from eps_hil.version import VERSION
 
-Verb = Literal["estimate", "identify", "diagnose"]
+if TYPE_CHECKING:
+    from eps_hil.api.recording import Recording
+
+Verb = Literal["estimate", "identify", "diagnose", "changes"]
 Row = dict[str, Any]
 """JSON-ready: key, recording, unit, state ("done" or "failed"), error, seconds, start_s (null where
 the recording has no date), output, ``notes`` of the reader, and ``values``, a list of quantity,
-value, low, high, si (its unit)."""
+value, low, high, si (its unit). Of the verb ``changes`` it is of a unit: ``recordings_before``,
+``recordings_after``, of which ``recording`` is the first, and ``changes``, see
+:mod:`eps_hil.fleet.changed`."""
 _NO_DATE_S = 1e8  # 1973: earlier stamps count from the start of a recording
+
+_NO_NAME, _LONGEST = re.compile(r"[^\w.-]"), 60  # of a unit in a file's name
 
 _catalogue = functools.cache(provenance.catalogue)
 
@@ -41,7 +49,7 @@ class Job:
     reading: Mapping[str, Any] = field(default_factory=dict)
 
     def key(self, task: Task) -> str:
-        """Names the result: of this recording as it is now, by this job, version and catalogue.
+        """Names the result: of its recordings as they are now, by this job, version and catalogue.
 
         A recording counts as the same while path, size and time of change are.
         """
@@ -50,17 +58,19 @@ class Job:
         files = [self.model, self.settings, self.reading.get("signals")]
         for path in [*files, *self.reading.get("dbc", ())]:
             digest.update(b"-" if path is None else Path(path).read_bytes())
-        try:
-            now = task.path.stat()
-            digest.update(f"{task.path.resolve()} {now.st_size} {now.st_mtime_ns}".encode())
-        except OSError:
-            digest.update(f"{task.path} is not there".encode())
+        if self.verb == "changes":
+            digest.update(f"{len(task.before)} before, wrong: {task.wrong}".encode())
+        for path in (*task.before, *task.after) or (task.path,):
+            try:
+                now = path.stat()
+                digest.update(f"{path.resolve()} {now.st_size} {now.st_mtime_ns}".encode())
+            except OSError:
+                digest.update(f"{path} is not there".encode())
         return digest.hexdigest()[:16]
 
 
-def run(job: Job, task: Task, key: str) -> Row:
-    """The row of one recording. Whatever goes wrong with it is its row, not an exception."""
-    begun = time.monotonic()
+def blank(job: Job, task: Task, key: str) -> Row:
+    """The row of a task of which nothing is known yet."""
     row: Row = {
         "key": key,
         "recording": str(task.path),
@@ -72,8 +82,21 @@ def run(job: Job, task: Task, key: str) -> Row:
         "notes": [],
         "values": [],
     }
+    if job.verb == "changes":
+        row["recordings_before"] = [str(path) for path in task.before]
+        row["recordings_after"] = [str(path) for path in task.after]
+        row["changes"] = []
+    return row
+
+
+def run(job: Job, task: Task, key: str) -> Row:
+    """The row of one task. Whatever goes wrong with it is its row, not an exception."""
+    begun = time.monotonic()
+    row = blank(job, task, key)
     try:
-        _fill(job, task, row)
+        if task.wrong:
+            raise EpsHilError(task.wrong)
+        (_fill_changes if job.verb == "changes" else _fill)(job, task, row)
     except EpsHilError as error:
         row |= {"state": "failed", "error": " ".join(str(error).split())}
     except Exception as error:  # one bad file is not the end of a batch
@@ -88,8 +111,7 @@ def _fill(job: Job, task: Task, row: Row) -> None:
 
     recording = jobs.load(task.path, **job.reading)
     row["notes"] = list(recording.notes)
-    start_s = min(int(one.t_ns[0]) for one in recording.series.values()) * 1e-9
-    row["start_s"] = start_s if start_s >= _NO_DATE_S else None
+    row["start_s"] = _start_s(recording)
     stem = f"{task.path.stem}-{row['key']}"
     if job.verb == "estimate":
         from eps_hil.recordings.coverage import in_words
@@ -135,6 +157,32 @@ def _fill(job: Job, task: Task, row: Row) -> None:
                     _value(f"{finding.effect}.{name}", one["value"], one.get("unit", ""),
                            one.get("ci95"))
                 )  # fmt: skip
+
+
+def _fill_changes(job: Job, task: Task, row: Row) -> None:
+    from eps_hil.api import jobs
+    from eps_hil.fleet.changed import rows_of, values_of
+
+    states: list[list[Recording]] = []
+    for state, paths in ((BEFORE, task.before), (AFTER, task.after)):
+        read = [replace(jobs.load(path, **job.reading), name=str(path)) for path in paths]
+        said = dict.fromkeys(note for one in read for note in one.notes)
+        row["notes"] += [f"{state}: {note}" for note in said]
+        states.append(read)
+    row["start_s"] = _start_s(states[1][0])
+    told = jobs.changes(*states, job.model)
+    unit = _NO_NAME.sub("_", task.unit)[:_LONGEST]
+    row["output"] = f"changes/{unit}-{row['key']}.json"
+    _write_json(_place(job, row), told.content)
+    row["verdict"] = told.verdict
+    row["changes"] = plain(rows_of(told.content))
+    row["values"] = [_value(*one) for one in values_of(told.content, row["changes"])]
+
+
+def _start_s(recording: "Recording") -> float | None:
+    """Of its first sample since 1970; None where it has no date."""
+    start_s = min(int(one.t_ns[0]) for one in recording.series.values()) * 1e-9
+    return start_s if start_s >= _NO_DATE_S else None
 
 
 def _place(job: Job, row: Row) -> Path:

@@ -3,8 +3,10 @@
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from eps_hil.fleet.batch import Batch
+from eps_hil.fleet.changed import NOTHING
 from eps_hil.fleet.job import Row
 from eps_hil.fleet.population import FEWEST, Quantity, population
 from eps_hil.report import page
@@ -12,6 +14,8 @@ from eps_hil.unit_words import of
 
 _MOST_LABELS = 40
 _MOST_NOTES = 100
+_MOST_UNITS = 20
+"""Of very many that have one change in common, or none."""
 
 
 def write(batch: Batch, path: Path, title: str) -> Path:
@@ -19,7 +23,7 @@ def write(batch: Batch, path: Path, title: str) -> Path:
     quantities = population(batch.rows)
     verdicts: dict[str, int] = {}
     for row in batch.rows:
-        if said := row.get("verdict"):
+        if (said := row.get("verdict")) and batch.changes is None:
             verdicts[said] = verdicts.get(said, 0) + 1
     html = page.fill(
         "population.html.jinja",
@@ -30,6 +34,7 @@ def write(batch: Batch, path: Path, title: str) -> Path:
         units=len({row["unit"] for row in batch.rows}),
         failed=batch.failed,
         verdicts=verdicts,
+        changes=None if batch.changes is None else _changes(batch.rows),
         notes=_notes(batch.rows),
         noted=sum(bool(row.get("notes")) for row in batch.rows),
         undated=sum(row["state"] == "done" and row["start_s"] is None for row in batch.rows),
@@ -38,6 +43,31 @@ def write(batch: Batch, path: Path, title: str) -> Path:
     )
     page.write(path, html)
     return path
+
+
+def _changes(rows: Sequence[Row]) -> dict[str, Any]:
+    """Of units in two states: which change how many of them have, each of its numbers, and of how
+    many nothing is told.
+    """
+    every = [(row["unit"], one) for row in rows for one in row["changes"]]
+    units: dict[tuple[str, str], list[str]] = {}
+    for unit, one in every:
+        of_it = units.setdefault((one["effect"], one["change"]), [])
+        if unit not in of_it:
+            of_it.append(unit)
+    nothing = units.pop(("", NOTHING), [])
+    summary = sorted(units.items(), key=lambda item: (-len(item[1]), item[0]))
+    return {
+        "done": sum(row["state"] == "done" for row in rows),
+        "nothing": (len(nothing), _some(nothing)),
+        "summary": [(*what, len(of_it), _some(of_it)) for what, of_it in summary],
+        "numbers": [(unit, one) for unit, one in every if one["change"] != NOTHING],
+    }
+
+
+def _some(units: Sequence[str]) -> str:
+    more = len(units) - _MOST_UNITS
+    return ", ".join(units[:_MOST_UNITS]) + (f" and {more} more" if more > 0 else "")
 
 
 def _notes(rows: Sequence[Row]) -> list[tuple[str, list[str]]]:

@@ -17,7 +17,7 @@ from multiprocessing.connection import wait as wait_for
 from threading import Thread
 
 from eps_hil.errors import InputError
-from eps_hil.fleet.job import Job, Row, run
+from eps_hil.fleet.job import Job, Row, blank, run
 from eps_hil.fleet.tasks import Task
 
 Todo = Sequence[tuple[Task, str]]
@@ -122,7 +122,7 @@ def _here(job: Job, todo: Todo, many: int, begin: Begin) -> Iterator[Row]:
                     yield row
         except BrokenProcessPool:
             if alone:
-                yield _died(*next(iter(running.values())))
+                yield _died(job, *next(iter(running.values())))
             else:
                 suspects += running.values()
         finally:
@@ -171,13 +171,10 @@ def on_dask(job: Job, todo: Todo, address: str) -> Iterator[Row]:
             else:  # its workers died with it too often, or they lack the package
                 cause = future.exception()
                 said = " ".join(f"{type(cause).__name__}: {cause}".split())
-                yield _died(*sent[future], said)
+                yield _died(job, *sent[future], said)
             future.release()
 
 
-def _died(task: Task, key: str, why: str = "out of memory, or a crash") -> Row:
-    return {
-        "key": key, "recording": str(task.path), "unit": task.unit, "state": "failed",
-        "error": f"its process died ({why})", "start_s": None, "output": "",
-        "notes": [], "values": [], "seconds": None,
-    }  # fmt: skip
+def _died(job: Job, task: Task, key: str, why: str = "out of memory, or a crash") -> Row:
+    said = f"its process died ({why})"
+    return {**blank(job, task, key), "state": "failed", "error": said, "seconds": None}

@@ -13,7 +13,7 @@ import pytest
     ("words", "said"),
     [
         ("eps-hil dia", ["diagnose"]),
-        ("eps-hil batch ", ["diagnose", "estimate", "identify"]),
+        ("eps-hil batch ", ["changes", "diagnose", "estimate", "identify"]),
         ("eps-hil diagnose --rec", ["--recording"]),
         ("eps-hil diagnose --recording dr", []),
         ("eps-hil example calibrate", ["calibrate_udp", "calibrate_vcan"]),

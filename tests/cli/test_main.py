@@ -78,7 +78,7 @@ def test_a_group_without_a_verb_shows_its_help(
     [
         (
             ["batch", "--dask", "tcp://a:1"],
-            "--dask; it goes after eps-hil batch estimate|identify|diagnose",
+            "--dask; it goes after eps-hil batch estimate|identify|diagnose|changes",
         ),
         (["--dry-run"], "--dry-run; see eps-hil --help"),
         (["batch", "--desk"], "--desk; see eps-hil batch --help"),
