@@ -24,9 +24,6 @@ _NEAR = 0.2
 
 Makes = Callable[[float, float], float]
 """How a parameter makes a number of the state that was looked at out of the other's."""
-_AMOUNTS = {"backlash": "gap_rad", "clock_drift": "ppm", "dropped_frames": "count",
-            "torque_sensor_hysteresis": "play_nm"}  # fmt: skip
-"""The parameter that says how much there is of an effect that no probe looks for."""
 
 
 def rows_of(content: Content) -> list[dict[str, Any]]:
@@ -182,9 +179,17 @@ def _shape(
 
 
 def _amount_of(effect: str) -> str | None:
-    """The parameter that says how much there is of an effect; None where none does."""
-    probe = _probe_of(effect)
-    return _AMOUNTS.get(effect) if probe is None else probe.amplitude
+    """The parameter that says how much there is of an effect; None where none does.
+
+    Of one that no probe looks for (a gap, a drift): its only one.
+    """
+    known = catalogue().get(effect)
+    if known is None:
+        return None
+    if known.probe is not None:
+        return known.probe.amplitude
+    names = [one.name for one in known.parameters]
+    return names[0] if len(names) == 1 else None
 
 
 def _probe_of(effect: str) -> Probe | None:
