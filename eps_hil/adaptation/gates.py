@@ -17,6 +17,8 @@ from eps_hil.physics.model import Model
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+SLOWEST_FILTER_S = 1.0
+"""The torque guard's longest patience (ceiling of ``heartbeat_timeout_s`` and ``…_frozen_s``)."""
 
 _STRICT = ConfigDict(extra="forbid")
 
@@ -46,12 +48,14 @@ class GateLimit:
 
     ``absent``: this rig has no such signal, so its silence does not count as not met; once the
     signal has come after all, it is judged, and missed when it goes. ``filter_s``:
-    time constant of a low-pass before the comparison, for a signal as noisy as its limit.
+    time constant of a low-pass before the comparison, for a signal as noisy as its limit; at most
+    1 s, the longest that the torque guard waits for any sign of life: a slower gate would find a
+    car that turns, or a hand, when the ramp is over.
     """
 
     limit: Positive
     absent: bool = False
-    filter_s: NotNegative = 0.0
+    filter_s: Annotated[float, Field(ge=0, le=SLOWEST_FILTER_S)] = 0.0
     centre: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
 

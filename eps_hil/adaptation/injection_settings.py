@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Field, with_config
 
-from eps_hil.adaptation.gates import GateSettings, NotNegative, Positive
+from eps_hil.adaptation.gates import GATES, GateSettings, NotNegative, Positive
 
 Share = Annotated[float, Field(gt=0, lt=1)]
 
@@ -38,7 +38,8 @@ class InjectionSettings:
     abort_nm_per_s: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 5.0
     """How fast it goes to zero when a gate opens: a hand may be in the wheel."""
     gates_hold_s: NotNegative = 0.5
-    """All gates must have been met for this long before the first ramp."""
+    """All gates must have been met for this long before the first ramp; no shorter than any
+    ``filter_s``, or the ramp begins before that low-pass has followed its signal."""
     rest_s: Positive = 0.3
     """Rest before each ramp, with zero torque: the bristle lets go, the torsion bar settles."""
     rest_speed_rad_s: Positive = 0.3
@@ -54,3 +55,11 @@ class InjectionSettings:
     gap_s: Positive = 0.02
     """Samples further apart than this end the run: nothing is ramped on old values."""
     gates: GateSettings = field(default_factory=GateSettings)
+
+    def __post_init__(self) -> None:
+        """What one field alone does not show; ValueError by field."""
+        for name in GATES:
+            filter_s = getattr(self.gates, name).filter_s
+            if filter_s > self.gates_hold_s:
+                problem = f"gates.{name}.filter_s {filter_s} is longer than gates_hold_s"
+                raise ValueError(f"{problem} {self.gates_hold_s}")

@@ -52,7 +52,8 @@ class Limits:
     ``max_torque_nm``: magnitude of the command; ``max_step_nm``: change from one frame to the
     next; ``max_change_250ms_nm``: between any two commands of 250 ms. ``max_driver_torque_nm``:
     magnitude of the torsion-bar torque. ``max_torque_error_nm``: how far the torque that the ECU
-    reports may lie outside the range commanded over the last ``torque_response_s``.
+    reports may lie outside the range commanded over the last ``torque_response_s``; less than
+    ``max_torque_nm``, or an ECU that does nothing is never noticed.
     ``ecu_status_timeout_s``: so long after the first command, and from then on, the ECU must have
     said "active" (only where it has a status message). Both times are enabled ones: commands too
     short for a verdict add up. ``max_motor_speed_rad_s``,
@@ -98,3 +99,6 @@ class Limits:
                 raise ValueError(f"{field.name} {value} is beyond its ceiling {ceiling}")
         if not self.rack_position_min_m < self.rack_position_max_m:
             raise ValueError("rack_position_min_m is not below rack_position_max_m")
+        if not self.max_torque_error_nm < self.max_torque_nm:
+            problem = f"max_torque_error_nm {self.max_torque_error_nm} is not below max_torque_nm"
+            raise ValueError(f"{problem} {self.max_torque_nm}: no missing torque would be noticed")

@@ -3,9 +3,18 @@
 import math
 
 import pytest
+from pydantic import TypeAdapter, ValidationError
 
-from eps_hil.adaptation.gates import GATES, GateLimit, Gates, GateSettings, InjectionInputs
+from eps_hil.adaptation.gates import (
+    GATES,
+    SLOWEST_FILTER_S,
+    GateLimit,
+    Gates,
+    GateSettings,
+    InjectionInputs,
+)
 from eps_hil.physics.model import Model
+from eps_hil.service.limits import CEILINGS
 
 GOOD = InjectionInputs(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -77,3 +86,20 @@ def test_a_filter_averages_noise_but_not_a_missing_signal(reference_model: Model
     for _ in range(1000):
         gates.update(1e-3, GOOD._replace(lateral_acceleration_m_s2=0.2))
     assert not gates.met
+
+
+def test_no_low_pass_is_slower_than_the_guard_waits_for_anything() -> None:
+    """A gate of 1e9 s would never open again: the value of its first sample is its value for ever.
+
+    The guard's longest patience is a second: for the operator's sign of life and a frozen input.
+    """
+    from_file = TypeAdapter(GateLimit).validate_python
+    patience = {
+        most for name, most in CEILINGS.items()
+        if name == "heartbeat_timeout_s" or name.endswith("_frozen_s")
+    }  # fmt: skip
+    assert patience == {SLOWEST_FILTER_S}
+    assert from_file({"limit": 1.0, "filter_s": SLOWEST_FILTER_S}).filter_s == SLOWEST_FILTER_S
+    for slower in (1.01, 1e9, math.inf, math.nan):
+        with pytest.raises(ValidationError, match="filter_s"):
+            from_file({"limit": 1.0, "filter_s": slower})

@@ -288,3 +288,11 @@ def test_a_hand_that_holds_from_the_first_step_on_ends_the_run(reference_model: 
     assert command.phase is Phase.ABORTED
     assert command.reason == "the rotor did not slide, 4 times"
     assert command.torque_nm == 0.0
+
+
+def test_no_ramp_begins_before_a_gates_low_pass_has_followed() -> None:
+    """The gates start anew with each run: a first sample within the limit may be noise."""
+    slow = GateSettings(yaw_rate_rad_s=GateLimit(0.01, filter_s=0.6))
+    with pytest.raises(ValueError, match=r"gates\.yaw_rate_rad_s\.filter_s 0\.6 is longer than"):
+        InjectionSettings(gates=slow)
+    assert InjectionSettings(gates=slow, gates_hold_s=0.6).gates == slow

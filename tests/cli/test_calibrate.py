@@ -263,6 +263,18 @@ def test_nobody_at_the_terminal_and_nobody_says_so(config: Path, ear: Ear) -> No
             "max_torque_nm: 0.3 ",
             "calibration.torque_injection.max_torque_nm",
         ),
+        ("max_torque_nm: 0.4 ", "max_torque_nm: 0.05 ", "max_torque_error_nm 0.05 is not below"),
+        (
+            "rig:",
+            "calibration:\n  torque_injection: {gates: {yaw_rate_rad_s: {limit: 1, filter_s: 9}}}\n"
+            "rig:",
+            "calibration.torque_injection.gates.yaw_rate_rad_s.filter_s: 9",
+        ),
+        (
+            "rig:",
+            "calibration: {torque_injection: {gates_hold_s: 0.1}}\nrig:",
+            "gates.lateral_acceleration_m_s2.filter_s 0.3 is longer than gates_hold_s 0.1",
+        ),
         ("override:", "no_override:", "no_override: is not a known field"),
         ("rig:", "calibration: {sanity_band: 2}\nrig:", "calibration.sanity_band"),
     ],

@@ -663,7 +663,9 @@ class TestLimits:
 
     @pytest.mark.parametrize("name", [each for each in CEILINGS if "rack_position_m" not in each])
     def test_zero_is_no_limit(self, name: str) -> None:
-        assert getattr(with_limits(**{name: 5e-324}), name) > 0
+        other = {"max_torque_nm": {"max_torque_error_nm": 5e-324}}.get(name, {})
+        least = 1e-323 if other else 5e-324
+        assert getattr(with_limits(**other, **{name: least}), name) > 0
         with pytest.raises(ValueError, match=name):
             with_limits(**{name: 0.0})
 
@@ -676,6 +678,16 @@ class TestLimits:
         with pytest.raises(ValueError, match="rack_position_min_m is not below"):
             with_limits(rack_position_min_m=low)
 
+    @pytest.mark.parametrize("error_nm", [0.3, 0.2])
+    def test_a_missing_torque_must_be_noticed_within_what_is_commanded(
+        self, error_nm: float
+    ) -> None:
+        """An ECU that ignores every command reports 0 Nm, which would never be too far off."""
+        with pytest.raises(ValueError, match=r"max_torque_error_nm .* is not below max_torque_nm"):
+            with_limits(max_torque_nm=0.2, max_torque_error_nm=error_nm)
+        least = with_limits(max_torque_nm=0.2, max_torque_error_nm=0.1999)
+        assert least.max_torque_error_nm < least.max_torque_nm
+
     @pytest.mark.parametrize("name", [each for each in CEILINGS if "frozen" not in each])
     def test_none_of_them_can_be_left_out(self, name: str) -> None:
         with pytest.raises(TypeError):
@@ -685,7 +697,10 @@ class TestLimits:
     def test_a_file_beyond_a_ceiling_is_told_the_field(self, name: str) -> None:
         from_file = FROM_FILE.validate_python
         good = asdict(LIMITS)
-        low = {"rack_position_min_m": -0.06, "rack_position_max_m": -0.0001}.get(name, 5e-324)
+        low = {
+            "rack_position_min_m": -0.06, "rack_position_max_m": -0.0001,
+            "max_torque_nm": math.nextafter(LIMITS.max_torque_error_nm, 1.0),
+        }.get(name, 5e-324)  # fmt: skip
         high = {"rack_position_min_m": 0.0199}.get(name, CEILINGS[name])
         for value in (low, high):
             assert getattr(from_file(good | {name: value}), name) == value
