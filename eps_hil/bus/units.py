@@ -29,9 +29,28 @@ _OF_CANONICAL = {
 }  # fmt: skip
 
 
+_MILLI = frozenset({"mnm", "mn-m", "mm", "ma"})
+
+
 def known(unit: str | None) -> tuple[str, float] | None:
-    """(quantity, factor to SI) of a unit as somebody wrote it; None if it is not known."""
-    return _TABLE.get("".join(each for each in unit or "" if each not in _TIMES).lower())
+    """(quantity, factor to SI) of a unit as somebody wrote it; None if it is not known.
+
+    Nor is one that may be mega or milli (:func:`ambiguous`).
+    """
+    return None if ambiguous(unit) else _TABLE.get(_plain(unit).lower())
+
+
+def ambiguous(unit: str | None) -> bool:
+    """Whether a unit (``MNm``, ``MM``) is mega by its letters, and milli where case says nothing.
+
+    The two are a factor of 1e9 apart; of all other prefixes here only one case is in use.
+    """
+    plain = _plain(unit)
+    return plain.startswith("M") and plain.lower() in _MILLI
+
+
+def _plain(unit: str | None) -> str:
+    return "".join(each for each in unit or "" if each not in _TIMES)
 
 
 def torque_nm(unit: str | None) -> float | None:

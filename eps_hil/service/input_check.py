@@ -37,6 +37,9 @@ def scale_problem(
         return None
     message = find_message(database, source.message)
     signal = message and next((one for one in message.signals if one.name == source.signal), None)
+    if signal and units.ambiguous(signal.unit):
+        problem = f"{signal.name} is in {signal.unit}, which may be milli or mega"
+        return problem, f"write m{signal.unit.strip()[1:]} in the database if it is milli"
     found = units.known(signal.unit) if signal else None
     if signal is None or found is None or found[0] in _RAW:
         return None

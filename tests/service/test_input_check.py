@@ -42,6 +42,8 @@ def prepared(
         ("torque_sensor_nm", 1.0, {"TorsionBarTorque": "mNm"}, "to Nm it is 0.001"),
         ("torque_sensor_nm", -1.02, {}, "scale is -1.02; to Nm it is -1"),
         ("torque_sensor_nm", 1.0, {"TorsionBarTorque": "deg"}, "is in deg (angle)"),
+        ("torque_sensor_nm", 1e-3, {"TorsionBarTorque": "MNm"}, "may be milli or mega; write mNm"),
+        ("rack_position_m", 1e-3, {"RackPosition": "MM"}, "may be milli or mega; write mM"),
         ("motor_torque_nm", 0.2, {}, "to Nm it is 1 or 0.0500"),
         ("motor_speed_rad_s", 0.1, {}, "to rad/s it is 1 or 19.9"),
         ("motor_angle_rad", 1.0, {"MotorAngle": "deg"}, "to rad it is 0.01745329 or 0.34"),
