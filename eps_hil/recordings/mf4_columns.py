@@ -16,6 +16,7 @@ from eps_hil.bus.frame_columns import EXTENDED
 from eps_hil.recordings.candump import ID_MASK
 from eps_hil.recordings.files import needs_extra
 from eps_hil.recordings.frame_parts import Keep, Part
+from eps_hil.recordings.mf4_ids import extended
 from eps_hil.recordings.vendor_log import quiet_libraries
 
 _CHUNK = 200_000
@@ -79,8 +80,7 @@ class Mf4Columns:
         if data.ndim != 2 or data.dtype != np.uint8:
             return None
         key = samples[f"{_FRAME}.ID"].astype(np.int64) & ID_MASK
-        if f"{_FRAME}.IDE" in names:
-            key |= np.where(samples[f"{_FRAME}.IDE"].astype(bool), EXTENDED, 0)
+        key |= np.where(extended(samples, _FRAME), EXTENDED, 0)
         length = np.minimum(samples[f"{_FRAME}.DataLength"].astype(np.int64), data.shape[1])
         there = f"{_FRAME}.BusChannel" in names
         channel = samples[f"{_FRAME}.BusChannel"].astype(np.int64) if there else None

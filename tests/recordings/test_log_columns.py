@@ -16,11 +16,12 @@ from hypothesis import strategies as st
 from eps_hil.bus.codec import FrameDecoder, FrameEncoder
 from eps_hil.bus.database import load_database
 from eps_hil.bus.frame import Frame
-from eps_hil.bus.frame_columns import FrameColumns
+from eps_hil.bus.frame_columns import EXTENDED, FrameColumns
 from eps_hil.bus.mapping import load_mapping
 from eps_hil.bus.record import open_log
 from eps_hil.errors import InputError
 from eps_hil.recordings import candump_columns, log_columns, log_signals, mf4_columns
+from eps_hil.recordings.can_log import read_frames
 from eps_hil.recordings.frame_parts import wanted
 from eps_hil.recordings.log_signals import read_log
 from eps_hil.recordings.mf4_columns import Mf4Columns
@@ -413,3 +414,33 @@ def test_a_blf_without_its_end_is_read_by_frames(rig_frames: list[Frame], tmp_pa
     path.write_bytes(path.read_bytes()[:-300])
     series, _ = read_log(path, dbc=[DBC], signals=SIGNALS)
     assert 100 < len(series["motor_speed_rad_s"].t_ns) < 300
+
+
+@pytest.mark.parametrize("bit", [0, 0x8000_0000])
+def test_an_mf4_without_ide_says_it_by_the_id(
+    rig_frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bit: int
+) -> None:
+    """Bit 31, as asammdf reads it, or an id beyond 11 bits; by columns and by frames alike."""
+    path = tmp_path / "bus.mf4"
+    wide = [replace(f, can_id=0x18FF0000 | bit) for f in rig_frames[1::3]]
+    told = [replace(f, can_id=0x7FF | bit) for f in rig_frames[2::3]]
+    signal = as_signal([*rig_frames[::3], *wide, *told], [1] * len(rig_frames))
+    order = np.argsort(signal.timestamps, kind="stable")
+    names = [name for name in signal.samples.dtype.names if not name.endswith("IDE")]
+    rows = np.zeros(len(order), [(name, signal.samples.dtype[name]) for name in names])
+    for name in names:
+        rows[name] = signal.samples[name][order]
+    with MDF(version="4.10") as mdf:
+        mdf.header.abs_time = 0
+        mdf.append([Signal(rows, signal.timestamps[order], name=signal.name, source=signal.source)])
+        group: Any = mdf.groups[-1].channel_group
+        group.flags |= 1 << 1
+        mdf.save(path, overwrite=True)
+    formats = {rig_frames[0].can_id: False, 0x18FF0000: True, 0x7FF: bit != 0}
+    found = {(frame.can_id, frame.extended) for frame in read_frames(path)}
+    assert found >= set(formats.items())
+    assert len({can_id for can_id, _ in found}) == len(found)
+    keep = wanted(list(formats), None)
+    keys = {int(key) for parts in Mf4Columns(path, keep=keep).parts(None)
+            for part in parts or () for key in part.key}  # fmt: skip
+    assert keys == {can_id | EXTENDED * is_extended for can_id, is_extended in formats.items()}
