@@ -18,7 +18,8 @@ class Frame:
     29 bits without flags (for an error frame: the error class bits of linux/can/error.h);
     ``data``: up to 8 bytes, up to 64 with ``fd``; ``error``: a report of the controller, not
     traffic; ``own``: sent by this very port; ``remote``: a remote request (no data); ``brs``:
-    CAN FD with the data phase at the higher bit rate.
+    CAN FD with the data phase at the higher bit rate; ``esi``: CAN FD from a node that is
+    error-passive; ``remote_length``: how many bytes a remote request asks for.
     """
 
     t_ns: int
@@ -30,10 +31,12 @@ class Frame:
     own: bool = False
     remote: bool = False
     brs: bool = False
+    esi: bool = False
+    remote_length: int = 0
 
 
 _new = object.__new__
-(_t_ns, _can_id, _data, _extended, _fd, _error, _own, _remote, _brs) = (
+(_t_ns, _can_id, _data, _extended, _fd, _error, _own, _remote, _brs, _esi, _remote_length) = (
     getattr(Frame, each.name).__set__ for each in fields(Frame)
 )
 
@@ -48,6 +51,8 @@ def frame_of(
     own: bool,
     remote: bool,
     brs: bool,
+    esi: bool = False,
+    remote_length: int = 0,
 ) -> Frame:
     """A frame in half the time that ``Frame(...)`` takes: for ports, which make every one."""
     made = _new(Frame)
@@ -60,4 +65,6 @@ def frame_of(
     _own(made, own)
     _remote(made, remote)
     _brs(made, brs)
+    _esi(made, esi)
+    _remote_length(made, remote_length)
     return made

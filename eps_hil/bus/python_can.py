@@ -227,9 +227,10 @@ def to_message(frame: Frame, channel: str | int | None = None) -> can.Message:
         is_fd=frame.fd,
         is_rx=not frame.own,
         bitrate_switch=frame.brs,
+        error_state_indicator=frame.esi,
         channel=channel,
         data=frame.data,
-        dlc=len(frame.data),
+        dlc=frame.remote_length if frame.remote else len(frame.data),
     )
 
 
@@ -245,6 +246,8 @@ def from_message(message: can.Message, t_ns: int) -> Frame:
         own=not message.is_rx,
         remote=bool(message.is_remote_frame),
         brs=bool(message.bitrate_switch),
+        esi=bool(message.error_state_indicator),
+        remote_length=min(message.dlc, 8) if message.is_remote_frame else 0,
     )
 
 

@@ -1,6 +1,6 @@
 """Log files that are being written, candump ``.log`` or Vector ``.blf``: whole at every moment.
 
-The writers are python-can's; what is added is that a file is whole whenever :meth:`LogFile.flush`
+BLF is written by python-can; what is added is that a file is whole whenever :meth:`LogFile.flush`
 was called: for BLF with its header brought up to date (python-can writes the start time only at
 the end, and a killed recorder would leave stamps without a date). When the disk is full the file
 is cut back to the last whole state and stays readable. ``bus/recorder.py`` records with them.
@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from eps_hil.bus.candump_line import candump_line
 from eps_hil.bus.frame import Frame
 from eps_hil.errors import InputError
 
@@ -118,29 +119,17 @@ class _Kept:
 
 
 class CandumpFile:
-    """``candump -L`` text: one line a frame, stamps in whole microseconds.
-
-    Error frames keep no detail in this format as python-can writes it; BLF keeps it.
-    """
+    """``candump -L`` text: one line a frame, stamps in whole microseconds."""
 
     def __init__(self, file: io.BufferedRandom, channels: Sequence[str]) -> None:
-        from can import CanutilsLogWriter
-
         self._kept = _Kept(file)
-        self._lines = io.StringIO()
         self._channels = channel_names(channels)
-        self._writer = CanutilsLogWriter(self._lines, channel=self._channels[0])
 
     def write(self, frames: Sequence[Frame], channel: int = 0) -> None:
         """Append frames."""
-        from eps_hil.bus.python_can import to_message
-
-        for frame in frames:
-            self._writer.last_timestamp = None  # else it gives earlier frames the first one's stamp
-            self._writer.on_message_received(to_message(frame, self._channels[channel]))
-        self._kept.file.write(self._lines.getvalue().encode("ascii"))
-        self._lines.seek(0)
-        self._lines.truncate()
+        name = self._channels[channel]
+        lines = "".join(candump_line(frame, name) for frame in frames)
+        self._kept.file.write(lines.encode("ascii"))
 
     @property
     def size_bytes(self) -> int:

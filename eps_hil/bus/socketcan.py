@@ -33,7 +33,7 @@ _CAN_RAW_FILTER, _CAN_RAW_ERR_FILTER, _CAN_RAW_RECV_OWN_MSGS, _CAN_RAW_FD_FRAMES
 _EFF_FLAG, _RTR_FLAG, _ERR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _ERR_MASK = 0x1FFF_FFFF
 _FILTERS_MAX = 512  # CAN_RAW_FILTER_MAX
-_FDF_BRS = 0x01
+_FDF_BRS, _FDF_ESI = 0x01, 0x02
 _CLASSIC, _FD = struct.Struct("=IB3x8s"), struct.Struct("=IBBxx64s")
 _CLASSIC_MTU, _FD_MTU = 16, 72
 _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
@@ -166,6 +166,8 @@ class SocketCanPort(SocketPort):
             bool(flags & socket.MSG_CONFIRM),
             remote,
             bool(fd_flags & _FDF_BRS),
+            bool(fd_flags & _FDF_ESI),
+            length if remote else 0,
         )
 
     def _note(self, classes: int, data: bytes) -> None:
@@ -206,7 +208,7 @@ def encode(frame: Frame, *, fd: bool) -> bytes:
         return _FD.pack(raw_id, length, _FDF_BRS if frame.brs else 0, frame.data)
     if length > 8:
         raise BusError(f"{length} bytes do not fit into a classic frame; send it with fd=True")
-    return _CLASSIC.pack(raw_id, length, frame.data)
+    return _CLASSIC.pack(raw_id, frame.remote_length if frame.remote else length, frame.data)
 
 
 def open_socketcan(

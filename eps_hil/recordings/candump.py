@@ -16,11 +16,11 @@ from eps_hil.recordings.table import shown
 
 LINE = re.compile(
     rb"\s*\((\d{1,10})\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
-    rb"(?:([Rr])[0-9A-Fa-f]?|#([0-9A-Fa-f])((?:[0-9A-Fa-f]{2}){0,64})"
+    rb"(?:([Rr][0-9A-Fa-f]?)|#([0-9A-Fa-f])((?:[0-9A-Fa-f]{2}){0,64})"
     rb"|((?:[0-9A-Fa-f]{2}){0,8})(?:_[0-9A-Fa-f])?)(?:\s+([RrTt]))?\s*"
 )
 ERROR_FLAG, ID_MASK = 0x2000_0000, 0x1FFF_FFFF
-_BRS_FLAG = 0x01
+_BRS_FLAG, _ESI_FLAG = 0x01, 0x02
 _NS = 1_000_000_000
 
 
@@ -75,7 +75,7 @@ def _frame(
     data: bytes | None,
     direction: bytes | None,
 ) -> tuple[str, Frame]:
-    can_id = int(identifier, 16)
+    can_id, flags = int(identifier, 16), int(fd_flags or b"0", 16)
     payload = fd_data if fd_flags is not None else data
     return channel.decode("latin-1"), Frame(
         t_ns=int(seconds) * _NS + int(fraction.ljust(9, b"0")),
@@ -86,5 +86,7 @@ def _frame(
         error=len(identifier) == 8 and bool(can_id & ERROR_FLAG),
         own=direction in (b"T", b"t"),
         remote=remote is not None,
-        brs=fd_flags is not None and bool(int(fd_flags, 16) & _BRS_FLAG),
+        brs=bool(flags & _BRS_FLAG),
+        esi=bool(flags & _ESI_FLAG),
+        remote_length=min(int(remote[1:] or b"0", 16), 8) if remote else 0,
     )

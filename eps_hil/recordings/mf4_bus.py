@@ -93,7 +93,7 @@ def _rows(
         ("BusChannel", [channels.number(name) for name, _ in part]),
         ("ID", [frame.can_id for frame in frames]),
         ("IDE", [frame.extended for frame in frames]),
-        ("DLC", [_DLC.get(len(frame.data), 0) for frame in frames]),
+        ("DLC", [frame.remote_length or _DLC.get(len(frame.data), 0) for frame in frames]),
         ("DataLength", [len(frame.data) for frame in frames]),
         ("Dir", [frame.own for frame in frames]),
     ]
@@ -103,7 +103,7 @@ def _rows(
             ("DataBytes", np.frombuffer(data, np.uint8).reshape(-1, width)),
             ("EDL", [frame.fd for frame in frames]),
             ("BRS", [frame.brs for frame in frames]),
-            ("ESI", [False] * len(frames)),
+            ("ESI", [frame.esi for frame in frames]),
         ]
     kinds: list[Any] = [
         (f"{kind}.{name}", "<u4" if name == "ID" else "u1", (width,) if name == "DataBytes" else ())

@@ -17,6 +17,7 @@ from eps_hil.bus.frame import Frame
 from eps_hil.bus.text_lines import TextLines
 from eps_hil.errors import InputError
 from eps_hil.recordings.files import needs_extra, refused_by_system
+from eps_hil.recordings.mf4_ids import tell_format
 
 _NS = 1_000_000_000
 _RELATIVE_S = 1e6  # smaller stamps count from the start and are exact to the nanosecond
@@ -98,7 +99,7 @@ class VendorLog:
         if self._kind == ".mf4":
             with needs_extra(self._path, "mf4"):
                 import asammdf  # noqa: F401  # python-can's reader needs it
-            return can.MF4Reader(self._path), 0
+            return tell_format(can.MF4Reader(self._path)), 0
         if self._kind == ".trc":
             self._file = TextLines(self._path)
             return _trc_reader(self._file), 0
@@ -160,16 +161,20 @@ def _frame(message: Any, start_ns: int) -> Frame:
     seconds = message.timestamp
     exact = abs(seconds) < _RELATIVE_S and not start_ns
     t_ns = round(seconds * _NS) if exact else round(seconds * 1e6) * 1000
+    # python-can's ASC reader takes a CAN FD frame without data for a remote request
+    remote = message.is_remote_frame and bool(message.dlc or not message.is_fd)
     return Frame(
         t_ns=start_ns + t_ns,
         can_id=message.arbitration_id,
-        data=b"" if message.is_remote_frame else bytes(message.data),
+        data=b"" if remote else bytes(message.data),
         extended=message.is_extended_id,
         fd=message.is_fd,
         error=message.is_error_frame,
         own=not message.is_rx,
-        remote=message.is_remote_frame,
+        remote=remote,
         brs=message.bitrate_switch,
+        esi=message.error_state_indicator,
+        remote_length=min(message.dlc, 8) if remote else 0,
     )
 
 

@@ -92,8 +92,9 @@ def test_what_is_received_is_read_back(tmp_path: Path, suffix: str) -> None:
         assert abs(got.t_ns - sent.t_ns) <= 1_000  # candump's microsecond
 
 
-def test_blf_keeps_what_an_error_frame_says(tmp_path: Path) -> None:
-    out = tmp_path / "x.blf"
+@SUFFIXES
+def test_what_an_error_frame_says_is_kept(tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"x{suffix}"
     error = Frame(EPOCH_NS, 0x004, bytes([0, 8, 0, 0, 0, 0, 96, 0]), error=True)
     source = Source([[error]])
     recorded(out, source)

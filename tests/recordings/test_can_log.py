@@ -88,7 +88,7 @@ def test_candump_line_by_line(tmp_path: Path) -> None:
         Frame(second + 821_276_000, 0x123, b"\xde\xad\xbe\xef"),
         Frame(second + 821_276_123, 0x123, b"", extended=True),
         Frame(second + 900_000_000, 0x123, b"\xaa\xbb", fd=True, brs=True, own=True),
-        Frame(second + 1_000_000_000, 0x123, b"", remote=True),
+        Frame(second + 1_000_000_000, 0x123, b"", remote=True, remote_length=8),
         Frame(second + 1_100_000_000, 0x80, bytes(8), extended=True, error=True),
         Frame(second + 1_200_000_000, 0x7FF, bytes(range(1, 9))),
     ]
