@@ -18,7 +18,9 @@ def convert(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; suffix = format.")],
     rate: Annotated[
         float | None,
-        typer.Option(min=0.001, help="Rows a second, of a table without holes (default: all)."),
+        typer.Option(
+            min=0.001, max=1e6, help="Rows a second, of a table without holes (default: all)."
+        ),
     ] = None,
     *,
     reading: Reading,

@@ -12,8 +12,16 @@ _LONGEST_NS, _STEPS = 100_000_000, 3.0
 """A gap is longer than both: so long, and so many of the signal's own steps."""
 
 
+MOST_ROWS = 20_000_000
+"""Of a table that is made in memory: 11 signals of them are 1.8 GB, and as much to work with."""
+
+
 class HoleError(ValueError):
     """A signal has no good sample somewhere between the first row and the last."""
+
+
+class TooManyRowsError(ValueError):
+    """More than :data:`MOST_ROWS`."""
 
 
 def at_rate(
@@ -25,10 +33,16 @@ def at_rate(
     the signal's samples on either side (no filter); one of ``valid`` is 0 unless both are 1. Where
     those are bad or a gap apart, ``gaps`` "refuse" raises :class:`HoleError` and "mark" leaves the
     cell empty; an estimate that ``valid`` says does not hold is empty in either case.
+    :class:`TooManyRowsError` before anything is made that would not fit into memory.
     """
     first = max(series, key=lambda name: int(series[name].t_ns[0]))
     last = min(series, key=lambda name: int(series[name].t_ns[-1]))
     begin_ns, end_ns = int(series[first].t_ns[0]), int(series[last].t_ns[-1])
+    common_s = (end_ns - begin_ns) / _NS
+    if common_s * rate_hz > MOST_ROWS:
+        rows, most_hz = common_s * rate_hz, MOST_ROWS / common_s
+        what = f"{rate_hz:g} Hz over {common_s:.1f} s is {rows:.3g} rows, of {MOST_ROWS} at most"
+        raise TooManyRowsError(what, f"ask for {most_hz:.4g} Hz at most, or cut the recording")
     period_ns = _NS / rate_hz
     whole_ns = begin_ns // _NS * _NS  # floats hold what is left of the stamps
     k = np.arange((begin_ns - whole_ns) // period_ns, (end_ns - whole_ns) // period_ns + 2)

@@ -4,12 +4,14 @@ A CAN log becomes MF4 in two ways: as signals, where a mapping is given, else as
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from eps_hil.bus.candump_line import candump_line
 from eps_hil.bus.frame import Frame
 from eps_hil.errors import InputError
 from eps_hil.recordings.can_log import read_tagged_frames
@@ -96,12 +98,14 @@ def convert(
 def _at_rate(
     source: Path, series: Mapping[str, Series], rate_hz: float, gaps: str
 ) -> tuple[dict[str, Series], tuple[str, ...]]:
-    from eps_hil.recordings.common_rate import HoleError, at_rate
+    from eps_hil.recordings.common_rate import HoleError, TooManyRowsError, at_rate
 
     try:
         t_ns, columns, notes = at_rate(series, rate_hz, gaps=gaps)
     except HoleError as error:
         raise InputError(source, "", str(error), MARK_REMEDY) from None
+    except TooManyRowsError as error:
+        raise InputError(source, "--rate", *error.args) from None
     return {name: Series(t_ns, column) for name, column in columns.items()}, notes
 
 
@@ -154,27 +158,35 @@ def write_log(
     ``start_ns``: the first stamp. ``source``: the file that they are from. The notes say which bus
     has which number, where the format has no names.
     """
-    suffix, channels, frames = target.suffix.lower(), ChannelNumbers(), 0
+    suffix, channels, frames, lost = target.suffix.lower(), ChannelNumbers(), 0, 0
     with replacing(target) as temporary:
         if suffix == ".mf4":
             from eps_hil.recordings.mf4_bus import write_bus_mf4
 
             frames = write_bus_mf4(temporary, tagged, channels, dbc, source)
             return frames, channels.notes()
+        if suffix == ".log":
+            with temporary.open("w", encoding="ascii", newline="\n") as file:
+                for name, frame in tagged:
+                    file.write(candump_line(frame, channels.interface(name)))
+                    frames += 1
+            return frames, ()
+        from eps_hil.bus.python_can import to_message
+
         writer = _log_writer(temporary, suffix, start_ns / _NS)
         try:
             for name, frame in tagged:
                 # python-can's writers of numbered channels add the 1 again
-                named = channels.interface(name) if suffix == ".log" else channels.number(name) - 1
+                number = channels.number(name) - 1
                 # ASC counts from the first frame, and knows no time before
                 t_ns = max(frame.t_ns, start_ns) if suffix == ".asc" else frame.t_ns
-                if suffix == ".log":
-                    writer.last_timestamp = None  # else it gives an earlier frame that stamp
-                writer.on_message_received(_message(frame, t_ns, named))
+                writer.on_message_received(to_message(replace(frame, t_ns=t_ns), number))
+                lost += suffix == ".asc" and frame.error and bool(frame.can_id or frame.data)
                 frames += 1
         finally:
             writer.stop()
-    return frames, () if suffix == ".log" else channels.notes()
+    what = f"{lost} error frames are without their class and data, for which ASC has no place"
+    return frames, (*channels.notes(), *((what,) if lost else ()))
 
 
 def _log_writer(path: Path, suffix: str, start_s: float) -> Any:
@@ -186,22 +198,4 @@ def _log_writer(path: Path, suffix: str, start_s: float) -> Any:
         if start_s < _YEAR_1990_S:
             writer.start_timestamp = 0.0
         return writer
-    return can.CanutilsLogWriter(path) if suffix == ".log" else can.ASCWriter(path)
-
-
-def _message(frame: Frame, t_ns: int, channel: int | str) -> Any:
-    import can
-
-    return can.Message(
-        timestamp=t_ns / _NS,
-        arbitration_id=frame.can_id,
-        is_extended_id=frame.extended,
-        is_remote_frame=frame.remote,
-        is_error_frame=frame.error,
-        is_fd=frame.fd,
-        bitrate_switch=frame.brs,
-        is_rx=not frame.own,
-        channel=channel,
-        data=frame.data,
-        dlc=len(frame.data),
-    )
+    return can.ASCWriter(path)

@@ -68,3 +68,13 @@ def test_what_cannot_say_how_far_it_is_says_how_long_it_has_taken(
     said = capsys.readouterr().err
     assert "estimating" in said
     assert "0:00:00" in said
+
+
+def test_a_rate_has_an_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "a.csv"
+    source.write_text("time_s,motor_torque_nm\n0,1\n1,2\n2,3\n")
+    words = ["convert", str(source), str(tmp_path / "b.csv"), "--rate"]
+    for rate in ("1e7", "1e300", "inf"):
+        assert main([*words, rate]) == 2
+        assert "--rate" in capsys.readouterr().err
+    assert not (tmp_path / "b.csv").exists()

@@ -194,3 +194,45 @@ def test_broken_log_leaves_no_target(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="line 21"):
         convert(tmp_path / "a.log", tmp_path / "a.blf")
     assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
+
+
+LINES = (
+    "(1757617431.821276) can0 123##3AABB R\n"
+    "(1757617431.821277) can0 123##2 T\n"
+    "(1757617431.821278) can0 123#R8 R\n"
+    "(1757617431.821279) can0 18FF0000#R3 T\n"
+    "(1757617431.821280) can0 123#R R\n"
+    "(1757617431.821281) can0 20000004#0004000000000000\n"
+)
+
+
+@pytest.mark.parametrize("through", ["log", "blf", "mf4", "asc"])
+def test_remote_length_esi_and_errors_stay(tmp_path: Path, through: str) -> None:
+    """ASC has no place for what an error frame says, and that is told."""
+    (tmp_path / "a.log").write_text(LINES)
+    notes = convert(tmp_path / "a.log", tmp_path / f"b.{through}")
+    convert(tmp_path / f"b.{through}", tmp_path / "c.log")
+    before = list(read_frames(tmp_path / "a.log"))
+    after = list(read_frames(tmp_path / "c.log"))
+    assert [frame.remote_length for frame in after] == [0, 0, 8, 3, 0, 0]
+    assert [frame.remote for frame in after] == [False, False, True, True, True, False]
+    assert [frame.fd for frame in after] == [True, True, False, False, False, False]
+    assert [frame.esi for frame in after] == [True, True, False, False, False, False]
+    error = before[-1]
+    assert (after[-1].error, after[-1].t_ns - after[0].t_ns) == (True, 5000)
+    told = [note for note in notes if "error frames" in note]
+    if through == "asc":
+        assert told == [
+            "1 error frames are without their class and data, for which ASC has no place"
+        ]
+    else:
+        assert not told
+        assert (after[-1].can_id, after[-1].data) == (error.can_id, error.data)
+
+
+def test_a_rate_that_no_memory_holds_is_refused(tmp_path: Path) -> None:
+    source, target = tmp_path / "a.csv", tmp_path / "b.csv"
+    source.write_text("time_s,motor_torque_nm\n0,1\n1000,2\n")
+    with pytest.raises(InputError, match=r"--rate: 1e\+06 Hz over 1000\.0 s is 1e\+09 rows, of"):
+        convert(source, target, rate_hz=1e6)
+    assert not target.exists()
