@@ -171,6 +171,6 @@ def _teller(by: str) -> "Callable[[Row, int, int], None]":
 
     def tell(row: "Row", done: int, of: int) -> None:
         name = row["unit"] if by == "unit" else Path(row["recording"]).name
-        typer.echo(f"{done}/{of} {name}: {row['error'] or 'done'}", err=row["state"] != "done")
+        typer.echo(f"{done}/{of} {name}: {row['error'] or 'done'}", err=True)
 
     return tell

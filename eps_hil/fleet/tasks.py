@@ -1,6 +1,7 @@
 """Which recordings a batch is of: the files of a folder, or the rows of a table."""
 
 import csv
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,14 +132,34 @@ def _files(folder: Path, out: Path | None) -> list[tuple[Path, Path]]:
     whole = folder.resolve()
     results = set() if out is None else set(_results(whole, out.resolve()))
     found = []
-    for path in folder.rglob("*"):
+    for path in _walked(folder):
         below = path.relative_to(folder)
         hidden = any(part.startswith(".") for part in below.parts)
-        if path.suffix.lower() not in SUFFIXES or hidden or not path.is_file():
+        if path.suffix.lower() not in SUFFIXES or hidden:
             continue
-        if not results & {whole / below, *(whole / below).parents}:
+        if not any(results & {at, *at.parents} for at in (whole / below, path.resolve())):
             found.append((path, below))
     return found
+
+
+def _walked(folder: Path) -> Iterator[Path]:
+    """All files below, linked folders too: each folder once, by a way without links if it has one.
+
+    A link to a folder above leads back here: it is not followed.
+    """
+    above = {folder.resolve(), *folder.resolve().parents}
+    seen: set[Path] = set()
+    plain, linked = [folder], deque[Path]()
+    while plain or linked:
+        at = plain.pop() if plain else linked.popleft()
+        if at.resolve() in seen or (at != folder and at.resolve() in above):
+            continue
+        seen.add(at.resolve())
+        for path in sorted(at.iterdir()):
+            if path.is_dir():
+                (linked if path.is_symlink() else plain).append(path)
+            elif path.is_file():
+                yield path
 
 
 def _results(folder: Path, out: Path) -> list[Path]:

@@ -77,6 +77,24 @@ def test_the_folders_and_the_tables_units(folder: Path) -> None:
     ]  # fmt: skip
 
 
+def test_linked_folders_are_followed_once_and_never_in_a_circle(
+    folder: Path, tmp_path: Path
+) -> None:
+    """They were left out, and nothing was said."""
+    recording(tmp_path / "elsewhere" / "deep" / "3.csv")
+    (folder / "c").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "back").symlink_to(folder)
+    (folder / "0_first").symlink_to(folder / "b")
+    (folder / "a" / "up").symlink_to(tmp_path)
+    (folder / "gone").symlink_to(tmp_path / "nowhere")
+    plain = [("1.csv", "a"), ("2.parquet", "a"), ("1.csv", "b"), ("2.csv", "b"),
+             ("broken.csv", "b")]  # fmt: skip
+    found = tasks_of(folder)
+    assert [(task.path.name, task.unit) for task in found] == [*plain, ("3.csv", "c")]
+    out = folder / "c" / "deep"
+    assert [(task.path.name, task.unit) for task in tasks_of(folder, out)] == plain
+
+
 def test_what_a_batch_writes_is_no_recording(folder: Path) -> None:
     recordings = tasks_of(folder)
     recording(folder / "a" / ".4.csv")  # as a file is called while it is written
@@ -155,6 +173,8 @@ def test_the_verb_goes_on_where_it_was(
     assert "5 recordings, 0 of them known before, 1 failed, 0 with notes of the reader" in said.out
     assert "to try failed ones again, give --retry-failed" in said.out
     assert "broken.csv" in said.err
+    assert "/5 " in said.err  # how far it is
+    assert len(said.out.splitlines()) == 1
     results = pyarrow.parquet.read_table(out / "results.parquet").to_pylist()
     assert [row["state"] for row in results] == ["done"] * 4 + ["failed"]
     assert "line 2" in results[4]["error"]
