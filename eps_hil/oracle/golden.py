@@ -115,7 +115,8 @@ def hashes(log: Path, config: ServiceConfig, config_file: Path) -> dict[str, str
 
 def _sha256(path: Path) -> str:
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        with path.open("rb") as file:  # a log may be larger than the memory
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         problem = f"cannot be read: {error.strerror}"
         raise InputError(path, "", problem, "check the path") from None

@@ -1,6 +1,7 @@
 """A golden replay differs when an estimate does, says where, and refuses what is no golden."""
 
 import gzip
+import hashlib
 import json
 import os
 import shutil
@@ -14,6 +15,7 @@ from eps_hil.bus.codec import FrameEncoder
 from eps_hil.bus.database import load_database
 from eps_hil.cli.main import main
 from eps_hil.errors import InputError
+from eps_hil.oracle import golden
 from eps_hil.oracle.golden import DEFAULT_TOLERANCES, Estimates, compare, parse_tolerances
 from eps_hil.oracle.golden_file import Golden, read_golden, write_golden
 from eps_hil.rig.config import load_rig_setup
@@ -128,6 +130,21 @@ def test_several_goldens_are_checked_and_all_named(
     at_s = (golden.estimates.t_ns[1_500] - golden.estimates.t_ns[0]) * 1e-9
     assert f"{at_s:.3f} s" in told.out
     assert "1 of " in told.out
+
+
+def test_a_log_is_hashed_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log of a day is larger than the memory."""
+
+    def whole(_path: Path) -> bytes:
+        raise AssertionError
+
+    log = tmp_path / "bus.log"
+    log.write_bytes(bytes(range(256)) * 4096)
+    expected = hashlib.sha256(log.read_bytes()).hexdigest()
+    monkeypatch.setattr(Path, "read_bytes", whole)
+    assert golden._sha256(log) == expected
+    with pytest.raises(InputError, match="cannot be read: No such file"):
+        golden._sha256(tmp_path / "none.log")
 
 
 def test_what_is_written_is_read_back_bit_for_bit(folder: Path) -> None:
