@@ -23,6 +23,7 @@ SLOWEST_S = 0.05
 """Between values of torque and motion: beyond it, reversals and inertia fall between them."""
 LONG_S, LEAST_SHARE = 3600.0, 0.5
 """Of a recording that is longer, more than this part has to be there: the grid is as long as it."""
+_FEWEST = 8
 _SPIKE_SIGMA = 12.0
 _USED = (
     "motor_torque_nm",
@@ -167,8 +168,9 @@ def without_spikes(values: Floats, sigma: float) -> tuple[Floats, int]:
 
 def _finite(name: str, key: str, one: Series) -> tuple[npt.NDArray[np.int64], Floats]:
     good = np.isfinite(one.value)
-    if good.sum() < 8:
-        raise InputError(name, key, "has fewer than 8 values", "leave the column out")
+    if (count := int(good.sum())) < _FEWEST:
+        remedy = f"record {SHORTEST_S:g} s or more, or leave the column out"
+        raise InputError(name, key, f"has only {count} value{'s' * (count != 1)}", remedy)
     return one.t_ns[good], one.value[good]
 
 

@@ -85,3 +85,14 @@ def test_what_an_fmu_cannot_give_is_refused(
     given += ["--simulation", str(tmp_path / "s.fmu"), option, str(tmp_path / "out")]
     assert main(given) == 2
     assert f"{option}: does not go with --simulation" in capsys.readouterr().err
+
+
+def test_a_recording_of_two_rows_is_told_how_much_is_needed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = tmp_path / "short.csv"
+    recording.write_text("time_s,motor_torque_nm,motor_speed_rad_s\n0,1,2\n0.001,1,2\n")
+    assert main(["identify", str(recording), "--model", MODEL]) == 2
+    said = capsys.readouterr().err
+    assert "motor_torque_nm: has only 2 values; record 3 s or more" in said
+    assert said.count("\n") == 1
