@@ -4,6 +4,8 @@ import errno
 import os
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 import typer
@@ -203,3 +205,20 @@ def test_a_reader_that_went_away_changes_no_status(error: str, status: int) -> N
     )
     os.close(writing)
     assert told.returncode == status
+
+
+@pytest.mark.parametrize("module", ["eps_hil", "eps_hil.cli"])
+def test_ctrl_c_while_modules_are_imported_is_one_line(tmp_path: Path, module: str) -> None:
+    """``typer`` here stands for whatever is being imported when the key is pressed."""
+    (tmp_path / "typer.py").write_text("raise KeyboardInterrupt\n")
+    before = os.environ.get("PYTHONPATH", "")
+    ended = subprocess.run(
+        [sys.executable, "-m", module, "--version"], check=False, capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{before}"},
+    )  # fmt: skip
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "eps-hil: interrupted\n")
+
+
+def test_the_script_begins_where_a_key_does_no_harm() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    assert project["project"]["scripts"] == {"eps-hil": "eps_hil.__main__:run"}
