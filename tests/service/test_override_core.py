@@ -396,7 +396,7 @@ class TestSetup:
             ("max_torque_nm: 0.4", "max_torque_nm: .nan", "override.limits.max_torque_nm"),
             ("    max_step_nm: 0.02\n", "", "override.limits.max_step_nm: is missing"),
             ("min_m: -0.01", "min_m: 0.02", "rack_position_min_m is not below"),
-            ("error_nm: 0.05", "error_nm: 0.3\n    max_torque_nm: 0.3", "max_torque_error_nm"),
+            ("max_torque_nm: 0.4", "max_torque_nm: 0.05", "max_torque_error_nm 0.05 is not below"),
             ("limits:", "command_message: EPS_Nothing\n  limits:", "override.command_message"),
             ("limits:", "torque_signal: Torque\n  limits:", "has no signal Torque"),
             ("limits:", "status_signal: Nope\n  limits:", "has no signal Nope"),
