@@ -106,6 +106,10 @@ def read_log(path: str | Path, channel: str | None = None) -> Iterator[Frame]:
 def _reader(file: Path) -> Any:
     import can
 
+    if file.suffix.lower() == ".log":
+        from eps_hil.bus.candump_errors import candump_reader
+
+        return candump_reader(file)
     if file.suffix.lower() != ".asc":
         return can.LogReader(file)
     from eps_hil.bus.asc_lines import AscLines

@@ -19,8 +19,8 @@ _KINDS = ("CAN_DataFrame", "CAN_RemoteFrame", "CAN_ErrorFrame")
 def extended(samples: npt.NDArray[Any], kind: str) -> npt.NDArray[np.bool_]:
     """Of the records of one group of ``kind`` (``CAN_DataFrame``)."""
     if f"{kind}.IDE" in (samples.dtype.names or ()):
-        return samples[f"{kind}.IDE"].astype(bool)
-    ids = samples[f"{kind}.ID"].astype(np.int64)
+        return np.asarray(samples[f"{kind}.IDE"], dtype=np.bool_)
+    ids = np.asarray(samples[f"{kind}.ID"], dtype=np.int64)
     return (ids & _BIT != 0) | (ids & ID_MASK > STANDARD_ID_MAX)
 
 
