@@ -169,8 +169,9 @@ def _fill_changes(job: Job, task: Task, row: Row) -> None:
         said = dict.fromkeys(note for one in read for note in one.notes)
         row["notes"] += [f"{state}: {note}" for note in said]
         states.append(read)
-    row["start_s"] = _start_s(states[1][0])
-    told = jobs.changes(*states, job.model)
+    before, after = states
+    row["start_s"] = _start_s(after[0])
+    told = jobs.changes(before, after, job.model)
     unit = _NO_NAME.sub("_", task.unit)[:_LONGEST]
     row["output"] = f"changes/{unit}-{row['key']}.json"
     _write_json(_place(job, row), told.content)
