@@ -205,7 +205,7 @@ def test_the_tables_and_the_page(out: Path, capsys: pytest.CaptureFixture[str]) 
     said = capsys.readouterr()
     assert "4 units, 0 of them known before, 1 failed" in said.out
     assert "changes.parquet" in said.out
-    assert "2/4 changed: done" in said.out
+    assert "2/4 changed: done" in said.err
     assert "1/4 broken: " in said.err
     assert "'x' is not a number" in said.err
     rows = pyarrow.parquet.read_table(out / "changes.parquet").to_pylist()
