@@ -268,7 +268,7 @@ def test_nobody_at_the_terminal_and_nobody_says_so(config: Path, ear: Ear) -> No
             "rig:",
             "calibration:\n  torque_injection: {gates: {yaw_rate_rad_s: {limit: 1, filter_s: 9}}}\n"
             "rig:",
-            "calibration.torque_injection.gates.yaw_rate_rad_s.filter_s: 9",
+            "gates.yaw_rate_rad_s.filter_s: Input should be less than or equal to 1 (found 9)",
         ),
         (
             "rig:",
