@@ -15,7 +15,7 @@ from eps_hil.physics.effects.effect import Probe
 Content = Mapping[str, Any]
 Ends = tuple[float | None, float | None]
 NOTHING, UNDECIDED = "nothing", "undecided"
-"""A row's ``change`` where no finding is: all is as it was, or one state alone shows an effect."""
+"""``change`` of a row without a finding: no difference, or an effect that one state alone shows."""
 _NO_ENDS: Ends = (None, None)
 _SAME = 1e-2
 """Of a number's step: a parameter that gives it within this is what has moved it."""
